@@ -13,26 +13,28 @@ import numpy as np
 
 from contacts.collisions.island_step import Room, solved
 from contacts.collisions.islands import push
+from contacts.collisions.order import PLASTIC
 from contacts.detection.applied import Ahead
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.ground import Ground
 from contacts.detection.joints import joined
 from contacts.detection.look import fastest_turn, look_at, pushed
-from contacts.detection.touches import velocity
+from contacts.detection.touches import Touches, velocity
 from contacts.detection.touching import Seen, touching
 from contacts.states import FREE, PIN, SLIDE
-from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import beside, kernel, late, part
 from statechart.kernels.tapes import BLOCK, filled
 
+# Impacts are no later after the middle of a step than this part of it: something is after them.
+_LATEST = 0.5 - BESIDE
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
-# Impulses are known to this part of the largest that presses a body, whatever is allowed; below
-# that part of what a step makes of its weight they are rounding.
-_LEAST, _NOTHING = 1e-9, 1e-13
+LEAST = 1e-9
+"""Impulses are known to this part of the largest on a body, whatever is allowed."""
 
 
 @beside
@@ -59,7 +61,7 @@ def _kept(
             b = touches.bodies[i, side]
             if b >= 0 and not room.bounces[i]:
                 room.borne[b] = max(room.borne[b], pressed[i, 0])
-    least = max(allowed, _LEAST)
+    least = max(allowed, LEAST)
     for i in range(seen.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not room.bounces[i]
@@ -87,14 +89,62 @@ def _kept(
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            # What bears less of what presses a body most, or of its weight, is rounding: it touches
-            # not.
-            weight = room.look.pull[b] / numbers.inverse[b, 0]
-            bears = lasts and pn > max(least * room.borne[b], _NOTHING * weight)
+            # What bears less of what presses or pulls a body most is rounding: it touches not.
+            pulled = room.look.pull[b] / numbers.inverse[b, 0]
+            bears = lasts and pn > max(least * room.borne[b], LEAST * pulled)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
                 chunk.codes[k, b] = SLIDE
+
+
+@part
+def _may_land(touches: Touches, law: int, count: int) -> bool:
+    """Whether all that is struck in a step may land, after the middle of the step."""
+    found = False
+    for i in range(count):
+        if touches.hit[i]:
+            if touches.memory[i, 1] <= 0.0 or (touches.materials[i, 2] > 0.0 and law != PLASTIC):
+                return False
+            found = True
+    return found
+
+
+@part
+def _without_impacts(
+    numbers: BodyNumbers, touches: Touches, loose: Array, count: int, early: Array
+) -> None:
+    """Write rates as forces alone make them, of which those of contacts are as in the step before.
+
+    To solve for them took a quarter of a run whose bodies land all the time.
+    """
+    put_rows(loose, early)
+    for i in range(count):
+        for d in range(2):
+            if not touches.hit[i] and touches.pushes[i, d] != 0.0:
+                push(
+                    touches.bodies, touches.rows, numbers.inverse, early, i, d, touches.pushes[i, d]
+                )
+
+
+@part
+def _landing(room: Room, rates: Array, early: Array, h: float, count: int) -> float:
+    """Return how long after the middle of a step the first of what lands in it touches.
+
+    Forces alone would make rates `early`. Impulses that act later keep the bound of the energy
+    (`contacts.time_stepping.loop`). Earlier ones, of what is inside, do not, and would move what is
+    struck on farther than was looked at.
+    """
+    touches, first = room.touches, _LATEST * h
+    for i in range(count):
+        if touches.hit[i]:
+            if room.bounces[i] != 0:
+                return 0.0
+            change = velocity(touches.bodies, touches.rows, rates, i, 0)
+            change -= velocity(touches.bodies, touches.rows, early, i, 0)
+            if change * first > touches.memory[i, 1]:
+                first = touches.memory[i, 1] / change
+    return first
 
 
 @late
@@ -186,6 +236,7 @@ def step_bodies(
     width = 2 * n + around.memories.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
+    early = np.empty_like(loose)
     # What is in the way after the last step tells whether that could be taken.
     for k in range(steps + 1):
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
@@ -215,6 +266,9 @@ def step_bodies(
         if joins:
             places = around.places[k : k + 3]
             count = joined(numbers, places, memory, room.look, h, count, touches)
+        lands = _may_land(touches, law, seen.contacts)
+        if lands:
+            _without_impacts(numbers, touches, loose, count, early)
         solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
         put_rows(loose, rates)
         put_rows(loose, forced)
@@ -232,6 +286,8 @@ def step_bodies(
                     )  # fmt: skip
         if deepest < math.inf and h * fastest_turn(rates) > math.pi:
             return k, COARSE
+        # What lands has gone on as it did until it touched.
+        chunk.late[k] = _landing(room, rates, early, h, seen.contacts) if lands else 0.0
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
         if joins:
             _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
@@ -245,6 +301,8 @@ def step_bodies(
                     chunk.solved[k, at] = min(max(forced[b, d] - old[b, d], -most), most) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
+                if lands:
+                    state[at] += chunk.late[k] * (early[b, d] - rates[b, d])
                 if not math.isfinite(state[at]):
                     return k, NOT_FINITE
         put(state, chunk.states[k + 1])

@@ -175,9 +175,14 @@ def exposed(
         # The point is on the one or on the other.
         u, v = x - gap * ox, y - gap * oy
         here = abs(_away(pieces, centres, world, p, x, y))
-        if abs(_away(pieces, centres, world, p, u, v)) >= here:
-            u, v = x, y
-        face = _face(pieces, centres, world, p, (u, v), (ox, oy))
+        there, face = abs(_away(pieces, centres, world, p, u, v)), 0
+        # Beside the end of a face both are on its piece, but for rounding: that on the face is it.
+        if max(here, there) <= _FLUSH * pieces.sizes[p]:
+            face = _face(pieces, centres, world, p, (u, v), (ox, oy))
+        if face == 0:
+            if there >= here:
+                u, v = x, y
+            face = _face(pieces, centres, world, p, (u, v), (ox, oy))
         free = face < 2
         for other in range(first, end):
             if other == p or not free:
@@ -189,9 +194,9 @@ def exposed(
             alike = away >= -near and _between_normals(
                 pieces, centres, world, other, (u, v), (ox, oy)
             )
-            # What both have is that of the first.
+            # What both have is that of the first, where no other covers that.
             if alike:
-                free = other > p
+                free = other > p or _face(pieces, centres, world, other, (u, v), (ox, oy)) == 2
             elif face == 0:
                 # What touches a rim beside another piece is as deep in that as its place is.
                 deep = -_away(pieces, centres, world, other, u + gap * ox, v + gap * oy)

@@ -27,8 +27,8 @@ class Touches(NamedTuple):
     keys : (c, 2) array of int
         See `Memory`.
     memory : (c, 3)
-        The level at which each is kept; how far above that it is; slip that the impulses of the
-        step before may have missed.
+        The level at which each is kept; how far above that it is, or, where it is struck, above
+        the other; slip that the impulses of the step before may have missed.
     materials : (c, 3)
         See `BodyNumbers`.
     before, free, wanted : (c, 2)

@@ -284,7 +284,7 @@ def _takes_part(
     touches.hit[m] = role == HIT
     touches.keys[m, 0], touches.keys[m, 1] = pair.key, feature
     touches.memory[m, 0] = level
-    touches.memory[m, 1] = 0.0 if lasting or role == HIT else above
+    touches.memory[m, 1] = 0.0 if lasting and role != HIT else above
     put(numbers.materials[pair.material], touches.materials[m])
     return True
 

@@ -69,6 +69,8 @@ class Chunk(NamedTuple):
     passed : (k,) array
         Where something passed another between the middle of the step before and that of this one:
         the part of a step in which they overlapped.
+    late : (k,) array
+        How long after the middle of the step its impacts are.
     gained : (k,) array
         What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
     efforts : (k, 6) array
@@ -88,6 +90,7 @@ class Chunk(NamedTuple):
     approach: Array
     closing: Array
     passed: Array
+    late: Array
     gained: Array
     efforts: Array
 
@@ -105,6 +108,7 @@ class Chunk(NamedTuple):
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions, 2)),
             np.full((count, regions), np.inf),
+            np.zeros(count),
             np.zeros(count),
             np.zeros(count),
             np.zeros(count),

@@ -17,6 +17,11 @@ rests.
 The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: where impulses P do not add energy to
 the velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose largest value
 that is. Where restitution with friction would add more, it is reduced (`capped`).
+
+Bodies with shapes are struck in the step nearest to when they touch. Where all that is struck in it
+lands, and the first of it touches ``s`` after the middle, impacts I act then: ``q+`` is off by
+``-s M^-1 J^T I``, so that what has landed touches. That takes ``-s f M^-1 J^T I`` of the energy in
+the forces; where all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def _own(rows: T) -> T:
 
 
 class Steps(NamedTuple):
-    """Consecutive steps as pieces of arcs: one of each, two of one with impacts in its middle.
+    """Consecutive steps as pieces of arcs: one of each, two of one with impacts.
 
     Attributes
     ----------
@@ -44,6 +44,8 @@ class Steps(NamedTuple):
         Impulses of impacts; on whom.
     hit : (k,) array of bool
         Which have some.
+    late : (k,) array
+        How long after their middles these are.
     places : (k + 1,) array of int
         Where the pieces of each begin.
     halves : (p, u) array or None
@@ -58,6 +60,7 @@ class Steps(NamedTuple):
     felt: Array
     struck: Bools
     hit: Bools
+    late: Array
     places: Ints
     halves: Array | None = None
 
@@ -68,7 +71,7 @@ class Steps(NamedTuple):
         np.cumsum(1 + hit, out=places[1:])
         return cls(
             begin, chunk.h, coordinates, _own(chunk.states), _own(chunk.solved),
-            _own(chunk.impulses), _own(chunk.struck), hit, places,
+            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.late), places,
         )  # fmt: skip
 
     @property
@@ -97,8 +100,9 @@ class Steps(NamedTuple):
         return self._replace(halves=halves)
 
     def at(self, step: int, half: int) -> Clock:
-        """Return when a step begins, or its second half."""
-        return self.begin.later(0.5 * self.h * (2 * step + half)).short
+        """Return when a step begins, or its second part."""
+        late = float(self.late[step]) if half else 0.0
+        return self.begin.later(0.5 * self.h * (2 * step + half) + late).short
 
 
 class Stretch(NamedTuple):
@@ -132,12 +136,17 @@ class Stroke(NamedTuple):
 
 
 class _Whole:
-    """All pieces of steps: coefficients, after how many half steps they begin, their unknowns."""
+    """All pieces of steps: coefficients, when they begin, their unknowns.
+
+    They begin so many half steps after the first, and so much later.
+    """
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array]) -> None:
         n, hit = steps.coordinates, steps.hit
-        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], steps.h, hit, n)
+        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], steps.h, steps.late, hit, n)
         self.marks = np.append(0, np.cumsum(np.repeat(2 - hit, 1 + hit)))
+        self.late = np.zeros(len(self.marks))
+        self.late[steps.places[:-1][hit] + 1] = steps.late[hit]
         halves = steps.halves
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy
@@ -176,7 +185,8 @@ class Maker:
         for steps, first, last in kept.stretches:
             whole = self._all_of(steps)
             marks = whole.marks[first + 1 : last + 1] - whole.marks[first]
-            ends.append(reached + 0.5 * steps.h * marks)
+            late = whole.late[first + 1 : last + 1] - whole.late[first]
+            ends.append(reached + (0.5 * steps.h * marks + late))
             reached = float(ends[-1][-1])
             terms.append(whole.terms[first:last])
             unknowns.append(whole.unknowns[first:last])

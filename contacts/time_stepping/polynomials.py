@@ -1,7 +1,7 @@
 """The polynomials of steps: positions of the second degree, rates of the first.
 
 That is what the midpoint rule's positions and velocities at the ends of a step amount to. A step
-with impacts has them in its middle, and is two halves with the lasting forces on both sides.
+with impacts has them at one instant, and is two parts with the lasting forces on both sides.
 """
 
 from __future__ import annotations
@@ -37,35 +37,40 @@ def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
 
 
 def struck(
-    left: Array, right: Array, acceleration: Array, h: Array | float, n: int
+    left: Array, right: Array, acceleration: Array, lengths: tuple[Array, Array], n: int
 ) -> tuple[Array, Array]:
-    """Return the coefficients (k, w, TERMS) of both halves of steps with impacts in their middle.
+    """Return the coefficients (k, w, TERMS) of both parts of steps, before and after impacts.
 
     Parameters
     ----------
-    left, right, h, n
+    left, right, n
         As of `smooth`.
     acceleration : (k, n) array
         Under what lasts.
+    lengths : two (k, 1) arrays
+        Of the parts.
     """
     kept = slice(2 * n, None)
     middle = 0.5 * (left[:, kept] + right[:, kept])
     # Of the velocities as they were and will be, so that the ends of the step are exact.
-    rates, gained = right[:, n : 2 * n], 0.5 * h * acceleration
+    rates, (before, after) = right[:, n : 2 * n], lengths
     second = np.empty_like(right)
-    second[:, :n] = right[:, :n] - 0.5 * h * (rates - 0.25 * h * acceleration)
-    second[:, n : 2 * n] = rates - gained
+    second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)
+    second[:, n : 2 * n] = rates - after * acceleration
     second[:, kept] = middle
-    halves = []
-    for begin, change in ((left, middle - left[:, kept]), (second, -(middle - right[:, kept]))):
-        half = np.zeros((*left.shape, TERMS))
-        half[:, :, 0] = begin
-        half[:, :n, 1] = 0.5 * h * begin[:, n : 2 * n]
-        half[:, :n, 2] = 0.125 * h**2 * acceleration
-        half[:, n : 2 * n, 1] = gained
-        half[:, kept, 1] = change
-        halves.append(half)
-    return halves[0], halves[1]
+    parts = []
+    for begin, change, length in (
+        (left, middle - left[:, kept], before),
+        (second, -(middle - right[:, kept]), after),
+    ):
+        terms = np.zeros((*left.shape, TERMS))
+        terms[:, :, 0] = begin
+        terms[:, :n, 1] = length * begin[:, n : 2 * n]
+        terms[:, :n, 2] = 0.5 * length**2 * acceleration
+        terms[:, n : 2 * n, 1] = length * acceleration
+        terms[:, kept, 1] = change
+        parts.append(terms)
+    return parts[0], parts[1]
 
 
 class Pieces(NamedTuple):
@@ -83,15 +88,21 @@ class Pieces(NamedTuple):
     places: Ints
 
     @classmethod
-    def of(cls, states: Array, acceleration: Array, h: Array | float, hit: Bools, n: int) -> Pieces:
+    def of(
+        cls, states: Array, acceleration: Array, h: Array | float, late: Array, hit: Bools, n: int
+    ) -> Pieces:
         """Return those of steps.
 
         Parameters
         ----------
         states : (k + 1, w) array
             Where they begin and end.
-        acceleration, h, n
+        acceleration, n
             As of `struck`.
+        h : float or (k, 1) array
+            Their length.
+        late : (k,) array
+            How long after their middles something strikes.
         hit : (k,) array of bool
             In which of them something strikes.
         """
@@ -100,8 +111,9 @@ class Pieces(NamedTuple):
             return cls(smooth(left, right, h, n), np.arange(len(hit) + 1))
         places = np.concatenate([[0], np.cumsum(1 + hit)])
         at, lengths = places[:-1], np.broadcast_to(h, (len(hit), 1))
-        halves = struck(left[hit], right[hit], acceleration[hit], lengths[hit], n)
-        found = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *halves])
+        before = 0.5 * lengths[hit] + late[hit, None]
+        parts = struck(left[hit], right[hit], acceleration[hit], (before, lengths[hit] - before), n)
+        found = np.concatenate([smooth(left[~hit], right[~hit], lengths[~hit], n), *parts])
         # NumPy takes rows ten times as fast as it puts them.
         order = np.concatenate([at[~hit], at[hit], at[hit] + 1])
         return cls(found[np.argsort(order)], places)

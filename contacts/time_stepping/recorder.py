@@ -1,9 +1,9 @@
 """From time steps to a trace: the mode of every region at every step, arcs and jumps.
 
-Impacts are in the middle of their step. A mode that begins without an impact begins with its step;
-sticking begins with the step after the one that ended the slip. A step that holds an impulse has no
-force, nor have those after it that still carry the landing: what is shown is that of the nearest
-other step of the mode.
+Impacts are in the middle of their step, or later in it where that says so. A mode that begins
+without an impact begins with its step; sticking begins with the step after the one that ended the
+slip. A step that holds an impulse has no force, nor have those after it that still carry the
+landing: what is shown is that of the nearest other step of the mode.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class Recorder:
             self.indeterminate[self.key] = tuple(n for n in self.regions if n in names)
 
     def _flow(self, steps: Steps, first: int, step: int, half: int) -> int:
-        """Append pieces up to a step, or to its second half; return where those after begin."""
+        """Append pieces up to a step, or to its second part; return where those after begin."""
         last = int(steps.places[step]) + half
         if last > first:
             self._open.append(Stretch(steps, first, last))
@@ -277,7 +277,7 @@ class Recorder:
         return last
 
     def _strike(self, steps: Steps, k: int, row: Ints) -> None:
-        """Append the jump of a step with impacts in its middle: one, which all regions feel."""
+        """Append the jump of a step with impacts: one, which all regions feel."""
         self.close()
         if not self.modes:
             self.row, self.count = row, self.count + 1

@@ -29,13 +29,17 @@ class _Begun(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """Consecutive steps: ends (k + 1,), states (k + 1, w), solved (k, u), which are struck (k,)."""
+    """Consecutive steps: ends (k + 1,), states (k + 1, w), solved (k, u), struck or not (k,), when.
+
+    The last is how long after their middles (k,).
+    """
 
     begun: _Begun
     times: Array
     states: Array
     solved: Array
     hit: Bools
+    late: Array
 
 
 class Track:
@@ -94,14 +98,16 @@ class Track:
             np.concatenate([*(chunk.states[:-1] for chunk in chunks), chunks[-1].states[-1:]]),
             np.concatenate([chunk.solved for chunk in chunks]),
             np.concatenate([chunk.struck.any(axis=1) for chunk in chunks]),
+            np.concatenate([chunk.late for chunk in chunks]),
         ]
         self._blocks.add(_Block(begun, *arrays))
         self._begun, self._open, self._size = None, [], 0
 
     def _arc(self, block: _Block) -> Arc:
         n, hit, h = self._coordinates, np.asarray(block.hit), np.diff(block.times)
-        terms, _ = Pieces.of(block.states, block.solved[:, :n], h[:, None], hit, n)
-        middles = block.times[:-1][hit] + 0.5 * h[hit]
-        times = np.insert(block.times, np.flatnonzero(hit) + 1, middles)
+        late = np.asarray(block.late)
+        terms, _ = Pieces.of(block.states, block.solved[:, :n], h[:, None], late, hit, n)
+        instants = block.times[:-1][hit] + (0.5 * h[hit] + late[hit])
+        times = np.insert(block.times, np.flatnonzero(hit) + 1, instants)
         (start, j, key), solved = block.begun, np.repeat(block.solved, 1 + hit, axis=0)
         return Arc(key, roles_in(key), start, j, times, terms, defined(solved))

@@ -219,6 +219,24 @@ def test_what_lies_in_the_angle_of_an_l_touches_both_its_arms(cut, body, gravity
         assert beside == pytest.approx([0.0, 0.0], abs=deepest)
 
 
+@pytest.mark.parametrize("cut", LS)
+@pytest.mark.parametrize("off", [-1e-9, 0.0, 1e-12, 1e-9])
+def test_what_comes_down_along_one_arm_lands_flat_on_the_other(cut, off):
+    bodies = {
+        "ell": (shaped(*LS[cut], mass=1e6, inertia=1e6), ""),
+        "lump": (
+            f"mass: 1, inertia: 1, shape: {box(-0.05, 0.05, -0.05, 0.05)}",
+            f"x: {INNER + 0.05 + off}, y: {INNER + 0.0601}",
+        ),
+    }
+    text = scene(bodies, {"far": "height: -9"}, time=0.3).replace("gravity: g", "gravity: 0")
+    force = "forces: {pull: {body: lump, force: [0, -9.81]}}\n"
+    trace = run(text.replace("stop:", force + "stop:"))
+    final = dict(zip(trace.variables, trace.final.tolist(), strict=True))
+    assert final["lump.x"] == pytest.approx(final["ell.x"] + INNER + 0.05, abs=1e-8)
+    assert final["lump.angle"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_two_parts_that_make_one_face_slide_over_a_floor():
     skid = shaped(box(-0.5, 0, -0.1, 0.1), box(0, 0.5, -0.1, 0.1), "{disc: 0.1, at: [0.2, 0]}")
     trace = run(scene({"skid": (skid, "y: 0.1, dx: 1")}, FLOOR, mu=0.1, time=0.5))

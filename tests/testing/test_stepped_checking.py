@@ -96,7 +96,7 @@ def test_invariants_of_steps_are_judged_by_what_a_step_moves():
     assert of_sound.name == "declared invariants hold"
     assert of_sound.failure is None, of_sound.failure
     assert of_sound.examples == 4
-    for broken in ("ball.y >= 0.11", "ball.dy >= -1", "ball.dx <= -1.1"):
+    for broken in ("ball.y >= 0.12", "ball.dy >= -1", "ball.dx <= -1.1"):
         found = check(model(f"{text}invariants: {{broken: {broken}}}\n"), examples=4, seed=2)
         assert "broken is" in found.properties[6].failure.message
 

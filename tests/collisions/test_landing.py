@@ -1,0 +1,92 @@
+"""What falls and does not bounce is in contact from when it touches."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+STEP, GRAVITY = 1e-3, 9.81
+HEIGHTS = [0.05 + 0.0137 * k for k in range(20)]
+BOX = "polygon: [[-0.1, -0.05], [0.1, -0.05], [0.1, 0.05], [-0.1, 0.05]]"
+SHAPES = {"disc": "disc: 0.05", "box": BOX}
+BENCH = f"low: {{mass: 3, inertia: 0.02, shape: {{{BOX}}}, start: {{y: 0.05}}}}"
+
+
+def text(shape: str, bench: bool, simultaneous: str = "capped") -> str:
+    """Return a scene in which a body falls on the ground, or on a box that rests there."""
+    low, others = (BENCH, "low, ") if bench else ("", "")
+    restitution = 0 if simultaneous == "capped" else 0.5
+    return f"""
+kind: scene
+name: dropped
+parameters: {{height: 0.1}}
+gravity: {GRAVITY}
+bodies:
+  b: {{mass: 1, inertia: 0.002, shape: {{{SHAPES[shape]}}},
+    start: {{y: height + {0.15 if bench else 0.05}}}}}
+  {low}
+surfaces: {{ground: {{height: 0}}}}
+collisions:
+  all: {{bodies: [{others}b], surfaces: [ground], friction: 0.5, restitution: {restitution}}}
+simultaneous: {simultaneous}
+outputs:
+  y: {{value: b.y}}
+stop: {{time: 0.35}}
+settings: {{engine: impulse, step: {STEP}}}
+"""
+
+
+@cache
+def dropped(shape: str, bench: bool, simultaneous: str = "capped") -> Runner:
+    """Return what runs it."""
+    return Runner(interpret(read_text(text(shape, bench, simultaneous))))
+
+
+CASES = [("disc", False), ("box", False), ("disc", True), ("box", True)]
+
+
+@pytest.mark.parametrize(("shape", "bench"), CASES)
+def test_what_lands_touches_from_then_on(shape, bench):
+    rest, early = 0.15 if bench else 0.05, 0
+    for height in HEIGHTS:
+        trace = dropped(shape, bench).run({"height": height}).trace
+        met, speed = math.sqrt(2 * height / GRAVITY), math.sqrt(2 * height * GRAVITY)
+        (jump,) = [jump for jump in trace.jumps if jump.impulse]
+        assert jump.cause == "touchdown"
+        assert jump.impulse["b"][0] == pytest.approx(speed, rel=2e-2)
+        assert [arc.mode[0] for arc in trace.arcs] == ["free", "pin"]
+        assert jump.after[:3] == pytest.approx(jump.before[:3], abs=1e-12)
+        gap = trace.final[trace.variables.index("b.y")] - rest
+        # Struck at the step nearest to when it touches: in it, or at its middle.
+        if math.fmod(met, STEP) > 0.5 * STEP:
+            early += 1
+            assert jump.t == pytest.approx(met, abs=STEP**2)
+            assert gap == pytest.approx(0, abs=1e-12)
+        else:
+            assert met <= jump.t <= met + 0.5 * STEP
+            assert -0.5 * STEP * speed - 1e-5 <= gap <= 1e-12
+    assert 5 < early < 15
+
+
+def test_both_corners_of_what_is_plastic_land_where_it_touches():
+    trace = dropped("box", False, "plastic").run({"height": HEIGHTS[0]}).trace
+    alike = dropped("box", False).run({"height": HEIGHTS[0]}).trace
+    assert math.fmod(math.sqrt(2 * HEIGHTS[0] / GRAVITY), STEP) > 0.5 * STEP
+    assert np.array_equal(trace.final, alike.final)
+    assert [jump.t for jump in trace.jumps] == [jump.t for jump in alike.jumps]
+
+
+@pytest.mark.parametrize("record", ["poses", "nothing"])
+def test_what_is_recorded_does_not_change_where_it_lands(record):
+    runner = dropped("box", True)
+    runner = Runner(interpret(read_text(text("box", True))), record=record)
+    for height in HEIGHTS[::4]:
+        told = dropped("box", True).run({"height": height}).outputs["y"]
+        assert runner.run({"height": height}).outputs["y"] == told
