@@ -18,11 +18,6 @@ from statechart.kernels.jit import seldom
 _EPS = float(np.finfo(float).eps)
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
 _LEAST, _MOST = 1e-100, 1e100
-# A horizon says how long what starts goes on, up to so many of the times v/a that it takes to stop;
-# beyond, it is there to be none. Gaps have a tolerance of 1e-12 of g t^2: 1e-6 of v^2/g then.
-_HORIZON = 1e3
-# Slower than this part of what a horizon makes of an acceleration is what rounding leaves of rest.
-_ROUNDED = 64 * _EPS
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +189,6 @@ def measure(
     # A start that is off zero by rounding of what the motion needs to turn has no length.
     turn = speed * speed / acceleration if acceleration > 0.0 else 0.0
     if length <= max(_LEAST, _EPS * turn):
-        if speed > _ROUNDED * acceleration * duration > 0.0:
-            duration = min(duration, _HORIZON * (speed / acceleration))
         length = max(speed * duration, acceleration * (duration * duration))
         if length == 0.0:
             length = 1.0
