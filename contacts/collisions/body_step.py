@@ -128,7 +128,7 @@ def _without_impacts(
 
 
 @part
-def _landing(room: Room, rates: Array, early: Array, h: float, count: int) -> float:
+def _landing(room: Room, rates: Array, early: Array, h: float, fall: float, count: int) -> float:
     """Return how long after the middle of a step the first of what lands in it touches.
 
     Forces alone would make rates `early`. Impulses that act later keep the bound of the energy
@@ -137,12 +137,16 @@ def _landing(room: Room, rates: Array, early: Array, h: float, count: int) -> fl
     """
     touches, first = room.touches, _LATEST * h
     for i in range(count):
-        if touches.hit[i]:
-            if room.bounces[i] != 0:
+        for d in range(2):
+            change = velocity(touches.bodies, touches.rows, rates, i, d)
+            change -= velocity(touches.bodies, touches.rows, early, i, d)
+            if not touches.hit[i]:
+                # What lasts was to go on as it did, but for forces that change.
+                if abs(change) > fall:
+                    return 0.0
+            elif room.bounces[i] != 0:
                 return 0.0
-            change = velocity(touches.bodies, touches.rows, rates, i, 0)
-            change -= velocity(touches.bodies, touches.rows, early, i, 0)
-            if change * first > touches.memory[i, 1]:
+            elif d == 0 and change * first > touches.memory[i, 1]:
                 first = touches.memory[i, 1] / change
     return first
 
@@ -236,7 +240,7 @@ def step_bodies(
     width = 2 * n + around.memories.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
-    early = np.empty_like(loose)
+    early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # What is in the way after the last step tells whether that could be taken.
     for k in range(steps + 1):
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
@@ -287,7 +291,7 @@ def step_bodies(
         if deepest < math.inf and h * fastest_turn(rates) > math.pi:
             return k, COARSE
         # What lands has gone on as it did until it touched.
-        chunk.late[k] = _landing(room, rates, early, h, seen.contacts) if lands else 0.0
+        chunk.late[k] = _landing(room, rates, early, h, fall, count) if lands else 0.0
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
         if joins:
             _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
