@@ -22,6 +22,8 @@ Bodies with shapes are struck in the step nearest to when they touch. Where all 
 lands, and the first of it touches ``s`` after the middle, impacts I act then: ``q+`` is off by
 ``-s M^-1 J^T I``, so that what has landed touches. That takes ``-s f M^-1 J^T I`` of the energy in
 the forces; where all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
+Until then contacts that last bear what they bore in the step before, where that moves them by no
+more than a step of free fall; else impacts are in the middle.
 """
 
 from __future__ import annotations
