@@ -170,6 +170,31 @@ def _kept_joints(
 
 
 @part
+def _shown(rates: Array, old: Array, forced: Array) -> None:
+    """Bound what forces make of rates by what a step makes of them.
+
+    What an impact takes back at once is shown of no force: it would take bodies deeper into each
+    other than they are where the step looks.
+    """
+    for b in range(len(old)):
+        for d in range(3):
+            most = abs(rates[b, d] - old[b, d])
+            forced[b, d] = min(max(forced[b, d], old[b, d] - most), old[b, d] + most)
+
+
+@part
+def _shown_approach(touches: Touches, old: Array, forced: Array, count: int) -> float:
+    """Return how fast what is hit in the middle of a step approaches as it is shown until then."""
+    fastest = 0.0
+    for i in range(count):
+        if touches.hit[i]:
+            change = velocity(touches.bodies, touches.rows, forced, i, 0)
+            change -= velocity(touches.bodies, touches.rows, old, i, 0)
+            fastest = max(fastest, -touches.before[i, 0] - 0.5 * change)
+    return fastest
+
+
+@part
 def _remember(memory: Memory, kept: Memory) -> None:
     """Copy what is remembered, in place."""
     count = memory.many[0]
@@ -290,19 +315,20 @@ def step_bodies(
                     )  # fmt: skip
         if deepest < math.inf and h * fastest_turn(rates) > math.pi:
             return k, COARSE
+        if forces:
+            _shown(rates, old, forced)
         # What lands has gone on as it did until it touched.
         chunk.late[k] = _landing(room, rates, early, h, fall, count) if lands else 0.0
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        if forces:
+            chunk.approach[k] = max(chunk.approach[k], _shown_approach(touches, old, forced, count))
         if joins:
             _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d
                 if forces:
-                    # What an impact takes back at once is shown of no force: it would take bodies
-                    # deeper into each other than they are where the step looks.
-                    most = abs(rates[b, d] - old[b, d])
-                    chunk.solved[k, at] = min(max(forced[b, d] - old[b, d], -most), most) / h
+                    chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
                 state[n + at] = rates[b, d]
                 state[at] += 0.5 * h * rates[b, d]
                 if lands:
