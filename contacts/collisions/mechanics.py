@@ -88,8 +88,9 @@ class BodyMechanics(Mechanics):
                 for c in ("x", "y", "dx", "dy", "dangle")
             )
             inertia = self.known[f"{owner}.inertia"]
-            terms += [mass * _squares(*dx, *dy) / 2, inertia * _squares(*turn) / 2]
-            terms.append(-mass * (gx * _sum(x) + gy * _sum(y)))
+            terms.append(_times(mass / 2, _squares(*dx, *dy)))
+            terms.append(_times(inertia / 2, _squares(*turn)))
+            terms += [_times(-mass * gx, _sum(x)), _times(-mass * gy, _sum(y))]
         return sp.Add(*terms)
 
     @cached_property
@@ -167,6 +168,11 @@ class BodyMechanics(Mechanics):
                     for c in ("x", "y", "angle", "dx", "dy", "dangle")
                 }
                 yield place, ChainMap(own, self.known)
+
+
+def _times(factor: sp.Expr, total: sp.Expr) -> sp.Expr:
+    """Return a product that is not spread over the terms of a sum, where the factor is a number."""
+    return sp.Mul(factor, total, evaluate=False) if factor != 0 else sp.S.Zero
 
 
 def _squares(*symbols: sp.Symbol) -> sp.Expr:
