@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import sympy as sp
 
@@ -17,7 +18,7 @@ from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
 from contacts.dynamics.rims import Vector
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Contact
+from contacts.scene.parts import Contact, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold, Margin
 from statechart.formulas.determinants import Definition
@@ -25,6 +26,31 @@ from statechart.formulas.formula import parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
+
+
+class _Surroundings(NamedTuple):
+    """A surface as a point sees it.
+
+    Attributes
+    ----------
+    function, gap, gap_rate : Expr
+        What is zero on the surface; the distance, and its derivative in time.
+    bias : Expr
+        The second derivative of the gap where nothing accelerates.
+    normal, rates, drifts : (Expr, Expr)
+        And the point's velocity, and acceleration where nothing accelerates, along x and y.
+    turned : Expr
+        What the turning of the tangent adds to the derivative of the slip.
+    """
+
+    function: sp.Expr
+    gap: sp.Expr
+    gap_rate: sp.Expr
+    bias: sp.Expr
+    normal: Vector
+    rates: Vector
+    drifts: Vector
+    turned: sp.Expr
 
 
 class Mechanics(FreeMotion):
@@ -267,23 +293,18 @@ class Mechanics(FreeMotion):
             point[1] - y0 - s * along - c * across,
         ), anchors
 
-    def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
-        surface = self.scene.surfaces[contact.surface]
-        x, y = centre = self._in_frame(surface, self.point(contact.point))
-        rim = self._rim(contact)
+    def _surroundings(self, surface: Surface, radius: sp.Expr, centre: Vector) -> _Surroundings:
+        """Return how a surface is seen from a point, at a radius from it."""
         # The surface is differentiated in its own coordinates and the point in those of its body:
         # both are short, where gap(q) and its second derivative are long.
         own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
         here = dict(zip(own, centre, strict=True))
         function, direction, factor = self._surface(surface, *own)
         # Of a disc the function is linear, or a distance.
-        function -= rim.radius / factor
-        gap, unit = function.xreplace(here), factor.xreplace(here)
-        normal = (direction[0].xreplace(here), direction[1].xreplace(here))
-        tangent = (normal[1], -normal[0])
+        function -= radius / factor
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
-        rates = [self.rate(x), self.rate(y)]
-        drifts = [self.rate(rate).xreplace(at_rest) for rate in rates]
+        rates = self.rate(centre[0]), self.rate(centre[1])
+        drifts = self.rate(rates[0]).xreplace(at_rest), self.rate(rates[1]).xreplace(at_rest)
         gradient = [sp.diff(function, u) for u in own]
         along = [sp.diff(direction[1], u) for u in own], [-sp.diff(direction[0], u) for u in own]
         curvature = [[sp.diff(slope, u) for u in own] for slope in gradient]
@@ -294,7 +315,26 @@ class Mechanics(FreeMotion):
         def bent(rows: Sequence[Sequence[sp.Expr]]) -> sp.Expr:
             return sp.Add(*(times(r, rates) * rate for r, rate in zip(rows, rates, strict=True)))
 
-        gap_rate = times(gradient, rates)
+        unit = factor.xreplace(here)
+        return _Surroundings(
+            function.xreplace(here),
+            unit * function.xreplace(here),
+            unit * times(gradient, rates),
+            # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
+            unit * (times(gradient, drifts) + bent(curvature)),
+            (direction[0].xreplace(here), direction[1].xreplace(here)),
+            rates,
+            drifts,
+            bent(along),
+        )
+
+    def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
+        surface = self.scene.surfaces[contact.surface]
+        x, y = centre = self._in_frame(surface, self.point(contact.point))
+        rim = self._rim(contact)
+        around = self._surroundings(surface, rim.radius, centre)
+        normal, rates, drifts = around.normal, around.rates, around.drifts
+        tangent = (normal[1], -normal[0])
         jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
         jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
         jacobian_t = tuple(
@@ -303,44 +343,25 @@ class Mechanics(FreeMotion):
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
-        # On the surface (gap = gap' = 0) this is the derivative of the normal velocity.
-        bias_n = unit * (times(gradient, drifts) + bent(curvature))
-        bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + bent(along)
-        bias_t += self.rate(rolling).xreplace(at_rest)
+        bias_n = around.bias
+        bias_t = tangent[0] * drifts[0] + tangent[1] * drifts[1] + around.turned
+        bias_t += self.rate(rolling).xreplace(dict.fromkeys(self.a, sp.S.Zero))
         V, H = self.forces[name]
-        cone_n, cone_t = self._cones[name]
         anchor, slipping = rim.anchored(centre, tangent)
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
         normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
         tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
         symbols = ContactSymbols(
-            name,
-            unit * gap,
-            unit * gap_rate,
-            slip,
-            normal_a,
-            tangential_a,
-            V,
-            H,
-            cone_n,
-            cone_t,
-            (jacobian_n, jacobian_t),
+            name, around.gap, around.gap_rate, slip, normal_a, tangential_a, V, H,
+            *self._cones[name], (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
             # Not its distance: of the height of a ground y follows with a factor of 1.
-            Hold((gap,), (normal_a,), (V,), steep=self.curved(name)),
+            Hold((around.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
-        )
+        )  # fmt: skip
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         return ContactGeometry(
-            point,
-            anchor,
-            slipping,
-            normal,
-            tangent,
-            symbols,
-            jacobian_n,
-            jacobian_t,
-            bias_n,
-            bias_t,
-        )
+            point, anchor, slipping, normal, tangent, symbols,
+            jacobian_n, jacobian_t, bias_n, bias_t,
+        )  # fmt: skip

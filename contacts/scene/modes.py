@@ -158,34 +158,16 @@ def shared(
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
         return State((*kept, *rest), own.margins)
-    name, n, t = contact.name, contact.cone_n, contact.cone_t
+    n, t = contact.cone_n, contact.cone_t
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     pinned = isinstance(mode, Pin)
-    # Along the edge, where there is but one, and across it, away from the inside of the cone.
+    # Along the edge, where there is but one.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
-    along = n * w + t * u
-    across = n * u - t * w
-    margins = tuple(m for m in own.margins if m.kind == "speed")
-    # What the contact bears, by unknowns of its own.
-    bears: tuple[sp.Expr, sp.Expr] = contact.V, contact.H
-    laws: dict[sp.Symbol, sp.Expr] = {contact.V: contact.V - w, contact.H: contact.H - u}
-    if zone == "inside":
-        margins = own.margins
-    elif zone == "apex":
-        bears, laws = (sp.S.Zero, sp.S.Zero), {f: f for f in (contact.V, contact.H)}
-        margins += (Margin(f"{name}.spared", -along, "force"),)
-        if pinned:
-            margins += (Margin(f"{name}.spared -", t * u - n * w, "force"),)
-    else:
-        amount = sp.Symbol(f"edge_{contact.V}", real=True)
-        bears = (n * amount, t * amount)
-        laws = {amount: amount - along}
-        laws |= {f: f - part for f, part in zip((contact.V, contact.H), bears, strict=True)}
-        margins += (Margin(f"{name}.V", amount, "force"),)
-        if pinned:
-            away = across if zone == "upper" else -across
-            margins += (Margin(f"{name}.on edge", away, "force"),)
+    bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
+    margins = own.margins
+    if zone != "inside":
+        margins = *(m for m in margins if m.kind == "speed"), *further
     # In the equations of motion: by its normal and tangential force, or along the edge.
     carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing.carriers}
     edge = carriers.get("e", sp.S.Zero)
@@ -208,6 +190,37 @@ def shared(
             balances[y[i]] += row[i] * (reaction + parted)
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
     return State(kept, margins, loads=loads)
+
+
+def _on_cone(
+    contact: ContactSymbols,
+    zone: str,
+    edge: tuple[sp.Expr, sp.Expr],
+    springs: tuple[sp.Expr, sp.Expr],
+    pinned: bool,
+) -> tuple[tuple[sp.Expr, sp.Expr], dict[sp.Symbol, sp.Expr], tuple[Margin, ...]]:
+    """Return what a contact bears in a zone of its cone, the laws of that, and its margins."""
+    import sympy as sp
+
+    name, (n, t), (w, u) = contact.name, edge, springs
+    if zone == "inside":
+        return (contact.V, contact.H), {contact.V: contact.V - w, contact.H: contact.H - u}, ()
+    # Along the edge, and across it, away from the inside of the cone.
+    along, across = n * w + t * u, n * u - t * w
+    if zone == "apex":
+        margins = [Margin(f"{name}.spared", -along, "force")]
+        if pinned:
+            margins.append(Margin(f"{name}.spared -", t * u - n * w, "force"))
+        return (sp.S.Zero, sp.S.Zero), {f: f for f in (contact.V, contact.H)}, tuple(margins)
+    amount = sp.Symbol(f"edge_{contact.V}", real=True)
+    bears = n * amount, t * amount
+    laws = {amount: amount - along}
+    laws |= {f: f - part for f, part in zip((contact.V, contact.H), bears, strict=True)}
+    margins = [Margin(f"{name}.V", amount, "force")]
+    if pinned:
+        away = across if zone == "upper" else -across
+        margins.append(Margin(f"{name}.on edge", away, "force"))
+    return bears, laws, tuple(margins)
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

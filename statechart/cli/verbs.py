@@ -29,7 +29,7 @@ from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from statechart.running.result import Result
     from statechart.running.runner import Runner
@@ -114,20 +114,8 @@ def _tell(
         return report
 
     if arguments.output is not None:
-        from statechart.documents.setting import Record
-        from statechart.reporting.run_store import write_store
-        from statechart.reporting.tables import write_run
-
-        store, samples = is_store(arguments.output), arguments.samples
-        if samples is None and not store and result.trace.record is Record.MODES:
-            samples = True
-            warn([_SAMPLES])
         try:
-            if store:
-                write_store(arguments.output, result.observer, result.trace, made())
-            else:
-                run, asked = (result.observer, result.trace), bool(samples)
-                write_run(arguments.output, *run, made, pieces, asked)
+            _save(result, made, pieces, arguments.output, arguments.samples)
         except StatechartError as error:
             failure = str(error)
     report = made()
@@ -160,6 +148,27 @@ def _tell(
     if failure:
         print(failure, file=sys.stderr)
     return not failure
+
+
+def _save(
+    result: Result,
+    made: Callable[[], dict[str, Any]],
+    pieces: Pieces,
+    output: str,
+    samples: bool | None,
+) -> None:
+    """Write a run into a folder or a store."""
+    from statechart.documents.setting import Record
+    from statechart.reporting.run_store import write_store
+    from statechart.reporting.tables import write_run
+
+    if is_store(output):
+        write_store(output, result.observer, result.trace, made())
+        return
+    if samples is None and result.trace.record is Record.MODES:
+        samples = True
+        warn([_SAMPLES])
+    write_run(output, result.observer, result.trace, made, pieces, bool(samples))
 
 
 def view(arguments: argparse.Namespace) -> int:

@@ -81,8 +81,20 @@ class Setting:
             if value is not None and not isinstance(value, Real):
                 raise DeclarationProblem(f"{what} must be a number, not {value!r}", loc=(what,))
         engine = self.engine or "auto"
+        self._check_engine(engine)
+        self._check_record(engine)
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
+        if len(named) > 1:
+            raise _misplaced(
+                named[1],
+                f"{' and '.join(named)} exclude each other",
+                "accuracy and budget find the tolerance that they need",
+            )
+        self._check_bounds()
+
+    def _check_engine(self, engine: str) -> None:
+        """Check that nothing is asked of an engine that it has not."""
         if engine == "impulse":
             for what in ("method", "tolerance", "budget", "max_step"):
                 if getattr(self, what) is not None:
@@ -112,13 +124,8 @@ class Setting:
                 f"the engine taylor has no method {self.method!r}",
                 "leave the method out, or take the engine scipy",
             )
-        self._check_record(engine)
-        if len(named) > 1:
-            raise _misplaced(
-                named[1],
-                f"{' and '.join(named)} exclude each other",
-                "accuracy and budget find the tolerance that they need",
-            )
+
+    def _check_bounds(self) -> None:
         for what in ("tolerance", "accuracy", "impulse_tolerance"):
             value = getattr(self, what)
             if value is not None and not 0.0 < value < 1.0:

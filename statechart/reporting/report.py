@@ -90,18 +90,7 @@ def report(
     events = _events(observer, trace, jumps, conditions[:most], done, explain=explain)
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
-    result = {
-        "model": trace.name,
-        "outcome": trace.outcome.name,
-        "message": trace.message,
-        "t_end": trace.t_end,
-        "engine": trace.engine,
-        "tolerance": None if trace.step is not None else trace.tolerance,
-        "step": trace.step,
-        "record": trace.record.value,
-        "certified": trace.certified,
-        "evidence": trace.evidence,
-        "motion": None if trace.motion is None else asdict(trace.motion),
+    result = _ended(trace) | {
         "error_estimate": error_estimate,
         "asked": asked,
         "condition": max((c for c in conditions if c is not None), default=None),
@@ -133,6 +122,23 @@ def report(
     }
     safe: dict[str, Any] = json_safe(result)
     return safe | {"events": events}
+
+
+def _ended(trace: Trace) -> dict[str, Any]:
+    """Return how a run ended, and how it was computed."""
+    return {
+        "model": trace.name,
+        "outcome": trace.outcome.name,
+        "message": trace.message,
+        "t_end": trace.t_end,
+        "engine": trace.engine,
+        "tolerance": None if trace.step is not None else trace.tolerance,
+        "step": trace.step,
+        "record": trace.record.value,
+        "certified": trace.certified,
+        "evidence": trace.evidence,
+        "motion": None if trace.motion is None else asdict(trace.motion),
+    }
 
 
 def _events(
