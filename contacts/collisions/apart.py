@@ -15,6 +15,8 @@ from statechart.errors import DeclarationProblem
 _SAME = 1e-9
 # So many bodies, and moves of each, are tried.
 _MOVES = 20
+# Of so many that are deep, one is what the other is in.
+_PAIR = 2
 _NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
 
 
@@ -67,6 +69,9 @@ def check_apart(
         where, out = trial.deepest_of(b), _NO_ROOM
         if not where:
             b, where, out = _covered(tried, trial, names, initial, b, deep[b])
+    if len(deep) > _PAIR:
+        # Who moves them one by one should know how many there are.
+        out += f"; {len(deep)} bodies start in something in all, {-min(deep.values()):.3g} at most"
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
         advice=out,

@@ -1,9 +1,9 @@
 """Controllers of a scene that is stepped through time: asked at the ends of steps.
 
 A transition that waits for an event fires at the end of the step in which that happens; one with a
-guard at the end of the first step at which it is true, unless it is about to become false by
-itself. Steps are taken many at a time under the forces of the states at hand; those after a
-transition are taken back.
+guard at the end of the first step at which it is true, or becomes true, unless it is about to
+become false by itself. Steps are taken many at a time under the forces of the states at hand; those
+after a transition are taken back.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from statechart.charts.firing import Listening
 from statechart.errors import EventLoop
 
 _MOST_TURNS = 100
+# What becomes true within this part of a step after its end is true at its end: times of steps, and
+# so timeouts that end with one, are rounded.
+_AT_END = 1e-6
 
 
 class SteppedTapes(Controllers):
@@ -192,5 +195,6 @@ class StepControl:
         rows = guards.table(self._setup, times, states, solved[:, self._order])
         margin, rate = rows[..., 0], rows[..., 1]
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
-        due: Bools = (margin < 0.0) & ~passing
+        falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
+        due: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
         return due

@@ -126,6 +126,9 @@ def test_bodies_that_overlap_at_the_start_are_refused():
         DeclarationError, match=r"0.25 deep in surface 'ground'.*by \(0, 0.25\) out"
     ):
         Runner(interpret(read_text(TWO.replace("1 + 3*index", "0.75 + 3*index")))).run()
+    row = TWO.replace("copies: 2", "copies: 3").replace("3*index", "1.875*index")
+    with pytest.raises(DeclarationError, match=r"3 bodies start in something in all, 0\.125 at"):
+        Runner(interpret(read_text(row))).run()
 
 
 def test_what_starts_in_the_middle_of_pieces_is_named():
