@@ -335,9 +335,10 @@ class Declaration(Part):
                         else ("parameters", error.name)
                     )
                     raise DeclarationProblem(
-                        f"with {name} = {end:g}, {'.'.join(map(str, at))}: {error.message}",
+                        f"with {name} = {end:g}, {{see}}: {error.message}",
                         advice="let the range end where the model is still one",
                         loc=("ranges", name, place),
+                        see=at,
                     ) from None
 
     @model_validator(mode="after")
