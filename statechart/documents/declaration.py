@@ -325,6 +325,12 @@ class Declaration(Part):
         """
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
+            if whole[0] > whole[1]:
+                raise DeclarationProblem(
+                    f"{name!r} is a whole number: none is from {ends[0]:g} to {ends[1]:g}",
+                    advice=f"write [{whole[1]}, {whole[0]}]",
+                    loc=("ranges", name),
+                )
             for place, end in enumerate(whole):
                 try:
                     self.check_values(self.values({name: end}))

@@ -92,6 +92,17 @@ def test_a_range_points_to_what_is_wrong_in_a_list() -> None:
         Runner(read_text(text.replace("gravity", "ranges: {e: [0, 1]}\ngravity")))
 
 
+def test_a_range_of_a_whole_number_has_one() -> None:
+    ball = (
+        "bodies:\n  ball: {copies: n, mass: 1, inertia: 1, shape: {disc: 0.1}, start: {x: index}}\n"
+    )
+    law = "collisions: {all: {bodies: [ball], friction: 0, restitution: 0}}\nstop: {time: 1}\n"
+    text = "kind: scene\nname: balls\nparameters: {n: 3}\nranges: {n: [2.2, 2.8]}\n" + ball + law
+    told = r"4:13: ranges\.n: 'n' is a whole number: none is from 2\.2 to 2\.8; write \[2, 3\]"
+    with pytest.raises(DeclarationError, match=told):
+        Runner(read_text(text))
+
+
 def test_the_scene_itself_is_fine() -> None:
     assert Runner(read_text(SCENE)).start()[0] == ("free",)
 
