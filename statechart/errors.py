@@ -144,6 +144,8 @@ class DeclarationProblem(ValueError):
         Whether the key is wrong rather than its value.
     offset : int
         Where in the field's text, counted from 0.
+    see : tuple of str or int
+        Another place that has to do with it, which `{see}` in the message stands for.
 
     Attributes
     ----------
@@ -161,6 +163,7 @@ class DeclarationProblem(ValueError):
         loc: tuple[str | int, ...] = (),
         key: bool = False,
         offset: int = 0,
+        see: tuple[str | int, ...] = (),
     ) -> None:
         super().__init__(message)
         self.message = message
@@ -168,9 +171,11 @@ class DeclarationProblem(ValueError):
         self.loc = loc
         self.key = key
         self.offset = offset
+        self.see = see
 
     def __str__(self) -> str:
-        return "; ".join(filter(None, (self.message, self.advice)))
+        message = self.message.replace("{see}", ".".join(map(str, self.see)))
+        return "; ".join(filter(None, (message, self.advice)))
 
 
 class Findings:

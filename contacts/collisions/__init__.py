@@ -7,5 +7,5 @@ and `apart` from each other.
 `surroundings` are known ahead of the steps: `paths` of surfaces, what controllers `recall`, and
 forces. A `body_step` asks `contacts.detection` which bodies touch; `islands` of them are solved one
 by one in an `island_step`, where `order` says which impact is first, and `mass_ratios` where that
-cannot do.
+cannot do. `no_ground` tells where surfaces have no height.
 """

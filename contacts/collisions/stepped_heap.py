@@ -10,6 +10,7 @@ import numpy as np
 from contacts.collisions.body_step import step_bodies
 from contacts.collisions.island_step import Room
 from contacts.collisions.mass_ratios import ratio_remarks
+from contacts.collisions.no_ground import NoGround
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
@@ -67,6 +68,7 @@ class SteppedHeap:
         self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
+        self._no_ground = NoGround(names, surfaces, numbers)
         # A disc about its centre of mass looks the same however it turns.
         pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
@@ -163,6 +165,7 @@ class SteppedHeap:
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
         found += ratio_remarks(self._room.worst, self._names, self._allowed)
+        found += self._no_ground.remarks
         if self._parted:
             found += (
                 f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
@@ -229,6 +232,8 @@ class SteppedHeap:
                 self._room = Room.of(self.numbers, self._memory)._replace(worst=worst)
         chunk.states[1:, 6 * bodies :] = remembered[:-1]
         chunk = chunk.first(done)
+        if done:
+            self._no_ground.look(start, h, chunk.states, ahead.frames[1 : done + 1])
         if self._around.count:
             chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
         return chunk, status

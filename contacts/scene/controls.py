@@ -225,7 +225,7 @@ class Controls:
         DeclarationProblem
             At the first that is not.
         """
-        owners: dict[str, tuple[str, str]] = {}
+        owners: dict[str, tuple[str, str, Loc]] = {}
         names = {*known, *self.declared}
         for control, text in self.declared.items():
             check_names(parse(text), names, "controls", control)
@@ -238,14 +238,15 @@ class Controls:
                     key=True,
                 )
             check_names(parse(text), names, *loc)
-            owner, in_state = owners.setdefault(control, (region, state))
+            owner, in_state, there = owners.setdefault(control, (region, state, loc))
             if owner != region:
                 raise DeclarationProblem(
                     f"region {region!r} in state {state!r} and region {owner!r} in state "
-                    f"{in_state!r} both set {control!r}",
+                    f"{in_state!r} both set {control!r}, the other as {{see}}",
                     advice="let one region set it; give the other a control of its own",
                     loc=loc,
                     key=True,
+                    see=there,
                 )
         for region, flat in self.flat.items():
             for words, given in (("set", _set), ("give a flow to", _flowing)):

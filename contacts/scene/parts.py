@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.scene.shapes import INDEX, Shapes
+from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
 from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText, unit
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -296,7 +296,7 @@ def _as_list(value: Any) -> Any:
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {"mu": "friction", "e": "restitution", "r": "radius"}
+    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius"}
 
     point: Point = Field(
         description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]

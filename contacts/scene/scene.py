@@ -19,6 +19,7 @@ from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
+from statechart.documents.document import Loc
 from statechart.documents.fields import FormulaText, check_names, value_of
 from statechart.documents.outputs import check_member
 from statechart.documents.uses import check_uses
@@ -83,57 +84,49 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _names_are_apart(self) -> Self:
-        taken = {TIME: "the time of the run", **dict.fromkeys(self.parameters, "a parameter")}
+        # Names in formulas, and where they are declared; the time is nowhere.
+        declared: dict[str, Loc] = {TIME: ()}
+        declared |= {name: ("parameters", name) for name in self.parameters}
         for name in self.coordinates:
-            for used in (name, f"d{name}"):
-                if used in taken:
-                    raise DeclarationProblem(
-                        f"{used!r} is {taken[used]}",
-                        advice="choose another name for the coordinate",
-                        loc=("coordinates", name),
-                        key=True,
-                    )
-        rates = map(self.rate_name, self.coordinates)
-        formula_names = {TIME, *self.parameters, *self.coordinates, *rates}
+            loc: Loc = ("coordinates", name)
+            for used in (name, self.rate_name(name)):
+                if used in declared:
+                    raise _twice(used, loc, declared[used], " for the coordinate")
+            declared |= dict.fromkeys((name, self.rate_name(name)), loc)
         sections: dict[str, Iterable[str]] = {
             "contacts": self.contacts,
             "joints": self.joints,
             "bodies": self.bodies,
             "controls": self.controls,
         }
-        remembered = {name: list(region.variables) for name, region in self.regions.items()}
-        for section, names in sections.items():
-            for name in names:
-                if name in formula_names:
-                    raise DeclarationProblem(
-                        f"{name!r} is declared twice",
-                        advice="choose another name",
-                        loc=(section, name),
-                        key=True,
-                    )
-        for region, variables in remembered.items():
-            for name in variables:
-                others = [v for other, v in remembered.items() if other != region]
-                if name in formula_names.union(*sections.values(), *others):
-                    raise DeclarationProblem(
-                        f"{name!r} is declared twice",
-                        advice="choose another name",
-                        loc=("regions", region, "variables", name),
-                        key=True,
-                    )
-        taken = dict.fromkeys(self.bodies, "body")
+        found: list[Loc] = [(section, name) for section in sections for name in sections[section]]
+        found += [
+            ("regions", region, "variables", name)
+            for region, controller in self.regions.items()
+            for name in controller.variables
+        ]
+        others: dict[str, Loc] = {}
+        for loc in found:
+            name = str(loc[-1])
+            before = declared.get(name, others.get(name) if len(loc) > 2 else None)
+            if before is not None:
+                raise _twice(name, loc, before)
+            others.setdefault(name, loc)
+        taken = dict.fromkeys(self.bodies, ("body", "bodies"))
         for section, names in {**sections, "regions": self.regions}.items():
             if section == "bodies":
                 continue
             for name in names:
                 if name in taken:
+                    one, of = taken[name]
                     raise DeclarationProblem(
-                        f"{name!r} is a {taken[name]} already",
+                        f"{name!r} is a {one} already, {{see}}",
                         advice=f"choose another name for the {section[:-1]}",
                         loc=(section, name),
                         key=True,
+                        see=(of, name),
                     )
-            taken |= dict.fromkeys(names, section[:-1])
+            taken |= dict.fromkeys(names, (section[:-1], section))
         return self
 
     @model_validator(mode="after")
@@ -373,6 +366,12 @@ class Scene(SceneFields):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             with found:
                 check_names(parse(text), known, *where)
+
+
+def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:
+    what = "declared twice, first as {see}" if before else "the time of the run"
+    advice = f"choose another name{of}"
+    return DeclarationProblem(f"{name!r} is {what}", advice=advice, loc=loc, key=True, see=before)
 
 
 def _active(states: Iterable[str]) -> dict[str, None]:

@@ -71,8 +71,18 @@ Shapes = Annotated[
 """The outline of a body: a shape, or several that move as one and may overlap each other."""
 
 
+LAW_WORDS = {
+    "mu": "friction",
+    **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
+    "coefficientOfRestitution": "restitution",
+}
+"""What coefficients of laws are called elsewhere."""
+
+
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
+
+    OTHER_WORDS: ClassVar = LAW_WORDS
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description="Those that collide with each other; of copies the name of all. What two lists "

@@ -279,5 +279,6 @@ def _failure(status: int) -> SingularMode | NonFinite:
             "nothing that could hold it, or what is held contradicts itself"
         )
     return NonFinite(
-        "a coordinate, or a gap or condition of a contact, became infinite or undefined"
+        "a coordinate, or a gap or condition of a contact, became infinite or undefined; look for "
+        "a logarithm, a root or a quotient without a value there, such as a height where it ends"
     )

@@ -123,13 +123,14 @@ class Chart(Declaration):
     @model_validator(mode="after")
     def _variables_have_values(self) -> Self:
         for name in self.variables:
-            taken = "the time of the run" if name == TIME else "a parameter"
+            taken = "the time of the run" if name == TIME else "a parameter, {see}"
             if name == TIME or name in self.parameters:
                 raise DeclarationProblem(
                     f"{name!r} is {taken}",
                     advice="choose another name",
                     loc=("variables", name),
                     key=True,
+                    see=() if name == TIME else ("parameters", name),
                 )
         self.check_values(self.values())
         return self
@@ -171,10 +172,11 @@ class Chart(Declaration):
             if owner[1] != loc[1]:
                 raise DeclarationProblem(
                     f"region {loc[1]!r} in state {loc[-3]!r} and region {owner[1]!r} in state "
-                    f"{owner[-3]!r} both give {name!r} a flow",
+                    f"{owner[-3]!r} both give {name!r} a flow, the other as {{see}}",
                     advice="let one region own the variable",
                     loc=loc,
                     key=True,
+                    see=owner,
                 )
         for region, flat in self.flat.items():
             shared = flat.shared(lambda state: state.flows if isinstance(state, State) else ())

@@ -325,6 +325,12 @@ class Declaration(Part):
         """
         for name, ends in self.ranges.items():
             whole = (math.ceil(ends[0]), math.floor(ends[1])) if name in self.whole else ends
+            if whole[0] > whole[1]:
+                raise DeclarationProblem(
+                    f"{name!r} is a whole number: none is from {ends[0]:g} to {ends[1]:g}",
+                    advice=f"write [{whole[1]}, {whole[0]}]",
+                    loc=("ranges", name),
+                )
             for place, end in enumerate(whole):
                 try:
                     self.check_values(self.values({name: end}))
@@ -335,9 +341,10 @@ class Declaration(Part):
                         else ("parameters", error.name)
                     )
                     raise DeclarationProblem(
-                        f"with {name} = {end:g}, {'.'.join(map(str, at))}: {error.message}",
+                        f"with {name} = {end:g}, {{see}}: {error.message}",
                         advice="let the range end where the model is still one",
                         loc=("ranges", name, place),
+                        see=at,
                     ) from None
 
     @model_validator(mode="after")

@@ -44,7 +44,8 @@ class Documented(ModelMetaclass):
         try:
             return super().__call__(**kwargs)
         except ValidationError as error:
-            from statechart.documents.validation import Built, declaration_error
+            from statechart.documents.built import Built
+            from statechart.documents.validation import declaration_error
 
             model = cast("type[BaseModel]", cls)
             raise declaration_error(error, Built(model, kwargs), model) from None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from statechart.documents.annotations import elsewhere, example, known_keys, other_word
+from statechart.documents.built import Built
 from statechart.documents.document import Document, Loc
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
@@ -37,40 +37,6 @@ _EXPECTED: Mapping[str, str] = {
     "none_required": "null",
     "formula_type": "a number or a formula",
 }
-
-
-class Built:
-    """Keywords that a part is built of in Python: what a `Document` is to a part of a file.
-
-    Parameters
-    ----------
-    model : type of pydantic.BaseModel
-        The part.
-    data : mapping
-        What was given.
-    """
-
-    def __init__(self, model: type[BaseModel], data: Mapping[str, Any]) -> None:
-        name = data.get("name")
-        self.source = f"{model.__name__}({name!r})" if isinstance(name, str) else model.__name__
-        self._data = data
-
-    def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data, as Python names them."""
-        value: Any = self._data
-        found: list[str | int] = []
-        for part in loc:
-            names: Sequence[str | int] = (part,)
-            if isinstance(value, BaseModel):
-                fields = type(value).model_fields.items()
-                names = [name for name, field in fields if part in (name, field.alias)]
-            for name in names:
-                with suppress(KeyError, IndexError, TypeError):
-                    value = (
-                        getattr(value, str(name)) if isinstance(value, BaseModel) else value[name]
-                    )
-                    found.append(name)
-        return tuple(found)
 
 
 # What has another form than it should: an example shows which.
@@ -208,7 +174,7 @@ def _one(
     if isinstance(cause, DeclarationProblem):
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
-        message, advice = cause.message, cause.advice
+        message, advice = _message(document, cause), cause.advice
     else:
         names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
@@ -381,11 +347,23 @@ def _written(document: Document | None, loc: Loc) -> Iterator[str]:
             yield str(part)
 
 
+def _message(document: Document | Built | None, problem: DeclarationProblem) -> str:
+    """Return the message of a problem, with the other place that it speaks of."""
+    if not problem.see:
+        return problem.message
+    path = ".".join(map(str, document.existing(problem.see) if document else problem.see))
+    if isinstance(document, Document):
+        place = document.position(problem.see, key=problem.key)
+        path += f" (line {place.line}, column {place.column})"
+    return problem.message.replace("{see}", path)
+
+
 def _located(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
     path = ".".join(_written(document, problem.loc))
-    message = f"{path}: {problem.message}" if path else problem.message
+    message = _message(document, problem)
+    message = f"{path}: {message}" if path else message
     if overrides:
         message += " with " + ", ".join(f"{k}={v:g}" for k, v in overrides.items()) + " set"
     if document is None:

@@ -43,6 +43,16 @@ MAX_VALUES = 20_000
 MAX_DEPTH = 32
 
 
+# How files begin that are named by mistake.
+_OTHERS = {
+    b"%PDF": "a PDF",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"PK\x03\x04": "a ZIP archive, or a document of an office program",
+    b"\x1f\x8b": "a compressed file",
+}
+
+
 def read(path: Path) -> Document:
     """Read a YAML file.
 
@@ -69,6 +79,11 @@ def read(path: Path) -> Document:
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise DeclarationError(f"cannot be read: {why}", source=source) from None
+    for begin, what in _OTHERS.items():
+        if raw.startswith(begin):
+            raise DeclarationError(
+                f"this is {what}", advice="name a YAML file", source=source, line=1, column=1
+            )
     try:
         # Too long a file may be cut inside a character; read_text will refuse it anyway.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")
@@ -118,6 +133,7 @@ _ADVICE = {
     "found character '@' that cannot start": "put text in quotes",
     "expected the node content, but found ','": "there is a comma too many",
     "could not find expected ':'": "write key: value",
+    "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
     "expected ',' or '}'": "close with } what { opened, and put commas between",
     "expected ',' or ']'": "close with ] what [ opened, and put commas between",
     "expected <block end>": "indent keys of one mapping alike",
@@ -153,9 +169,11 @@ class _Builder:
             ) from None
         except ReaderError as error:
             at = int(error.position)
+            # Of UTF-16 every second byte is zero.
+            wide = text.count("\0") > 1
             raise DeclarationError(
                 f"the character U+{int(error.character):04X} is not allowed",
-                advice="remove it",
+                advice="save the file as UTF-8" if wide else "remove it",
                 source=self._source,
                 line=text.count("\n", 0, at) + 1,
                 column=at - text.rfind("\n", 0, at),

@@ -85,7 +85,10 @@ def decided(
         if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
-    raise NonFinite(f"the guard {name} cannot be evaluated near t = {time:.6g}")
+    raise NonFinite(
+        f"the guard {name} cannot be evaluated near t = {time:.6g}; look for a logarithm, a root "
+        "or a quotient without a value there, such as a height where it ends"
+    )
 
 
 def closing(

@@ -91,6 +91,10 @@ _PARTS: Mapping[str, str] = {
     "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
     "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
+# Of these each piece is a formula, or a state with one.
+_PIECEWISE = frozenset(
+    {"if", "where", "piecewise", "heaviside", "step", "floor", "ceil", "round", "mod", "fmod"}
+)
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _ROOMS = ("math.", "np.", "numpy.")
 
@@ -113,6 +117,8 @@ def meant(
     bare = next((name.removeprefix(room) for room in _ROOMS if name.startswith(room)), name)
     if bare.lower() in _CONVERTED:
         return TOKENS["deg"]
+    if bare.lower() in _PIECEWISE:
+        return "where it switches, a state of a region ends: write a state for each piece"
     if bare in ("pow", "power"):
         return TOKENS["^"]
     whole, dot, part = name.rpartition(".")

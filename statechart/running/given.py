@@ -35,10 +35,10 @@ class Given:
             if name not in self._parameters:
                 raise DeclarationError(
                     f"no parameter {name!r}",
-                    advice=close_matches(name, self._parameters),
+                    advice=close_matches(str(name), self._parameters),
                     source=document.source if document else "",
                 )
-            if not _real(value):
+            if not real(value):
                 raise DeclarationError(
                     f"parameter {name!r} must be a number, not {value!r}",
                     advice=f"a formula is for with_({name}=...) of the model",
@@ -68,8 +68,8 @@ class Given:
         """Return when a run ends at the latest; see `Runner.end`."""
         self.check(overrides, document)
         if until is not None:
-            if not _real(until) or not 0.0 <= until < math.inf:
-                told = f"{until:g}" if _real(until) else repr(until)
+            if not real(until) or not 0.0 <= until < math.inf:
+                told = f"{until:g}" if real(until) else repr(until)
                 raise DeclarationError(f"the end must be a finite time from 0 on, not {told}")
             return until
         with located(document, {} if self._end is None else overrides, ("stop", "time")):
@@ -87,6 +87,16 @@ class Given:
         return end
 
 
-def _real(value: object) -> bool:
+def overridden(parameters: Mapping[str, float] | None) -> dict[str, float]:
+    """Return what is given for parameters, by their names."""
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise DeclarationError(
+            f"parameters are names and their values, not {parameters!r}",
+            advice="such as parameters={'mu': 0.3}",
+        )
+    return dict(parameters or {})
+
+
+def real(value: object) -> bool:
     """Whether it is a number: Python's types are not asked for while a program runs."""
     return isinstance(value, Real)

@@ -30,7 +30,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.answer import Asked
 from statechart.running.answers import Answers
-from statechart.running.given import Given
+from statechart.running.given import Given, overridden
 from statechart.running.result import Result
 from statechart.running.streaming import placed, sampled, unsearched
 
@@ -175,7 +175,7 @@ class Runner:
         SimulationError
             With the trace so far, if the run cannot go on and `throw` is set.
         """
-        overrides = dict(parameters or {})
+        overrides = overridden(parameters)
         end = self.end(overrides, until=until)
         fitting = self._fitting(overrides)
         measured = fitting._plan.measured
@@ -263,7 +263,7 @@ class Runner:
         >>> [piece.cause for piece in pieces if isinstance(piece, Jump)]
         ['slip', 'reverse', 'stop']
         """
-        overrides = dict(parameters or {})
+        overrides = overridden(parameters)
         end = self.end(overrides, until=until)
         with located(self.document, overrides):
             variant = self.model.variant(overrides)
@@ -298,7 +298,7 @@ class Runner:
         DeclarationError, SimulationError
             If no run can start there.
         """
-        overrides = dict(parameters or {})
+        overrides = overridden(parameters)
         with located(self.document, overrides):
             if self.automaton.stepper is not None and self.setting.stepped:
                 self._given.values(overrides, self.document)
@@ -323,7 +323,7 @@ class Runner:
         DeclarationError
             If a parameter or a number that follows from it is wrong.
         """
-        overrides = dict(parameters or {})
+        overrides = overridden(parameters)
         self._given.values(overrides, self.document)
         stepped = self.setting.stepped
         relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
@@ -345,7 +345,7 @@ class Runner:
         DeclarationError
             If a parameter or the end is wrong, or there is none.
         """
-        return self._given.end(dict(parameters or {}), until, self.document)
+        return self._given.end(overridden(parameters), until, self.document)
 
     def with_modes(self) -> Runner:
         """Return what runs the same and keeps modes: this one where it does."""

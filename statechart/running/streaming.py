@@ -10,6 +10,7 @@ from statechart.automaton.sampling import Control, Sample, Sampling
 from statechart.automaton.trace import Arc, Jump
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
+from statechart.running.given import real
 
 
 def unsearched(setting: Setting) -> Setting:
@@ -60,9 +61,9 @@ def sampled(
     DeclarationError
         If the time is none.
     """
-    if not every > 0.0 or (control is not None and every == math.inf):
+    if not real(every) or not every > 0.0 or (control is not None and every == math.inf):
         raise DeclarationError(
-            f"every must be a finite time above 0, not {every:g}",
+            f"every must be a finite time above 0, not {f'{every:g}' if real(every) else every!r}",
             advice="say after which time the run is looked at: every=0.01",
         )
     if end + every == end > 0.0:

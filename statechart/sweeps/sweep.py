@@ -173,6 +173,11 @@ def planned(
     """
     if (over is None) == (samples is None):
         raise DeclarationError("a sweep is over ranges or over samples: give one of them")
+    if over is not None and not isinstance(over, Mapping):
+        raise DeclarationError(
+            f"a sweep is over parameters and their values, not {over!r}",
+            advice="such as over={'mu': [0.1, 0.2, 0.3]}",
+        )
     runner = Runner(model, **asdict(setting))
     if until is not None or runner.model.stop.time is None:
         runner.end(until=until)

@@ -200,8 +200,8 @@ def check(
     >>> check("bouncing_ball_chart", examples=1, seed=1).passed
     True
     """
-    if examples < 1:
-        raise ValueError(f"examples must be at least 1, not {examples}")
+    if not isinstance(examples, int) or examples < 1:
+        raise ValueError(f"examples must be a whole number from 1 on, not {examples!r}")
     model, _ = resolved(model)
     subject = Subject(model)
     if model.stop.time is None:

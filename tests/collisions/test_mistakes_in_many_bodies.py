@@ -95,3 +95,49 @@ def test_masses_are_not_blamed_for_a_tolerance_below_rounding():
     text = SCENE.replace("step: 1e-3", "step: 1e-3, impulse_tolerance: 1e-20")
     trace = Runner(read_text(text.replace("r, y: r", "r, y: 2*r"))).run().trace
     assert not any("masses" in warning for warning in trace.warnings)
+
+
+SLOPES = """\
+kind: scene
+name: dome
+gravity: 9.81
+bodies:
+  base: {mass: 1, inertia: 1, start: {x: 1, y: -9, dx: -1}}
+  ball: {mass: 1, inertia: 1, shape: {disc: 0.1}, start: {x: 0.505, y: 2, dx: 1}}
+surfaces:
+  dome: {height: sqrt(1 - x**2)}
+collisions: {all: {bodies: [ball], surfaces: [dome], friction: 0.3, restitution: 0}}
+stop: {time: 0.7}
+settings: {engine: impulse, step: 0.01}
+"""
+
+
+@pytest.mark.parametrize(
+    ("surface", "told"),
+    [
+        (
+            "height: sqrt(1 - x**2)",
+            "'dome' has no value at x = 1.005, where body 'ball' is at t = 0.4",
+        ),
+        ("height: sqrt(1.31 - x) - 9", ""),
+        ("height: sin(x) - 9", ""),
+        (
+            "height: sqrt(1 - x**2), displacement: [time, 0]",
+            "",
+        ),
+        (
+            "height: sqrt(1 - x**2), displacement: [-time, 0]",
+            "'dome' has no value at x = 1.01, where body 'ball' is at t = 0.2",
+        ),
+        (
+            "height: sqrt(1.1 - x), body: base",
+            "'dome' has no value at x = 1.105, where body 'ball' is at t = 0.75",
+        ),
+    ],
+)
+def test_a_body_that_comes_where_a_height_has_no_value_is_told(surface, told):
+    text = SLOPES.replace("height: sqrt(1 - x**2)", surface)
+    if "body" in surface:
+        text = text.replace("time: 0.7", "time: 0.9")
+    warnings = [w for w in read_and_run(text).trace.warnings if "no ground" in w]
+    assert [told in warning for warning in warnings] == [True] * bool(told), warnings

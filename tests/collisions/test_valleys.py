@@ -41,3 +41,50 @@ def test_a_box_that_comes_to_a_wall_does_what_it_does_before_lines(v, mu):
     for tilt in (0.0, 0.1):
         values = {"v": v, "mu": mu, "tilt": tilt}
         np.testing.assert_allclose(ended("edge", **values), ended("line", **values), atol=1e-9)
+
+
+def slid(ground: dict[str, str], listed: tuple[str, ...], mu: float) -> np.ndarray:
+    text = SCENE.replace(
+        "GROUND", "\n".join(f"  {name}: {{{form}}}" for name, form in ground.items())
+    )
+    text = text.replace("surfaces: [low, rise]", f"surfaces: [{', '.join(listed)}]")
+    result = Runner(read_text(text)).run({"mu": mu, "e": 0})
+    assert result.trace.outcome.succeeded
+    return result.trace.final
+
+
+FOOT = "[[0.5, 0], [1.5, 0.3]]"
+
+
+@pytest.mark.parametrize(
+    ("low", "rise"),
+    [
+        ("height: 0", f"edge: {FOOT}"),
+        ("height: 1e-9*(x - 0.5)**2", f"edge: {FOOT}"),
+        ("edge: [[-5, 0], [5, 0]]", f"edge: {FOOT}"),
+        ("edge: [[-5, 0], [0.5, 0]]", "edge: [[1.5, 0.3], [0.5, 0]]"),
+        ("circle: [0.5, -1e7], radius: 1e7", f"edge: {FOOT}"),
+        ("edge: [[-5, 0], [0.5, 0]]", "edge: [[1/2 + 1e-15, 0], [1.5, 0.3]]"),
+    ],
+)
+def test_a_ramp_whose_foot_is_on_a_floor_is_what_it_is_where_they_end_in_each_other(low, rise):
+    joined = {"low": "edge: [[-5, 0], [0.5, 0]]", "rise": f"edge: {FOOT}"}
+    both = "low", "rise"
+    found = slid({"low": low, "rise": rise}, both, 0.05)
+    np.testing.assert_allclose(found, slid(joined, both, 0.05), atol=1e-3)
+
+
+def test_nothing_catches_at_the_ends_of_edges_that_overlap():
+    whole = slid({"low": "edge: [[-5, 0], [5, 0]]"}, ("low",), 0.1)
+    apart = {"low": "edge: [[-5, 0], [0.6, 0]]", "rise": "edge: [[0.4, 0], [5, 0]]"}
+    for listed in (("low", "rise"), ("rise", "low")):
+        np.testing.assert_allclose(slid(apart, listed, 0.1), whole, atol=1e-12)
+
+
+def test_the_foot_of_a_ramp_is_a_corner_to_who_does_not_touch_the_floor_it_is_on():
+    free = {"low": "height: 0.05 - 0.05", "rise": "edge: [[0.1, 0], [0.1, -1]]"}
+    alone = {"low": "height: 0 - 3", "rise": "edge: [[0.1, 0], [0.1, -1]]"}
+    found, same = (slid(ground, ("rise",), 0.1) for ground in (free, alone))
+    np.testing.assert_array_equal(found, same)
+    # It turns about the end of the edge, on which its lower face is.
+    assert abs(found[2]) > 0.1

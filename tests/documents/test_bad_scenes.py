@@ -56,15 +56,21 @@ def refused(*pairs: tuple[str, str]) -> DeclarationError:
 @pytest.mark.parametrize(
     ("ranges", "words"),
     [
-        ("mu: [@-1, 3]", "with mu = -1, contacts.tip.friction: must be zero or positive, not -1"),
-        ("m: [@0, 2]", "with m = 0, bodies.rod.mass: must be positive, not 0"),
-        ("e: [0, @1.5]", "with e = 1.5, contacts.tip.restitution: must be between 0 and 1"),
+        (
+            "mu: [@-1, 3]",
+            "with mu = -1, contacts.tip.friction (line 11, column 71): must be zero or po",
+        ),
+        ("m: [@0, 2]", "with m = 0, bodies.rod.mass (line 7, column 15): must be positive"),
+        ("e: [0, @1.5]", "with e = 1.5, contacts.tip.restitution (line 11, column 88): must b"),
         (
             "m: [1, 2], g: [9, @10]",
-            "with g = 10, gravity: formula '9.81/(10 - g)': division by",
+            "with g = 10, gravity (line 5, column 10): formula '9.81/(10 - g)': division by",
         ),
-        ("end: [@-1, 2]", "with end = -1, stop.time: must be a finite time from 0 on, not -1"),
-        ("h: [@-1, 2]", "with h = -1, parameters.big: formula 'sqrt(h)': sqrt has no value"),
+        ("end: [@-1, 2]", "with end = -1, stop.time (line 12, column 14): must be a finite time"),
+        (
+            "h: [@-1, 2]",
+            "with h = -1, parameters.big (line 3, column 57): formula 'sqrt(h)': sqrt has",
+        ),
     ],
 )
 def test_the_ends_of_ranges_are_models(ranges: str, words: str) -> None:
@@ -76,6 +82,25 @@ def test_the_ends_of_ranges_are_models(ranges: str, words: str) -> None:
     error = refused(*changes)
     assert words in str(error)
     assert "let the range end where the model is still one" in str(error)
+
+
+def test_a_range_points_to_what_is_wrong_in_a_list() -> None:
+    text = SCENE.replace("mass: m", "mass: m, shape: {polygon: [[-e, 0], [e, 0], [0, 1]]}")
+    with pytest.raises(
+        DeclarationError, match=r"rod\.shape\.polygon \(line 7, column 35\): all cor"
+    ):
+        Runner(read_text(text.replace("gravity", "ranges: {e: [0, 1]}\ngravity")))
+
+
+def test_a_range_of_a_whole_number_has_one() -> None:
+    ball = (
+        "bodies:\n  ball: {copies: n, mass: 1, inertia: 1, shape: {disc: 0.1}, start: {x: index}}\n"
+    )
+    law = "collisions: {all: {bodies: [ball], friction: 0, restitution: 0}}\nstop: {time: 1}\n"
+    text = "kind: scene\nname: balls\nparameters: {n: 3}\nranges: {n: [2.2, 2.8]}\n" + ball + law
+    told = r"4:13: ranges\.n: 'n' is a whole number: none is from 2\.2 to 2\.8; write \[2, 3\]"
+    with pytest.raises(DeclarationError, match=told):
+        Runner(read_text(text))
 
 
 def test_the_scene_itself_is_fine() -> None:

@@ -203,10 +203,20 @@ def test_positions_are_those_of_the_text() -> None:
         ("{k: [0.1, 0.95]}", "{k: [1]}", "4:13", "must have 2 items"),
         ("{k: [0.1, 0.95]}", "{k: [1, .inf]}", "4:17", "must be a finite number"),
         ("{k: [0.1, 0.95]}", "{k: [1, '2']}", "4:18", "must be a number, not '2'"),
-        ("v: 0}\nreg", "v: 1/(k-0.1)}\nreg", "4:14", "with k = 0.1, variables.v: "),
+        (
+            "v: 0}\nreg",
+            "v: 1/(k-0.1)}\nreg",
+            "4:14",
+            "with k = 0.1, variables.v (line 5, column 22): ",
+        ),
         ("v: 0}\nreg", "v: v}\nreg", "5:22", "unknown name 'v'"),
         ("v: 0}\nreg", "v: inf}\nreg", "5:22", "must be finite"),
-        ("v: 0}\nreg", "v: 0, g: 1}\nreg", "5:25", "'g' is a parameter"),
+        (
+            "v: 0}\nreg",
+            "v: 0, g: 1}\nreg",
+            "5:25",
+            "'g' is a parameter, parameters.g (line 3, column 20)",
+        ),
         ("initial: flight", "initial: fligt", "8:14", "no state 'fligt'; did you mean 'flight'?"),
         (
             "x: v,",

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from statechart.charts.chart import Chart
 from statechart.documents.document import Document
 from statechart.documents.validation import validate
-from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read_text
+from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read, read_text
 from statechart.errors import DeclarationError, FormulaError
 from statechart.formulas.formula import parse, parse_relation
 from statechart.formulas.syntax import MAX_LENGTH
@@ -243,3 +243,20 @@ def test_anything_like_yaml_is_a_document_or_a_declaration_error(text: str) -> N
     assert error.source == "<text>"
     assert error.line is not None
     assert error.line >= 1
+
+
+@pytest.mark.parametrize(
+    ("raw", "told"),
+    [
+        (b"%PDF-1.4\n1 0 obj\n", "1:1: this is a PDF; name a YAML file"),
+        (b"\x89PNG\r\n\x1a\n", "1:1: this is a picture; name"),
+        (b"PK\x03\x04kind: scene\n", "1:1: this is a ZIP archive, or a document of an office"),
+        ("kind: scene\n".encode("utf-16-le"), "1:2: the character U+0000 is not allowed; save the"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_as_what_it_is(tmp_path, raw, told):
+    path = tmp_path / "model.yaml"
+    path.write_bytes(raw)
+    with pytest.raises(DeclarationError) as caught:
+        read(path)
+    assert str(caught.value).startswith(f"{path}:{told}")

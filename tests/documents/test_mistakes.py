@@ -146,6 +146,12 @@ MISTAKES = {
                         "ends early; write what follows the last sign"),
     "two points": ("g: 9.81", "g: 9.8.1", "'9.8' runs into '.'; a number has one point: 1.5"),
     "digits in groups by a sign": ("g: 9.81", "g: 9'810", "digits of a number stand together"),
+    "restitution of an engine of games": (
+        "restitution: e", "bounce: 0.5", "unknown key 'bounce'; write restitution"
+    ),
+    "mass beyond floats": ("mass: m", "mass: 1e-320", "7:15: bodies.rod.mass: must be between 1e-"),
+    "inertia beyond floats": ("m*L**2/3", "1e200", "7:27: bodies.rod.inertia: must be between 1"),
+    "step function": ("angle: 0.3", "angle: heaviside(1)", "'heaviside'; where it switches, a st"),
     "letter of the field": ("friction: mu", "friction: \u03bc",
                             "unexpected character '\u03bc'; write"
                             " mu: names have the letters a to z"),

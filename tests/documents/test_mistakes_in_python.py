@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Slide, Surface
-from statechart import Stop, Value, load, run
+from statechart import Stop, Value, load, run, sweep
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
@@ -58,6 +58,19 @@ def scene(**changes: object) -> Scene:
         (
             lambda: [*Runner(scene()).stream(every=0.5, control=lambda _: 3)],
             "control must return parameters and their values, or None, not 3; such as {'mu': 0.3}",
+        ),
+        (
+            lambda: run(scene(), parameters=[1]),
+            "parameters are names and their values, not [1]; such as parameters={'mu': 0.3}",
+        ),
+        (lambda: run(scene(), parameters={1: 2}), "no parameter 1; known: none"),
+        (
+            lambda: [*Runner(scene()).stream(every="1")],
+            "every must be a finite time above 0, not '1'; say after which",
+        ),
+        (
+            lambda: sweep(scene(), over=["mu"]),
+            "a sweep is over parameters and their values, not ['mu']; such as over={'mu': [0.1",
         ),
         (lambda: load(None), "a model is a file, a name or what is built, not of type NoneType"),
         (lambda: Body(mas=1), "Body: unknown key 'mas'; did you mean 'mass'? known keys: angle, "),

@@ -109,7 +109,7 @@ def test_what_nothing_depends_on_changes_no_motion(model: str) -> None:
     [
         ("after: D", "after: D - 0.1", "D - 0.1", "must be a finite time above 0"),
         ("{n: 0,", "{n: y,", "y,", "unknown name 'y'"),
-        ("{n: 0,", "{h: 0,", "h: 0", "'h' is declared twice"),
+        ("{n: 0,", "{h: 0,", "h: 0", "'h' is declared twice, first as parameters.h (line 3, c"),
         ("n: n + 1", "m: n + 1", "m: n", "no variable 'm' of region 'counter'"),
         (
             "burns: {sets",

@@ -1,0 +1,81 @@
+"""Where heights have no value, beside bodies that they are the ground of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.surfaces import GRAPH
+from statechart.arrays import Array
+from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
+
+# What has no value, or an infinite one, somewhere; the others have one wherever their operands do.
+_PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
+
+
+class NoGround:
+    """Looks, in a run, for the first place of each height that has no value.
+
+    Parameters
+    ----------
+    names, surfaces : sequence of str
+        Of the bodies, and of what they touch.
+    numbers : BodyNumbers
+    """
+
+    def __init__(self, names: Sequence[str], surfaces: Sequence[str], numbers: BodyNumbers) -> None:
+        self._names, self._surfaces, self._numbers = names, surfaces, numbers
+        ground = numbers.surfaces
+        partial = np.isin(ground.code[:, 0], _PARTIAL).any()
+        self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
+        self.remarks: tuple[str, ...] = ()
+
+    def look(self, start: float, h: float, states: Array, frames: Array) -> None:
+        """Look below the left and the right end of bodies, and their centres, at ends of steps.
+
+        Parameters
+        ----------
+        start, h : float
+            When the steps begin, and how long each is.
+        states : (k + 1, w)
+            Where they begin and end.
+        frames : (k, s, 3)
+            Of the surfaces in their middles.
+        """
+        for s in self._unseen.copy():
+            if found := self._first(s, states, frames):
+                step, body, x = found
+                self._unseen.remove(s)
+                self.remarks += (
+                    f"the height of surface {self._surfaces[s]!r} has no value at x = {x:.6g}, "
+                    f"where body {self._names[body]!r} is at t = {start + step * h:.6g}: there is "
+                    "no ground",
+                )
+
+    def _first(self, s: int, states: Array, frames: Array) -> tuple[int, int, float] | None:
+        """Return the first step and body with a place that has no height, and the place."""
+        numbers, ground = self._numbers, self._numbers.surfaces
+        count, carrier = len(self._names), int(ground.carriers[s])
+        places = states[:, : 3 * count].reshape(len(states), count, 3)
+        below = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        if carrier >= 0:
+            below[carrier] = False
+        bodies = np.flatnonzero(below)
+        frame = frames[np.minimum(np.arange(len(states)), len(frames) - 1), s]
+        if carrier >= 0:
+            frame = places[:, carrier]
+        u, v, angle = (frame[:, d, None] for d in range(3))
+        x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
+        asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
+        at = int(ground.graphs[s])
+        heights = tape_table(
+            ground.code, ground.constants, ground.outputs[at : at + 1], 0,
+            np.ascontiguousarray(asked.reshape(-1, 1)), ground.values, np.zeros(asked.size),
+        )  # fmt: skip
+        lost = ~np.isfinite(heights.reshape(asked.shape))
+        if not lost.any():
+            return None
+        step, body, end = np.unravel_index(int(np.argmax(lost)), lost.shape)
+        return int(step), int(bodies[body]), float(asked[step, body, end])
