@@ -568,3 +568,14 @@ def stoppie() -> dict[str, Any]:
 
     _, (q, dq), _ = flow(rates, lifts, 1.43, [0.0, 0.0])
     return {"slips": [slips], "lifts": [lifts], "H": total * a, "q": q, "dq": dq}
+
+
+def squeal() -> dict[str, Any]:
+    """It sticks up to ms m g/k, and slips for half a turn and twice the angle of its start."""
+    m, k, v, ms, mk = 1.0, 40.0, 0.1, 0.4, 0.25
+    w, ahead = math.sqrt(k / m), (ms - mk) * m * G / k
+    slipping = (math.pi + 2 * math.atan2(v / w, ahead)) / w
+    period = slipping + 2 * ahead / v
+    slips = [ms * m * G / (k * v) + n * period for n in range(7)]
+    end = mk * m * G / k - ahead + v * (10.0 - slips[-1] - slipping)
+    return {"slips": slips, "sticks": [t + slipping for t in slips], "x": end}
