@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,7 +135,7 @@ class SceneNumbers:
             [entry for row in rows for entry in row.jacobian],
         )
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._unlikely = unlikely(scene)
+        self._unlikely = (*unlikely(scene), *_unpressed(mechanics))
         self.limits: Tape | None = None
         limits = physical_limits(scene)
         if limits is not None:
@@ -312,3 +312,21 @@ def doubtful(relative: float) -> float:
 def _known(memory: Array, values: Array) -> Array:
     """Return what controllers remember with the parameters, as tapes of a scene take them."""
     return np.concatenate([memory, values]) if len(memory) else values
+
+
+def _unpressed(mechanics: Mechanics) -> Iterator[str]:
+    """Yield of contacts that no coordinate moves along their normals: no motion tells their forces.
+
+    With events what they hold is held by the smallest forces that do, by steps by none.
+    """
+    names = [
+        name
+        for name, contact in mechanics.scene.contacts.items()
+        if not contact.frictionless and not any(mechanics.contact(name).jacobian_n)
+    ]
+    if names:
+        yield (
+            f"no coordinate moves {', '.join(names)} along the normal of what is touched: how hard "
+            "that presses does not follow from the motion, and neither does its friction; let the "
+            "body move that way, too"
+        )

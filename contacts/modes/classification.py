@@ -43,6 +43,9 @@ _ENUMERATED_LAST = 6
 # Of the tie band: what rounding alone makes of an equality, as between balls that touch without
 # load. A contact that has just been left is near the band's edge.
 _NEARLY = 0.1
+# Of the largest acceleration: two motions that differ by less are one, seen from an instant that a
+# coarse tolerance has put beside the event. Rivals differ by a part of the whole.
+_GOES_ON = 1e-3
 # Of a contact's normal: what joints leave of it below this is rounding.
 _IMPLIED = 1e-10
 _UNCHECKED = (
@@ -105,8 +108,9 @@ def choose(
     still_below : float
         Slip speeds up to this count as zero.
     kept : tuple of str, optional
-        The mode that the state comes from: where its contacts share a load it goes on as long as
-        some forces explain it, whatever else agrees.
+        The mode that the state comes from: of several that agree the one is taken that moves on as
+        it did. Where its contacts share a load it goes on as long as some forces explain it,
+        whatever else agrees.
     doubt : Doubt, optional
         What the state may be off by, where contacts may have come to rest.
 
@@ -145,7 +149,7 @@ def choose(
             *_advice(laws, closed, tried),
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
-    taken, warning = _rivals(agreeing, case, kept)
+    taken, warning = _rivals(_continuing(agreeing, tried, scales, kept), case, kept)
     doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
     if doubted is not None:
         taken, warning = doubted, ""
@@ -165,6 +169,24 @@ def choose(
         )
     considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes, doubted is not None)
+
+
+def _continuing(
+    agreeing: list[Candidate],
+    tried: Iterable[Candidate | Undetermined],
+    scales: Scales,
+    kept: tuple[str, ...] | None,
+) -> list[Candidate]:
+    """Return those of the candidates that agree that move on as the mode left, or all.
+
+    Where friction presses a contact into its surface, others agree at forces without cause; none of
+    them is taken because something else comes to its bound.
+    """
+    if len(agreeing) > 1 and kept is not None:
+        for left in tried:
+            if isinstance(left, Candidate) and left.states == kept:
+                return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
+    return agreeing
 
 
 def _rivals(

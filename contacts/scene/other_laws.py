@@ -25,11 +25,14 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
         found["simultaneous: sequential"] = (
             "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
         )
+    others: dict[str, list[str]] = {}
     for name, contact in hit.items():
         if contact.impact != MOREAU and not _agrees(scene, contact, values):
-            found[f"impact: {contact.impact} at {name}"] = (
-                "time stepping applies Moreau's law: with events, impact: moreau is the same"
-            )
+            others.setdefault(contact.impact, []).append(name)
+    for law, names in others.items():
+        found[f"impact: {law} at {', '.join(names)}"] = (
+            "time stepping applies Moreau's law: with events, impact: moreau is the same"
+        )
     return found
 
 

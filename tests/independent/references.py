@@ -540,3 +540,42 @@ def rim_car() -> dict[str, Any]:
         "H_front": ahead,
         "H_rear": torque / r - turning * a,
     }
+
+
+def stoppie() -> dict[str, Any]:
+    """Its wheel lifts where the moment of what slows it is that of its weight; then it pitches."""
+    M, inertia, m, J, r, b, f, h = 80.0, 12.0, 2.0, 0.06, 0.34, 0.55, 0.5, 0.66
+    rate, mu = 150.0, 1.2
+    total, weight = M + 2 * m, G * (M * f + m * (b + f))
+    slowed = M * (h + r) + 2 * m * r + J / r
+    a = -weight / slowed
+    # Both wheels roll: the rear one, slowed by J a/r^2, slips where that is mu times its load.
+    rolling = -rate / r / (total + 2 * J / r**2)
+    least = (b + f) * J / (mu * r**2)
+    slips = -weight / (slowed + J / r + least) / rolling
+    lifts = -(total * r + J / r) * a / rate
+    # Of the frame and the rear wheel as seen from the front axle, on which it rolls and pitches.
+    masses = ((M, -f, h), (m, -b - f, 0.0))
+    whole = inertia + sum(p * (u**2 + w**2) for p, u, w in masses)
+
+    def rates(t: float, y: Any) -> list[float]:
+        s, c = math.sin(y[0]), math.cos(y[0])
+        up = sum(p * (-u * s - w * c) for p, u, w in masses)
+        along = sum(p * (u * c - w * s) for p, u, w in masses)
+        push, turn = along * y[1] ** 2 - rate * t / r, -G * along - rate * t
+        rolls = total + J / r**2
+        return [y[1], (turn * rolls - up * push) / (whole * rolls - up**2)]
+
+    _, (q, dq), _ = flow(rates, lifts, 1.43, [0.0, 0.0])
+    return {"slips": [slips], "lifts": [lifts], "H": total * a, "q": q, "dq": dq}
+
+
+def squeal() -> dict[str, Any]:
+    """It sticks up to ms m g/k, and slips for half a turn and twice the angle of its start."""
+    m, k, v, ms, mk = 1.0, 40.0, 0.1, 0.4, 0.25
+    w, ahead = math.sqrt(k / m), (ms - mk) * m * G / k
+    slipping = (math.pi + 2 * math.atan2(v / w, ahead)) / w
+    period = slipping + 2 * ahead / v
+    slips = [ms * m * G / (k * v) + n * period for n in range(7)]
+    end = mk * m * G / k - ahead + v * (10.0 - slips[-1] - slipping)
+    return {"slips": slips, "sticks": [t + slipping for t in slips], "x": end}

@@ -1,0 +1,33 @@
+"""What presses a surface along a direction in which nothing of the scene moves."""
+
+from __future__ import annotations
+
+import pytest
+
+import statechart
+from contacts import Body, Contact, Coordinate, Point, Scene, Surface
+from statechart import Stop
+
+
+def pile(across: str) -> Scene:
+    """A pile beside soil, which sinks, and may move across its face."""
+    return Scene(
+        name="pile",
+        gravity=9.81,
+        coordinates={name: Coordinate() for name in ("x", "z") if name in (across, "z")},
+        bodies={"pile": Body(mass=500, position=(across, "z"))},
+        surfaces={"soil": Surface(line=((0, 0), (0, 1)))},
+        contacts={
+            "side": Contact(point=Point(body="pile"), surface="soil", friction=1, restitution=0)
+        },
+        stop=Stop(time=0.1),
+    )
+
+
+@pytest.mark.parametrize("engine", ["taylor", "impulse"])
+def test_a_pile_that_only_sinks_is_told_that_nothing_presses_it(engine: str) -> None:
+    step = 1e-2 if engine == "impulse" else None
+    sunk = statechart.run(pile("0"), engine=engine, step=step, throw=False)
+    assert [w for w in sunk.warnings if "no coordinate moves side along the normal" in w]
+    free = statechart.run(pile("x"), engine=engine, step=step)
+    assert not [w for w in free.warnings if "no coordinate" in w]
