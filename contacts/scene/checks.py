@@ -37,12 +37,10 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
         with found:
             at = ("bodies", name, "mass")
             _bounded(values, body.mass, at, "positive", positive=True)
-            _measured(values, body.mass, at)
+            _weighed(values, body.mass, at)
         with found:
             if body.inertia is not None:
-                at = ("bodies", name, "inertia")
-                _bounded(values, body.inertia, at, "zero or positive")
-                _measured(values, body.inertia, at)
+                _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
     for name, surface in scene.surfaces.items():
         with found:
             if surface.radius is not None:
@@ -79,8 +77,8 @@ def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]
     most = sys.float_info.max
     found: list[tuple[FormulaText, float, float]] = []
     for body in scene.bodies.values():
-        found.append((body.mass, *_MEASURED))
-        found += [(body.inertia, *_MEASURED)] if body.inertia is not None else []
+        found.append((body.mass, *_MASSES))
+        found += [(body.inertia, 0.0, most)] if body.inertia is not None else []
     for surface in scene.surfaces.values():
         found += [(surface.radius, math.ulp(0.0), most)] if surface.radius is not None else []
         found += [(surface.incline, -1.5, 1.5)] if surface.incline is not None else []
@@ -238,13 +236,13 @@ def _bounded(
         raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)
 
 
-# Beyond these the square of a mass, or what it is divided by, is no float.
-_MEASURED = (1e-100, 1e100)
+# Beyond these energies, or squares of impulses, are no floats.
+_MASSES = (1e-150, 1e300)
 
 
-def _measured(values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]) -> None:
-    value, (least, most) = value_of(text, values, *loc), _MEASURED
-    if value != 0.0 and not least <= value <= most:
+def _weighed(values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]) -> None:
+    value, (least, most) = value_of(text, values, *loc), _MASSES
+    if not least <= value <= most:
         raise DeclarationProblem(
             f"must be between {least:g} and {most:g}, not {value:g}",
             advice=f"take {'larger' if value > most else 'smaller'} units",
