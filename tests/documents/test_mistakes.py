@@ -150,7 +150,7 @@ MISTAKES = {
         "restitution: e", "bounce: 0.5", "unknown key 'bounce'; write restitution"
     ),
     "mass beyond floats": ("mass: m", "mass: 1e-320", "7:15: bodies.rod.mass: must be between 1e-"),
-    "inertia beyond floats": ("m*L**2/3", "1e200", "7:27: bodies.rod.inertia: must be between 1"),
+    "mass above floats": ("mass: m", "mass: 1e301", "7:15: bodies.rod.mass: must be between 1e-"),
     "step function": ("angle: 0.3", "angle: heaviside(1)", "'heaviside'; where it switches, a st"),
     "letter of the field": ("friction: mu", "friction: \u03bc",
                             "unexpected character '\u03bc'; write"
