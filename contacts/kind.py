@@ -24,7 +24,7 @@ def automaton(scene: Scene) -> Automaton:
         from contacts.collisions.bodies import bodies_automaton
 
         return bodies_automaton(scene)
-    from contacts.dynamics.control_guards import memory_rates
+    from contacts.dynamics.control_guards import given, memory_rates
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup import SceneNumbers
@@ -64,10 +64,9 @@ def automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=numbers.at,
         laws=laws,
-        controls=(*mechanics.controls, *(r for r in memory_rates(mechanics).values() if r != 0)),
+        controls=given(mechanics),
         coordinates=coordinates(mechanics),
-        # A step would have to carry what controllers remember through its impulses.
-        stepper=None if mechanics.memory else stepper,
+        stepper=stepper,
     )
 
 

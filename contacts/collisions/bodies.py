@@ -24,7 +24,7 @@ from contacts.collisions.recall import Recall
 from contacts.collisions.stepped_heap import SteppedHeap
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BodyNumbers
-from contacts.dynamics.control_guards import Controllers, controller, memory_rates
+from contacts.dynamics.control_guards import Controllers, controller, given, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_physical
@@ -94,7 +94,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
-        controls=mechanics.given,
+        controls=given(mechanics),
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
@@ -127,7 +127,7 @@ class BodyStepper(Stepper):
             mechanics,
             stops,
             mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *mechanics.given),
+            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
             regions=tuple(region.name for region in regions),
             controls=self._controllers.initial,
             again=BODY_BLOW,

@@ -11,22 +11,18 @@ import sympy as sp
 
 from contacts.collisions.starts import Starts
 from contacts.detection.applied import ForceProgram
-from contacts.dynamics.control_guards import flows_in, memory_rates
+from contacts.dynamics.control_guards import given, given_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.scene.scene import Scene
 from statechart.arrays import Array, Ints
-from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 
 class BodyMechanics(Mechanics):
     """The symbols of free bodies, of which there may be thousands; equations are not composed.
-
-    What controllers remember stands behind the variables, as in a state of a run.
 
     Parameters
     ----------
@@ -56,22 +52,6 @@ class BodyMechanics(Mechanics):
         # By the states of the controllers, as runs enter them.
         self._force_tapes: dict[tuple[tuple[str, str], ...], tuple[Ints, Tape]] = {}
         self._given_tapes: dict[tuple[tuple[str, str], ...], Tape] = {}
-
-    def tape(
-        self,
-        outputs: Sequence[sp.Expr],
-        *,
-        unknowns: Sequence[sp.Symbol] = (),
-        definitions: Sequence[Definition] = (),
-    ) -> Tape:
-        """Compile expressions of state, parameters and time, and of `unknowns` behind the state."""
-        return compile_tape(
-            outputs,
-            variables=(*self.variables, *self.memory.values(), *unknowns),
-            parameters=self.parameters.ordered,
-            time=self.time,
-            definitions=definitions,
-        )
 
     @cached_property
     def energy(self) -> sp.Expr:
@@ -108,20 +88,12 @@ class BodyMechanics(Mechanics):
                 rows.append(row)
         return tuple(rows)
 
-    @cached_property
-    def given(self) -> tuple[sp.Symbol, ...]:
-        """What states of controllers give values: controls, and rates of what is remembered."""
-        rates = (rate for rate in memory_rates(self).values() if rate != 0)
-        return (*self.controls, *rates)
-
     def given_in(self, states: Mapping[str, str]) -> Tape:
-        """Return the values of `given` in these states of the controllers."""
+        """Return the values of what is `given` in these states of the controllers."""
         key = tuple(states.items())
         if key not in self._given_tapes:
-            flows = zip(memory_rates(self).values(), flows_in(self, states), strict=True)
-            flowing = [flow for rate, flow in flows if rate != 0]
-            self._given_tapes[key] = self.tape(
-                [*self.controls, *flowing], definitions=self.controlled(states)
+            self._given_tapes[key] = self.whole_tape(
+                given(self), definitions=given_in(self, states)
             )
         return self._given_tapes[key]
 
@@ -153,7 +125,7 @@ class BodyMechanics(Mechanics):
                 turn += (c * ax - s * ay) * fy - (s * ax + c * ay) * fx
                 before = found.get(place, [sp.S.Zero] * 3)
                 found[place] = [a + b for a, b in zip(before, (fx, fy, turn), strict=True)]
-        tape = self.tape(
+        tape = self.whole_tape(
             [expression for three in found.values() for expression in three],
             definitions=self.controlled(states),
         )

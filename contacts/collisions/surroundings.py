@@ -11,6 +11,7 @@ from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.paths import Paths, Where
 from contacts.collisions.recall import Recall
 from contacts.detection.applied import Ahead
+from contacts.dynamics.control_guards import given
 from statechart.arrays import Array
 from statechart.errors import NonFinite
 
@@ -123,7 +124,7 @@ class Surroundings:
     @property
     def count(self) -> int:
         """How many values controllers give."""
-        return len(self._mechanics.given)
+        return len(given(self._mechanics))
 
     def given(self, start: float, h: float, states: Array) -> Array:
         """Return what controllers give (k, c) in the middles of steps between states (k + 1, w)."""

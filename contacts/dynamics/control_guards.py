@@ -14,6 +14,7 @@ from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, FlatTransition
+from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
 
 
@@ -67,6 +68,17 @@ def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
     return [found.get(rate, sp.S.Zero) for rate in memory_rates(mechanics).values()]
 
 
+def given(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
+    """Return what states of controllers give values: controls, and rates of what is remembered."""
+    return (*mechanics.controls, *(rate for rate in memory_rates(mechanics).values() if rate != 0))
+
+
+def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
+    """Return the values of what is `given` in these states, each after those that it uses."""
+    flows = zip(memory_rates(mechanics).values(), flows_in(mechanics, states), strict=True)
+    return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
+
+
 class Controllers:
     """The controllers of a scene: their states, and the guards out of these, made when asked for.
 
@@ -104,8 +116,7 @@ class ControlGuards:
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}
-        flows = [f for name, at in states.items() for f in _flows(mechanics, name, at).items()]
-        for control, value in (*mechanics.controlled(states), *flows):
+        for control, value in given_in(mechanics, states):
             set_[control] = value.xreplace(set_)
         memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
         watched: list[Guard] = []

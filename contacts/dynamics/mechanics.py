@@ -121,6 +121,22 @@ class Mechanics(FreeMotion):
             definitions=definitions,
         )
 
+    def whole_tape(
+        self,
+        outputs: Sequence[sp.Expr],
+        *,
+        unknowns: Sequence[sp.Symbol] = (),
+        definitions: Sequence[Definition] = (),
+    ) -> Tape:
+        """Compile as `tape` does, with what controllers remember in the state, behind the rates."""
+        return compile_tape(
+            outputs,
+            variables=(*self.variables, *self.memory.values(), *unknowns),
+            parameters=self.parameters.ordered,
+            time=self.time,
+            definitions=definitions,
+        )
+
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + joints,): each = 0, in the unknown accelerations and forces."""

@@ -105,16 +105,19 @@ class StepControl:
         self.states = controllers.initial
         self._begun = False
 
-    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
-        """Return the steps up to the first after which the controllers are to be asked."""
+    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
+        """Return the steps up to the first after which the controllers are to be asked.
+
+        And whether there is one.
+        """
         due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h)
         asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._names, self.states):
             asked |= recorder.changes(chunk)
         if not asked[:-1].any():
-            return chunk
+            return chunk, bool(asked.any())
         self._scene.forget()
-        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(asked)))
+        return self._scene.steps(start, chunk.h, chunk.states[0], 1 + int(np.argmax(asked))), True
 
     def turn(
         self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float

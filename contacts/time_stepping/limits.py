@@ -70,22 +70,21 @@ class StepLimits:
     mechanics : Mechanics
         The scene's equations.
     forces : sequence of Expr
-        Generalised forces, in coordinates, rates, parameters and time.
+        Generalised forces, in the state, parameters and time.
     """
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
         self._size = len(mechanics.q)
         stiffness = [-sp.diff(force, place) for force in forces for place in mechanics.q]
         self._stiffness = (
-            mechanics.tape([*mechanics.mass_matrix, *stiffness])
+            mechanics.whole_tape([*mechanics.mass_matrix, *stiffness])
             if any(entry != 0 for entry in stiffness)
             else None
         )
-        self._mass = mechanics.tape([*mechanics.mass_matrix])
-        changing = {*mechanics.q, *mechanics.v, mechanics.time}
-        self._forces = (
-            mechanics.tape(forces) if any(f.free_symbols & changing for f in forces) else None
-        )
+        self._mass = mechanics.whole_tape([*mechanics.mass_matrix])
+        changing = {*mechanics.q, *mechanics.v, *mechanics.memory.values(), mechanics.time}
+        varies = any(force.free_symbols & changing for force in forces)
+        self._forces = mechanics.whole_tape(forces) if varies else None
 
     def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
         """Return how springs swing; None where there is none.
@@ -94,7 +93,7 @@ class StepLimits:
         ----------
         values : (p,) array
             Of the parameters.
-        state : (2 n,) array
+        state : (2 n + w,) array
         time : float
         held : (r, n) array
             Directions in which contacts and joints hold.
@@ -135,7 +134,7 @@ class StepLimits:
             Of the parameters.
         start, h : float
             When the first step begins, and how long each is.
-        states : (k + 1, 2 n) array
+        states : (k + 1, 2 n + w) array
             Where they begin and end.
 
         Returns
@@ -146,9 +145,9 @@ class StepLimits:
         tape, n, count = self._forces, self._size, len(states) - 1
         if tape is None or not count:
             return None
-        lines = np.zeros((count, 2 * n, 2))
-        lines[:, :n, 0], lines[:, :n, 1] = states[:-1, :n], np.diff(states[:, :n], axis=0)
-        lines[:, n:, 0] = 0.5 * (states[:-1, n:] + states[1:, n:])
+        lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
+        rates = slice(n, 2 * n)
+        lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
         known, unknown = unseen(
             *tape.program,
             tape.reads,

@@ -166,13 +166,17 @@ class SteppedRun:
                     chunk = self.stepped.steps(
                         begin, h, self.state, min(int(asked), most, each - int(done) % each)
                     )
+                due = False
+                if self.control is not None:
+                    chunk, due = self.control.cut(chunk, begin, self.recorder)
                 work = float(chunk.efforts[:, 1] @ chunk.efforts[:, 2])
-                if work > _WORK:
+                if due:
+                    # Steps after a transition are taken in vain, and the next may be as far off.
+                    most = max(1, len(chunk.codes))
+                elif work > _WORK:
                     most = max(1, most // 2)
                 elif work < 0.25 * _WORK and len(chunk.codes) == most:
                     most = min((8 if work < 0.0625 * _WORK else 2) * most, largest)
-                if self.control is not None:
-                    chunk = self.control.cut(chunk, begin, self.recorder)
                 jumps = self.recorder.count
                 if self._accept(chunk, begin):
                     return

@@ -91,7 +91,7 @@ class Misses:
             Of the springs where they begin.
         """
         n, h = now.source.size, chunk.h
-        rates = chunk.states[:, n:]
+        rates = chunk.states[:, n : 2 * n]
         self._fastest = np.maximum(self._fastest, np.abs(rates).max(axis=0))
         self._way = self._way + np.abs(np.diff(chunk.states[:, :n], axis=0)).sum(axis=0)
         known = self._slips(now, chunk, start, codes)
@@ -172,7 +172,7 @@ class Misses:
             if math.isfinite(normal) and now.cones[i, 0] > 0.0:
                 friction = -math.copysign(now.cones[i, 1] / now.cones[i, 0] * normal, slip)
                 change = friction - tangential
-                rate = push @ (chunk.states[k + 1, n:] - chunk.states[k, n:]) / h
+                rate = push @ (chunk.states[k + 1] - chunk.states[k])[n : 2 * n] / h
                 rate += lightness * change
                 part = min(1.0, -slip / (rate * h)) if rate * slip < 0.0 else 1.0
             if chunk.codes[k, i] == PIN:
@@ -191,17 +191,15 @@ def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
     """
     n, h = now.source.size, chunk.h
     struck = np.nonzero(chunk.struck[k])[0]
-    rates = chunk.states[k, n:]
-    state, time = (
-        np.concatenate([chunk.states[k, :n] + 0.5 * h * rates, rates]),
-        start + (k + 0.5) * h,
-    )
+    state, time, rates = chunk.states[k].copy(), start + (k + 0.5) * h, chunk.states[k, n : 2 * n]
+    state[:n] += 0.5 * h * rates
     rows = now.source.rows(now.values, state, time)
     gaps, nearing = rows.gaps[struck], -rows.velocities[struck, 0]
     ago = np.zeros(len(struck))
     np.divide(-gaps, nearing, out=ago, where=nearing > 0.0)
     since = float(np.clip(ago, 0.0, h).max())
-    earlier = np.concatenate([state[:n] - since * rates, rates])
+    earlier = state.copy()
+    earlier[:n] -= since * rates
     late = _impact(now, state, time, struck)
     right = _impact(now, earlier, time - since, struck)
     return np.zeros(n) if late is None or right is None else np.abs(late - right)

@@ -15,10 +15,16 @@ class SceneNumbers(NamedTuple):
 
     Attributes
     ----------
-    code, constants, outputs
-        The tape: mass (n, n), forces (n,), where `damped` also their derivatives by the rates
-        (n, n), then per contact Jacobian (2, n) and what `CONTACT` lists, per component of a joint
-        Jacobian (n,) and what `JOINT` lists, and what controllers set (u,).
+    equations
+        The program of a tape over the state (2 n + w,), which ends with what controllers remember
+        (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
+        their derivatives by the rates (n, n), then per contact Jacobian (2, n) and what `CONTACT`
+        lists, per component of a joint Jacobian (n,) and what `JOINT` lists, and what controllers
+        give (u,).
+    flows
+        That of the rates of what controllers remember (w,).
+    size : int
+        Coordinates.
     damped : bool
     parameters : (p,)
     cones : (c, 2), restitution : (c,)
@@ -38,9 +44,9 @@ class SceneNumbers(NamedTuple):
         least, and twice this energy at least.
     """
 
-    code: Ints32
-    constants: Array
-    outputs: Ints32
+    equations: tuple[Ints32, Array, Ints32]
+    flows: tuple[Ints32, Array, Ints32]
+    size: int
     damped: bool
     parameters: Array
     cones: Array

@@ -108,6 +108,18 @@ def _held(
 
 
 @part
+def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Array) -> None:
+    """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
+    count = len(state) - 2 * scene.size
+    if count == 0:
+        return
+    rates = np.empty(count)
+    tape_values(*scene.flows, there, scene.parameters, time, rates)
+    for i in range(count):
+        state[2 * scene.size + i] += h * rates[i]
+
+
+@part
 def _after(memory: ContactMemory, active: Bools) -> None:
     """Let contacts grow older by a step."""
     for i in range(len(active)):
@@ -141,21 +153,18 @@ def step_scene(
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
     h, state = chunk.h, chunk.states[0].copy()
-    n, c = len(state) // 2, len(scene.cones)
+    n, c = scene.size, len(scene.cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
-    tape = Tape(
-        np.empty(len(scene.outputs)), n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT
-    )
-    numbers = tape.numbers
+    numbers = np.empty(len(scene.equations[2]))
+    tape = Tape(numbers, n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT)
     set_at, forces = tape.first + tape.per * c + (n + JOINT) * scene.joints, n + scene.joints
     for k in range(len(chunk.codes)):
         middle = state.copy()
+        _flowed(scene, start + k * h, state, 0.5 * h, middle)
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
         time = start + (k + 0.5) * h
-        tape_values(
-            scene.code, scene.constants, scene.outputs, middle, scene.parameters, time, numbers
-        )
+        tape_values(*scene.equations, middle, scene.parameters, time, numbers)
         regular, change, factors, order = _moved(scene, memory.light, numbers, n, h)
         if not regular:
             return k, BAD_INERTIA, nothing, none, none
@@ -182,14 +191,30 @@ def step_scene(
                 return k, HARD, problem.delassus, least, problem.cones
             answer = answered(scene, memory, problem, z, basis, least, pushes)
             blurred = _borne(
-                scene, memory, tape, problem, answer, met, state[n:], k, total, lasting, chunk
+                scene,
+                memory,
+                tape,
+                problem,
+                answer,
+                met,
+                state[n : 2 * n],
+                k,
+                total,
+                lasting,
+                chunk,
             )
         _after(memory, met.active)
         _held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
             chunk.solved[k, i] = lasting[i] / h
+            # On average over the step.
+            middle[n + i] += 0.5 * total[i]
             state[n + i] += total[i]
             state[i] = middle[i] + 0.5 * h * state[n + i]
+            if not math.isfinite(state[i]):
+                return k, NOT_FINITE, nothing, none, none
+        _flowed(scene, time, middle, h, state)
+        for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
         put(state, chunk.states[k + 1])

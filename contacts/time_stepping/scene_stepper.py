@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from contacts.dynamics.control_guards import given
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start
@@ -52,7 +55,7 @@ class SceneStepper(Stepper):
             mechanics,
             stops,
             mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *mechanics.controls),
+            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
             regions=tuple(region.name for region in regions),
             controls=self._tapes.initial,
             again="jam",
@@ -105,7 +108,10 @@ class SceneStepper(Stepper):
         warnings = [*self._lacks(setup), *self._cut(setup)]
         if self._mechanics.joint_rows:
             snapshots = SnapshotTape(self._mechanics)
-            check_joints(self._mechanics, snapshots, setup, RELATIVE)
+            memory = Memory(self._mechanics)
+            within = memory.within(setup, setup.initial)
+            within = replace(within, initial=memory.parted(setup.initial))
+            check_joints(self._mechanics, snapshots, within, RELATIVE)
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
         off = np.zeros(len(setup.contacts), dtype=np.bool_)

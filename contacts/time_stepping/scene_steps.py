@@ -123,7 +123,7 @@ class SteppedScene:
         )
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps from `state` (2 n,).
+        """Take steps from `state` (2 n + w,).
 
         Returns
         -------
@@ -137,11 +137,11 @@ class SteppedScene:
         """
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
-        chunk = Chunk.room(h, state, n + r + 2 * c + source.controls, c, count)
+        chunk = Chunk.room(h, state, n + r + 2 * c + source.given, c, count)
         self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
         memory = self._memory.contacts
         scene = SceneNumbers(
-            tape.code, tape.constants, tape.outputs, source.damped, self._values, self._cones,
+            tape.program, source.flows.program, n, source.damped, self._values, self._cones,
             self._restitution, source.plastic, source.held, source.slips, r, self._near,
             _SLOWEST * self._speed, self._negligible,
         )  # fmt: skip
@@ -188,15 +188,19 @@ class SteppedScene:
         if not count:
             return
         n = self._source.size
-        places, rates = chunk.states[:, :n], chunk.states[:, n:]
+        places, rates = chunk.states[:, :n], chunk.states[:, n : 2 * n]
         # From each midpoint to the next one, but from where the run starts to the first.
         lengths = np.full(count, h)
         lengths[0] = h if start > 0.0 else 0.5 * h
-        lines = np.zeros((count, 2 * n, 2))
+        lines = np.zeros((*chunk.states[:-1].shape, 2))
         back = lengths - 0.5 * h
         lines[:, :n, 0] = places[:count] - back[:, None] * rates[:count]
         lines[:, :n, 1] = lengths[:, None] * rates[:count]
-        lines[:, n:, 0] = rates[:count]
+        lines[:, n : 2 * n, 0] = rates[:count]
+        # What controllers remember flows as it does in the step.
+        flows = np.diff(chunk.states[:, 2 * n :], axis=0) / h
+        lines[:, 2 * n :, 1] = lengths[:, None] * flows
+        lines[:, 2 * n :, 0] = chunk.states[:-1, 2 * n :] - back[:, None] * flows
         taking = (chunk.codes != FREE) | chunk.struck
         seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
@@ -220,7 +224,7 @@ class SteppedScene:
         deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
         for k, i in np.argwhere(deep).tolist():
-            state = np.concatenate([lines[k, :n].sum(axis=1), rates[k]])
+            state = lines[k].sum(axis=1)
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
             rows = self._source.rows(self._values, state, begin + times[k + 1])
             rate = rows.velocities[i, 0]
@@ -279,6 +283,7 @@ def _failure(status: int) -> SingularMode | NonFinite:
             "nothing that could hold it, or what is held contradicts itself"
         )
     return NonFinite(
-        "a coordinate, or a gap or condition of a contact, became infinite or undefined; look for "
+        "a coordinate, what a controller remembers, or a gap or condition of a contact became "
+        "infinite or undefined; look for "
         "a logarithm, a root or a quotient without a value there, such as a height where it ends"
     )

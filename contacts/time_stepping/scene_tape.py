@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.control_guards import given, given_in, memory_rates
 from contacts.dynamics.mechanics import Mechanics
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.limits import StepLimits
@@ -55,7 +56,7 @@ class SteppedTape:
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in mechanics.controlled(states):
+        for control, value in given_in(mechanics, states):
             set_[control] = value.xreplace(set_)
         forces = [force.xreplace(set_) for force in mechanics.generalised_forces]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
@@ -77,7 +78,7 @@ class SteppedTape:
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
         # A contact that its condition keeps off passes nothing.
-        self.gaps: Tape = mechanics.tape(
+        self.gaps: Tape = mechanics.whole_tape(
             [
                 sp.Max(
                     mechanics.contact(name).symbols.gap,
@@ -86,11 +87,11 @@ class SteppedTape:
                 for name in self.names
             ]
         )
-        outputs += [set_[control] for control in mechanics.controls]
-        self.controls = len(mechanics.controls)
-        self.tape: Tape = mechanics.tape(
-            outputs,
-        )
+        outputs += [set_[symbol] for symbol in given(mechanics)]
+        self.given = len(given(mechanics))
+        self.tape: Tape = mechanics.whole_tape(outputs)
+        flows = [set_.get(rate, rate) for rate in memory_rates(mechanics).values()]
+        self.flows: Tape = mechanics.whole_tape(flows)
         # Of pins the velocity is given, of slides without friction the normal one.
         self.held = np.array(
             [

@@ -39,8 +39,8 @@ class Stepped(Protocol):
 class Control(Protocol):
     """What acts at the ends of steps."""
 
-    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> Chunk:
-        """Return the steps up to the first after which it may act."""
+    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
+        """Return the steps up to the first after which it may act, and whether there is one."""
         ...
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:

@@ -71,10 +71,10 @@ class Stepper(ABC):
             forces,
             sticks,
             np.array([name.endswith(".angle") for name in mechanics.names]),
-            mechanics.tape([margin.expression for margin in stops.values()], unknowns=unknowns),
+            mechanics.whole_tape([stop.expression for stop in stops.values()], unknowns=unknowns),
             tuple(stops),
             counting(self._scene),
-            mechanics.tape([energy]),
+            mechanics.whole_tape([energy]),
         )
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:

@@ -157,7 +157,7 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
     if automaton.stepper is None:
         raise DeclarationError(
             f"{model.name!r} cannot run on the engine impulse, which moves bodies in "
-            "contact: a scene is needed, whose controllers have no variables and no clocks",
+            "contact: a scene is needed",
             advice="take the engine taylor or scipy",
         )
     if asked.step is None and asked.accuracy is None:

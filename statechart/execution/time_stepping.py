@@ -43,9 +43,8 @@ class SteppingSimulator:
     ) -> None:
         if automaton.stepper is None:
             raise SimulationError(
-                f"{automaton.name!r} cannot be stepped through time: only scenes of bodies in "
-                "contact can whose controllers have no variables and no clocks; take the engine "
-                "taylor or scipy"
+                f"{automaton.name!r} cannot be stepped through time: only scenes can; take the "
+                "engine taylor or scipy"
             )
         self.automaton = automaton
         self.step, self.impulses, self.record = step, impulses, record

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-import models
 from contacts.scene.scene import Scene
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
@@ -133,8 +132,3 @@ def test_what_is_wrong_with_a_memory_is_said_with_its_place(
     line, column = text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)
     assert words in str(caught.value)
     assert str(caught.value).startswith(f"f.yaml:{line}:{column}: "), str(caught.value)
-
-
-def test_time_stepping_says_that_it_cannot_remember() -> None:
-    with pytest.raises(DeclarationError, match="whose controllers have no variables"):
-        Runner(models.path("sampled_balance") or "", engine="impulse", step=1e-3)
