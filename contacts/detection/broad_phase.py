@@ -1,7 +1,8 @@
 """Which bodies are near each other: a hashed grid, linear in the bodies.
 
 Bodies lie in cells as large as the largest of them; what is much larger than most is looked at
-beside all others. Pairs come in order, so that contacts find theirs of the step before.
+beside all others. Pairs come in order, so that contacts find theirs of the step before. Pairs of
+wider circles are listed, and the list is good until a body leaves its own (Verlet 1967).
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from statechart.kernels.jit import beside, part
 _LARGE = 4.0
 # Cells for each body.
 _CELLS = 2
+# How much wider the circles of listed pairs are: in parts of a body's size, and of how far it may
+# go until the next look.
+_WIDER, _FARTHER = 0.1, 4.0
 # Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
 _ACROSS = 73856093
 
@@ -34,6 +38,12 @@ class Grid(NamedTuple):
         Bodies by the hash of their cells.
     pairs : (p, 2) array of int
         Those found, in order.
+    circles : (b, 3)
+        Middles and radii of the circles that the listed pairs are of.
+    listed : (p, 2) array of int
+        Pairs of these, in order.
+    many : (1,) array of int
+        How many; -1: none are listed.
     """
 
     cells: Ints
@@ -41,6 +51,9 @@ class Grid(NamedTuple):
     heads: Ints
     order: Ints
     pairs: Ints
+    circles: Array
+    listed: Ints
+    many: Ints
 
     @classmethod
     def room(cls, count: int, most: int) -> Grid:
@@ -52,6 +65,9 @@ class Grid(NamedTuple):
             np.empty(cells + 1, np.int64),
             np.empty(count, np.int64),
             np.empty((most, 2), np.int64),
+            np.empty((count, 3)),
+            np.empty((most, 2), np.int64),
+            np.full(1, -1),
         )
 
 
@@ -62,34 +78,35 @@ def _bucket(across: int, up: int, most: int) -> int:
 
 
 @part
-def _sorted_in(centres: Array, reach: Array, grid: Grid) -> int:
+def _sorted_in(grid: Grid) -> int:
     """Put bodies into cells by a counting sort; return how many are large."""
-    cells, large, heads, order, _ = grid
-    count, most = len(reach), len(heads) - 1
+    cells, large, circles = grid.cells, grid.large, grid.circles
+    heads, order = grid.heads, grid.order
+    count, most = len(circles), len(heads) - 1
     mean = 0.0
     for b in range(count):
-        mean += reach[b] / count
+        mean += circles[b, 2] / count
     widest, many = 0.0, 0
     for b in range(count):
-        if reach[b] > _LARGE * mean:
+        if circles[b, 2] > _LARGE * mean:
             large[many] = b
             many += 1
         else:
-            widest = max(widest, reach[b])
+            widest = max(widest, circles[b, 2])
     cell = 2.0 * widest if widest > 0.0 else 1.0
     for i in range(most + 1):
         heads[i] = 0
     for b in range(count):
         cells[b, 0] = cells[b, 1] = 0
-        if reach[b] <= _LARGE * mean:
+        if circles[b, 2] <= _LARGE * mean:
             # What is as far off as no number of a cell is beside all that are.
-            cells[b, 0] = int(min(max(math.floor(centres[b, 0] / cell), -(2.0**30)), 2.0**30))
-            cells[b, 1] = int(min(max(math.floor(centres[b, 1] / cell), -(2.0**30)), 2.0**30))
+            cells[b, 0] = int(min(max(math.floor(circles[b, 0] / cell), -(2.0**30)), 2.0**30))
+            cells[b, 1] = int(min(max(math.floor(circles[b, 1] / cell), -(2.0**30)), 2.0**30))
             heads[_bucket(cells[b, 0], cells[b, 1], most) + 1] += 1
     for i in range(most):
         heads[i + 1] += heads[i]
     for b in range(count - 1, -1, -1):
-        if reach[b] <= _LARGE * mean:
+        if circles[b, 2] <= _LARGE * mean:
             bucket = _bucket(cells[b, 0], cells[b, 1], most) + 1
             heads[bucket] -= 1
             order[heads[bucket]] = b
@@ -99,21 +116,12 @@ def _sorted_in(centres: Array, reach: Array, grid: Grid) -> int:
     return many
 
 
-@beside
-def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
-    """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short.
-
-    Parameters
-    ----------
-    centres : (b, 2)
-    reach : (b,)
-        Radii of circles that hold all of a body until the next look.
-    grid : Grid
-        Is overwritten.
-    """
-    count, most = len(reach), len(grid.heads) - 1
-    many = _sorted_in(centres, reach, grid)
-    cells, large, heads, order, pairs = grid
+@part
+def _list_pairs(grid: Grid) -> int:
+    """List the pairs (one < other) whose circles meet; return how many, or -1: place is short."""
+    count, most = len(grid.circles), len(grid.heads) - 1
+    many = _sorted_in(grid)
+    cells, large, heads, order, pairs = grid.cells, grid.large, grid.heads, grid.order, grid.listed
     found, next_large = 0, 0
     for b in range(count):
         begin = found
@@ -123,12 +131,12 @@ def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
             for c in range(b + 1, count):
                 if found == len(pairs):
                     return -1
-                found = _if_near(centres, reach, b, c, found, pairs)
+                found = _if_near(grid.circles, b, c, found, pairs)
             continue
         for i in range(next_large, many):
             if found == len(pairs):
                 return -1
-            found = _if_near(centres, reach, b, large[i], found, pairs)
+            found = _if_near(grid.circles, b, large[i], found, pairs)
         for across in range(cells[b, 0] - 1, cells[b, 0] + 2):
             first = _bucket(across, cells[b, 1] - 1, most)
             # Beyond the last bucket comes the first.
@@ -140,7 +148,7 @@ def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
                     if c > b and cells[c, 0] == across and abs(cells[c, 1] - cells[b, 1]) <= 1:
                         if found == len(pairs):
                             return -1
-                        found = _if_near(centres, reach, b, c, found, pairs)
+                        found = _if_near(grid.circles, b, c, found, pairs)
         for i in range(begin + 1, found):
             c, k = pairs[i, 1], i
             while k > begin and pairs[k - 1, 1] > c:
@@ -151,11 +159,50 @@ def near_pairs(centres: Array, reach: Array, grid: Grid) -> int:
 
 
 @part
-def _if_near(centres: Array, reach: Array, b: int, c: int, found: int, pairs: Ints) -> int:
+def _if_near(circles: Array, b: int, c: int, found: int, pairs: Ints) -> int:
     """Write a pair if its circles meet; return how many there are then."""
-    x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
-    both = reach[b] + reach[c]
+    x, y = circles[b, 0] - circles[c, 0], circles[b, 1] - circles[c, 1]
+    both = circles[b, 2] + circles[c, 2]
     if x * x + y * y > both * both:
         return found
     pairs[found, 0], pairs[found, 1] = b, c
     return found + 1
+
+
+@part
+def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
+    """Whether all that bodies reach is within the circles of the listed pairs."""
+    for b in range(len(sizes)):
+        x, y = centres[b, 0] - circles[b, 0], centres[b, 1] - circles[b, 1]
+        left = circles[b, 2] - sizes[b] - reach[b]
+        if not (left >= 0.0 and x * x + y * y <= left * left):
+            return False
+    return True
+
+
+@beside
+def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
+    """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short.
+
+    Parameters
+    ----------
+    centres : (b, 2)
+    sizes, reach : (b,)
+        Radii of circles that hold a body, and how far it goes until the next look.
+    grid : Grid
+        Is overwritten.
+    """
+    circles, listed, pairs, found = grid.circles, grid.listed, grid.pairs, 0
+    if grid.many[0] < 0 or not _all_within(centres, sizes, reach, circles):
+        for b in range(len(sizes)):
+            circles[b, 0], circles[b, 1] = centres[b]
+            circles[b, 2] = (1.0 + _WIDER) * sizes[b] + (1.0 + _FARTHER) * reach[b]
+        grid.many[0] = _list_pairs(grid)
+    for i in range(grid.many[0]):
+        b, c = listed[i, 0], listed[i, 1]
+        x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
+        both = sizes[b] + reach[b] + (sizes[c] + reach[c])
+        # Written whether or not: to guess which takes longer.
+        pairs[found, 0], pairs[found, 1] = b, c
+        found += 0 if x * x + y * y > both * both else 1
+    return found if grid.many[0] >= 0 else -1

@@ -320,7 +320,7 @@ def touching(
     lowest = math.inf if first else _LANDED * memory.past[2]
     times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
-    many = near_pairs(look.centres, sizes + look.reach, grid)
+    many = near_pairs(look.centres, sizes, look.reach, grid)
     for p in range(count if many >= 0 else 0):
         begin = end
         while end < many and pairs[end, 0] == p:
