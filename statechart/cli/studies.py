@@ -25,8 +25,8 @@ def trade(arguments: argparse.Namespace) -> int:
     from statechart.study.report import report, told
     from statechart.study.trade import trade as study_of
 
-    runner = runner_of(arguments.file)
     check_folder(arguments.output)
+    runner = runner_of(arguments.file)
     study = study_of(
         runner,
         folder=arguments.output,

@@ -16,6 +16,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
+from statechart.documents.keywords import checked
 from statechart.documents.setting import Record, Setting
 from statechart.documents.validation import located
 from statechart.engines.budget import Allowance
@@ -85,6 +86,7 @@ class Runner:
     """
 
     # One argument for every word of a setting: what a person writes.
+    @checked
     def __init__(
         self,
         model: Declaration | Document | str | Path,
@@ -146,6 +148,7 @@ class Runner:
         }
         return partial(Runner, self.model, **asked), (), {"document": self.document}
 
+    @checked
     def run(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -229,6 +232,7 @@ class Runner:
         assert isinstance(observer.simulator, Simulator)
         return observer, RowRunner(observer.simulator, names)
 
+    @checked
     def stream(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -362,6 +366,7 @@ class Runner:
 
 
 # As `Runner` and `Runner.run` together.
+@checked
 def run(
     model: Declaration | Document | str | Path,
     *,

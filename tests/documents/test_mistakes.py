@@ -46,6 +46,8 @@ MISTAKES = {
     "angle of a particle": ("inertia: m*L**2/3, ", "", "a particle has no angle; remove it, or"),
     "other word for angle": ("angle: 0.3", "theta: 0.3", "must be 'x', 'y', 'angle', 'dx', 'dy'"),
     "degrees by name": ("angle: 0.3", "angle: 30deg", "radians: 30*pi/180; units are not written"),
+    "a date": ("angle: 0.3", "angle: 2026-01-01", "a difference is meant, write 2026 - 01 - 01"),
+    "a date with a time": ("angle: 0.3", "angle: 2026-12-31T10", "this is a date, and times are"),
     "degrees of an incline": ("height: 0", "incline: 30", "angles are in radians: 30*pi/180"),
     "mass of zero": ("mass: m", "mass: 0", "bodies.rod.mass: must be positive, not 0"),
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
