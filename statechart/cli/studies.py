@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from statechart import interrupts
 from statechart.cli.arguments import assigned, runner_of, teller
 from statechart.cli.places import PATIENCE, check_folder
-from statechart.cli.terminal import print_json, say_left_out, show
+from statechart.cli.terminal import print_json, say_left_out, show, warn
 from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def check(arguments: argparse.Namespace) -> int:
     from statechart.testing.checking import check as check_model
 
     runner = runner_of(arguments.file)
-    runner.start()
+    warn(runner.start()[1])
     with _scratch():
         report = check_model(
             runner.model,

@@ -289,6 +289,10 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
          "gravity: -9.81 acts upwards, as it is the acceleration do"),
         ("gravity: g", "gravity: [g*sin(30), -g*cos(0.3)]",
          "sin(30): 30 radians are 4.77 turns; of"),
+        # Above a floor whose line goes from left to right, and in one whose line goes back.
+        ("height: 0", "line: [[-1, -2], [1, -2]]", ""),
+        ("height: 0", "line: [[1, 3], [-1, 3]]", ""),
+        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts with its centre 0.2 in the so"),
     ],
 )  # fmt: skip
 def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:

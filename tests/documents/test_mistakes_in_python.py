@@ -73,22 +73,28 @@ def scene(**changes: object) -> Scene:
             "a sweep is over parameters and their values, not ['mu']; such as over={'mu': [0.1",
         ),
         (lambda: load(None), "a model is a file, a name or what is built, not of type NoneType"),
-        (lambda: run(scene(), dt=0.1), "run: unknown argument 'dt'; write step=...; known: model, "),
+        (
+            lambda: run(scene(), dt=0.1),
+            "run: unknown argument 'dt'; write step=...; known: ",
+        ),
         (
             lambda: run(scene(), mu=0.3),
-            "run: unknown argument 'mu'; a parameter of the model is given by parameters={'mu': 0.3}",
+            "unknown argument 'mu'; a parameter of the model is given by parameters={'mu': 0.3}",
         ),
         (
             lambda: run(scene(), 0.3),
             "run: of what is given, model can stand without a name; give the others by name: param",
         ),
-        (lambda: run(), "run: 'model' is missing; it takes model, parameters, until, engine, "),
+        (run, "run: 'model' is missing; it takes model, parameters, until, engine, "),
         (
             lambda: Runner(scene()).run(step=1e-3),
             "Runner.run: unknown argument 'step'; say it of a runner, Runner(model, step=...), or",
         ),
         (lambda: sweep(scene(), {}, tol=1), "sweep: unknown argument 'tol'; write tolerance=..."),
-        (lambda: run(scene()).animate("a.gif", sped=2), "animate: unknown argument 'sped'; did you"),
+        (
+            lambda: run(scene()).animate("a.gif", sped=2),
+            "animate: unknown argument 'sped'; did",
+        ),
         (lambda: equations(scene()), "equations: 'mode' is missing; it takes model, mode, param"),
         (
             lambda: equations(scene(), 3),
