@@ -270,5 +270,5 @@ def test_controllers_that_follow_each_other_for_ever_are_named() -> None:
         "      - {name: loose, from: shut, to: open, guard: ball.y <= 0.6}\n"
     )
     for setting in ({"engine": "impulse", "step": 1e-3}, {}):
-        with pytest.raises(EventLoop, match="close -> .*shut, loose -> .*open"):
+        with pytest.raises(EventLoop, match=r"close -> .*shut, loose -> .*open"):
             run(scene, **setting)
