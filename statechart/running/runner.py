@@ -181,8 +181,7 @@ class Runner:
         overrides = overridden(parameters)
         end = self.end(overrides, until=until)
         fitting = self._fitting(overrides)
-        measured = fitting._plan.measured
-        if measured is not None and (overrides or end != measured):
+        if (measured := fitting._plan.measured) is not None and (overrides or end != measured):
             fitting = fitting._other(fitting.model, None)
         return fitting._run(overrides, end, certify=certify, throw=throw)
 
@@ -207,14 +206,11 @@ class Runner:
         with self._turn, located(self.document, given):
             began, answers = working_time(), self._answers
             answer, basis = answers.answer(given, end)
-            trace, asked = answer.trace, None
-            if certify:
-                trace = answers.certified(answer, given, end)
-            if answers.searching:
-                asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
+            trace = answers.certified(answer, given, end) if certify else answer.trace
+            sought = (self.setting, basis, answer.cost, answer.not_judged)
+            asked = Asked(*sought) if answers.searching else None
             warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)
-        if warnings != trace.warnings:
-            trace = replace(trace, warnings=warnings)
+        trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
@@ -311,8 +307,7 @@ class Runner:
                 setup = self.setup(overrides)
                 flow, _ = self.automaton.laws_of_events.begin(setup)
                 mode, warnings = flow.mode, (*setup.warnings, flow.warning)
-        found = (self._answers.reason, *warnings)
-        return mode, tuple(dict.fromkeys(text for text in found if text))
+        return mode, tuple(dict.fromkeys(filter(None, (self._answers.reason, *warnings))))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
         """Return the numbers of a run: parameters, initial state, tolerances.
