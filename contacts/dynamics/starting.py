@@ -53,7 +53,7 @@ def check_start(
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         raise DeclarationProblem(
             f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
-            advice=f"move the body out of the surface{gated}",
+            advice=f"move the body out of the surface{gated}; of a line the solid is on the right",
             loc=("contacts", law.name),
         )
     if "free" in law.states:

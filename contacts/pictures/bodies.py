@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+import sympy as sp
 
 import contacts.scene.shapes as declared
 from contacts.dynamics.mechanics import Mechanics
@@ -23,12 +24,12 @@ from statechart.pictures.film import Shape, ShapeKind
 class BodyShapes:
     """The shapes of a scene's bodies for values of its parameters.
 
-    Where no body declares a shape, a body is drawn by what is known of it: discs that touch with
-    their rims, contact points,
-    joints, edges, and bodies whose places are fixed in its frame. Points on a line make a bar; one
-    known end alone makes one to where a uniform bar of its inertia ends on the other side.
-    Points around make a polygon, with their images in the centre of mass where they do not enclose
-    it. All mass in one point, without an inertia, is drawn as that, with bars to its points.
+    A body that declares none is drawn by what is known of it: discs that touch with their rims,
+    contact points, joints, edges, and bodies whose places are fixed in its frame. Points on a line
+    make a bar; one known end alone makes one to where a uniform bar of its inertia ends on the
+    other side. Points around make a polygon, with their images in the centre of mass where they do
+    not enclose it. All mass in one point, without an inertia, is drawn as that, with bars to its
+    points. What is fixed to a body that declares a shape is part of that, and not drawn.
 
     Parameters
     ----------
@@ -47,21 +48,24 @@ class BodyShapes:
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         self._links = Links(mechanics, automaton, known, self._frames)
-        self._declared = any(body.shape for body in self._scene.bodies.values())
 
     def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
-        """Return the shapes, from back to front; contacts that are `idle` tell no points."""
-        fixed = {} if self._declared else self._fixed()
+        """Return the shapes, from back to front.
+
+        Contacts that are `idle` tell no points, but of a body that has no others.
+        """
+        bare = [name for name, body in self._scene.bodies.items() if not body.shape]
+        fixed = self._fixed(bare) if bare else {}
         found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
         for name, body in self._scene.bodies.items():
             if body.shape:
                 region = regions[name] if self._scene.collisions else -1
                 found += [self._shape(name, part, region) for part in body.shape]
-            elif not self._declared:
-                points = [*self._points(name, idle), *fixed.get(name, ())]
+            elif name in fixed:
+                points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
-                found += [*rims, *self._told(name, body, points, rims)]
+                found += [*rims, *self._told(name, body, [*points, *fixed[name]], rims)]
         return (*self._links.shapes(), *found, *self._joints())
 
     def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
@@ -133,25 +137,41 @@ class BodyShapes:
             hull = _hull(np.concatenate([hull, -hull]))
         return [shape("outline", hull)]
 
-    def _fixed(self) -> dict[str, list[tuple[float, float]]]:
-        """Return, of every body, the places in its frame of bodies that move with it."""
-        poses = self._somewhere()
-        found: dict[str, list[tuple[float, float]]] = {}
-        names = list(self._scene.bodies)
+    def _fixed(self, bare: Sequence[str]) -> dict[str, list[tuple[float, float]]]:
+        """Return, of every body that is drawn, the places in its frame of those that move with it.
+
+        Drawn are those of `bare` that move with none that declares a shape: they keep their place
+        in its frame, or have its coordinates (and may be placed by formulas for small angles).
+        """
+        moved = {name: self._coordinates(name) for name in self._scene.bodies}
+        shapes = {moved[name] for name, body in self._scene.bodies.items() if body.shape}
+        poses, names = self._somewhere(), list(self._scene.bodies)
         size = float(np.abs(poses[..., :2]).max(initial=0.0))
-        for i, name in enumerate(names):
-            x, y, angle = poses[:, i].T
-            if np.ptp(angle) == 0.0:
-                continue
-            for k in range(len(names)):
-                dx, dy = poses[:, k, 0] - x, poses[:, k, 1] - y
-                own = (
-                    np.cos(angle) * dx + np.sin(angle) * dy,
-                    np.cos(angle) * dy - np.sin(angle) * dx,
-                )
-                if k != i and max(np.ptp(own[0]), np.ptp(own[1])) <= SAME * size:
-                    found.setdefault(name, []).append((float(own[0][0]), float(own[1][0])))
+
+        def places(frames: Array, of: Array) -> tuple[Array, Array]:
+            """Return places in frames at one configuration, and whether they stay there."""
+            angle, away = frames[..., 2].T, (of - frames)[..., :2].T
+            along = np.cos(angle) * away[0] + np.sin(angle) * away[1]
+            across = np.cos(angle) * away[1] - np.sin(angle) * away[0]
+            own = np.stack([along, across], axis=-1)
+            return own[:, 0], (np.ptp(own, axis=1) <= SAME * size).all(axis=-1)
+
+        shaped = np.array([bool(body.shape) for body in self._scene.bodies.values()])
+        found: dict[str, list[tuple[float, float]]] = {}
+        for name in bare:
+            mine = poses[:, [names.index(name)]]
+            if moved[name] not in shapes and not places(poses[:, shaped], mine)[1].any():
+                others, stay = places(mine, poses)
+                stay[names.index(name)] = False
+                turns = np.ptp(mine[..., 2]) != 0.0
+                found[name] = [(float(x), float(y)) for x, y in others[stay & turns]]
         return found
+
+    def _coordinates(self, name: str) -> frozenset[sp.Symbol]:
+        """Return the coordinates that place a body."""
+        (x, y), angle = self._mechanics.body_frame(name)
+        used = {symbol for part in (x, y, angle) for symbol in part.free_symbols}
+        return frozenset(used.intersection(self._mechanics.q))
 
     def _somewhere(self) -> Array:
         """Return the poses (m, b, 3) of all bodies at some configurations."""

@@ -100,6 +100,8 @@ def _carried(
         points = np.array([[number(x), number(y)] for x, y in surface.edge])
     else:
         start, direction = _line(surface, number)
+        # Beside the body's centre.
+        start = start - (start @ direction) * direction
         points = np.array(
             [start - _CARRIED * unit * direction, start + _CARRIED * unit * direction]
         )

@@ -24,7 +24,7 @@ from contacts.scene.parts import (
 from contacts.scene.shapes import INDEX, Collision
 from statechart.charts.flat_region import timed
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.dimensions import Fact, per_time
+from statechart.documents.dimensions import Fact, fields_of, per_time
 from statechart.documents.fields import FiniteText, FormulaText, NameText, unit, value_of
 from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
@@ -239,9 +239,13 @@ class SceneFields(Declaration):
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
     def facts(self) -> Iterator[Fact]:
-        """Yield what formulas measure: of starts and rates, too."""
-        yield from super().facts()
+        """Yield what formulas measure: of starts and rates, too.
+
+        Where bodies are tells what coordinates and their rates measure, before gains of controllers
+        that are plain numbers are taken for numbers.
+        """
         for body in self.bodies.values():
+            yield from fields_of(body)
             for key, text in body.start.items():
                 yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
         for name, coordinate in self.coordinates.items():
@@ -251,6 +255,7 @@ class SceneFields(Declaration):
             yield parse(coordinate.rate).root, rate
         # What heights are formulas of.
         yield Name("x"), POWERS["length"]
+        yield from super().facts()
 
     def jams(self, contact: str) -> bool:
         """Whether a contact may see an impact without collision.

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 
 from contacts.scene.fields import SceneFields
+from statechart.documents.declaration import TIME
 from statechart.documents.dimensions import fields_of
 from statechart.documents.fields import FormulaText
+from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 # An angle beyond a turn, written as a plain number, was rarely counted in radians.
 _TURN = 2.0 * math.pi
+_ROUNDING = 1e-9
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 
@@ -42,6 +46,9 @@ def _found(scene: SceneFields) -> Iterator[str]:
                 yield f"bodies.{name}.start.angle: {_degrees(value)}"
     if scene.collisions:
         yield from _idle(scene)
+    with suppress(DeclarationError, DeclarationProblem):
+        # What is wrong with a formula is told where it is used.
+        yield from _inside_out(scene)
     for formula, _ in fields_of(scene):
         for node in nodes(formula):
             if isinstance(node, Call) and node.function in _OF_ANGLES:
@@ -60,6 +67,30 @@ def _idle(scene: SceneFields) -> Iterator[str]:
     ):
         for name in idle:
             yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
+
+
+def _inside_out(scene: SceneFields) -> Iterator[str]:
+    """Say whose centre of mass starts in the solid of a line that its points are to touch."""
+    known = scene.values()
+    known |= {name: parse(one.start).value(known) for name, one in scene.coordinates.items()}
+
+    def numbers(texts: Iterable[FormulaText]) -> list[float]:
+        return [parse(text).value({**known, TIME: 0.0}) for text in texts]
+
+    for name, contact in scene.contacts.items():
+        surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
+        if surface.line is None or surface.body is not None or surface.moves:
+            continue
+        free = (body.start.get("x", 0), body.start.get("y", 0))
+        x, y = numbers(body.position or free)
+        (a, b), (c, d) = map(numbers, surface.line)
+        depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
+        if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
+            yield (
+                f"contacts.{name}: {contact.point.body!r} starts with its centre {depth:.3g} in "
+                f"the solid of {contact.surface!r}, which is on the right of the line going from "
+                "one point to two; where the other side is meant, swap the points"
+            )
 
 
 def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:

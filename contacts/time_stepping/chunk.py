@@ -73,10 +73,11 @@ class Chunk(NamedTuple):
         How long after the middle of the step its impacts are.
     gained : (k,) array
         What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
-    efforts : (k, 6) array
+    efforts : (k, 7) array
         What impulses took: their residual, iterations, contacts that took part, and 1 where none
         were found that make all contacts part as they should; 1 where a body is struck at
-        several places that are `LIVELY`; the fastest approach that impacts in turn left.
+        several places that are `LIVELY`; the fastest approach that impacts in turn left; 1 where
+        the impulses that were taken are not the only ones.
     """
 
     h: float
@@ -113,7 +114,7 @@ class Chunk(NamedTuple):
             np.zeros(count),
             np.zeros(count),
             np.zeros(count),
-            np.zeros((count, 6)),
+            np.zeros((count, 7)),
         )
 
     def first(self, count: int) -> Chunk:

@@ -27,6 +27,7 @@ from statechart.automaton.trace import Jump, Key
 from statechart.charts.firing import Listening
 from statechart.errors import EventLoop
 
+_TOLD = 4  # of those that follow each other for ever
 _MOST_TURNS = 100
 # What becomes true within this part of a step after its end is true at its end: times of steps, and
 # so timeouts that end with one, are rounded.
@@ -178,9 +179,9 @@ class StepControl:
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._switch(self._states.named(self.states))
+        last = (f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.told[-_TOLD:])
         raise EventLoop(
-            f"more than {_MOST_TURNS} transitions of controllers at one instant: "
-            + ", ".join(self.states)
+            f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:

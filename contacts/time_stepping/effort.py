@@ -10,6 +10,12 @@ from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
 
+OPEN = (
+    "a contact may slide on as well as come off, as friction presses it into its surface "
+    "(Painleve: indeterminate): one of these was taken, another engine or step may take the other"
+)
+"""What is said where the impulses of a step are not the only ones that the contact laws allow."""
+
 
 class Effort:
     """Counts contacts and iterations, and the steps whose impulses are not as asked.
@@ -27,8 +33,8 @@ class Effort:
     def __init__(self, asked: Impulses) -> None:
         self._tolerance, self._bound = asked
         self._iterations = self._contacts = self._most = self._missed = self._softened = 0
-        self._ambiguous = self._unended = 0
-        self.residual = self._when = self._first = self._left = 0.0
+        self._ambiguous = self._unended = self._several = 0
+        self.residual = self._when = self._first = self._left = self._choice = 0.0
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose impulses miss by more than the bound, and why it ends."""
@@ -44,9 +50,9 @@ class Effort:
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        missed, _, _, _, ambiguous, left = chunk.efforts.T
-        _, iterations, contacts, softened, struck, _ = chunk.efforts.sum(axis=0).tolist()
-        most_missed, _, most, _, _, most_left = chunk.efforts.max(axis=0).tolist()
+        missed, _, _, _, ambiguous, left, choices = chunk.efforts.T
+        _, iterations, contacts, softened, struck, _, chosen = chunk.efforts.sum(axis=0).tolist()
+        most_missed, _, most, _, _, most_left, _ = chunk.efforts.max(axis=0).tolist()
         self._iterations += int(iterations)
         self._contacts += int(contacts)
         self._most = max(self._most, int(most))
@@ -56,6 +62,9 @@ class Effort:
         if struck and not self._ambiguous:
             self._first = start + (int(np.argmax(ambiguous)) + 0.5) * chunk.h
         self._ambiguous += int(struck)
+        if chosen and not self._several:
+            self._choice = start + int(np.argmax(choices)) * chunk.h
+        self._several += int(chosen)
         if most_left > 0.0:
             self._unended += int((left > 0.0).sum())
         self._left = max(self._left, most_left)
@@ -87,6 +96,10 @@ class Effort:
                 f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
                 "once: Moreau's law takes these impacts together, and what passes a blow on does "
                 "not rebound from it; simultaneous: sequential carries them out one after another",
+            )
+        if self._several:
+            found += (
+                f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, {OPEN}",
             )
         if self._unended:
             found += (

@@ -7,7 +7,7 @@ from statechart.arrays import Array
 from statechart.kernels.jit import part
 
 # Velocities below this part of what they are sums of are zero.
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 
 
 @part
@@ -53,26 +53,20 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
             term = compliance[2 * a + d, 2 * b + e] * impulses[b, e]
             after += term
             terms += abs(term)
-    return after if abs(after) > _ROUNDING * terms else 0.0
+    return after if abs(after) > ROUNDING * terms else 0.0
 
 
 @part
-def jammed(compliance: Array, least: Array, slip: float, cone: Array) -> bool:
+def pressing(compliance: Array, slip: float, cone: Array) -> bool:
     """Whether friction presses a sliding contact into its surface (Painleve's paradox).
-
-    Then no finite force keeps it there, and the impulse of the step is one at an instant.
 
     Parameters
     ----------
     compliance : (2, 2)
         Velocities of the contact per unit impulses on it.
-    least : (2,)
-        Its velocities without impulses.
     slip : float
         Before the step.
     cone : (2,)
     """
-    if slip == 0.0 or not least[0] < 0.0:
-        return False
     against = -cone[1] if slip > 0.0 else cone[1]
-    return bool(compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0)
+    return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0

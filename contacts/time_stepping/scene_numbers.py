@@ -180,6 +180,8 @@ class Answer(NamedTuple):
         Velocities without impulses, as they were asked for.
     pushes, steady : (m, 2), slides : (m,) array of bool
         Impulses; those of them that are forces, and who slides under these.
+    several : bool
+        Whether another solution lets a contact come off that slides, or slide that comes off.
     """
 
     z: Array
@@ -188,3 +190,4 @@ class Answer(NamedTuple):
     pushes: Array
     steady: Array
     slides: Bools
+    several: bool

@@ -190,6 +190,7 @@ def step_scene(
             if not good:
                 return k, HARD, problem.delassus, least, problem.cones
             answer = answered(scene, memory, problem, z, basis, least, pushes)
+            chunk.efforts[k, 6] = answer.several
             blurred = _borne(
                 scene,
                 memory,

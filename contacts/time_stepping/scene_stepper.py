@@ -19,6 +19,7 @@ from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
+from contacts.time_stepping.effort import OPEN
 from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
@@ -126,16 +127,23 @@ class SceneStepper(Stepper):
                 check_start(law, row[:3], near, near, setup.tolerances["speed"])
         h = _TRIAL * setup.scales.length / setup.scales.speed
 
-        def tried() -> tuple[SteppedScene, Chunk]:
+        slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
+        # Nothing lasts yet; what slides could, and then another motion may be as good.
+        sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
+
+        def tried(closed: Bools) -> tuple[SteppedScene, Chunk]:
             trial = SteppedScene(tape, setup, off, allowed)
+            trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
-        trial, first = by_python(tried)
+        trial, first = by_python(lambda: tried(np.zeros_like(off)))
         codes = first.codes[0]
         # Contacts that strike at once are free before; those that jam slide before.
-        resting = first.struck[0] & (np.abs(measured[:, 1]) <= setup.tolerances["speed"])
+        resting = first.struck[0] & slow
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
+        if sliding.any() and by_python(lambda: tried(sliding))[1].efforts[0, 6]:
+            warnings.append(f"at the start {OPEN}")
         if trial.filled:
             warnings.append(
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "

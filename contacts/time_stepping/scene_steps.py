@@ -99,6 +99,10 @@ class SteppedScene:
         """Whether coordinates without an inertia of their own were given one."""
         return bool(self._memory.contacts.light[0])
 
+    def press(self, closed: Bools) -> None:
+        """Let contacts (c,) be closed and slide, as if steps before had left them so."""
+        self._memory.contacts.closed[:] = self._memory.contacts.slid[:] = closed
+
     def forget(self) -> None:
         """Take back the last steps."""
         self._memory, self._misses = self._kept.copy(), self._misses_kept.copy()

@@ -31,7 +31,7 @@ from contacts.time_stepping.chunk import (
 )
 from contacts.time_stepping.energy import energy_added
 from contacts.time_stepping.equations import back
-from contacts.time_stepping.forces import borne_mode, jammed, velocity_after
+from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -184,18 +184,26 @@ def answered(
     scene: SceneNumbers, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
     least: Array, pushes: Array,
 ) -> Answer:  # fmt: skip
-    """Return what of impulses is force; what jams is struck at an instant."""
-    delassus, sudden = problem.delassus, problem.sudden
+    """Return what of impulses is force; what jams is struck at an instant.
+
+    Where friction presses a sliding contact into its surface no finite force keeps one there that
+    would go in; one that would come off may as well slide on.
+    """
+    delassus, sudden, several = problem.delassus, problem.sudden, False
     for a in range(len(problem.which)):
         i = problem.which[a]
-        corner = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2]
+        corner, slip = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2], problem.before[a, 1]
         # Where it stuck, its slip is rounding.
         if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
-            slip = problem.before[a, 1]
-            sudden[a] = sudden[a] or jammed(corner, least[a], slip, problem.cones[a])
+            paradox = pressing(corner, slip, problem.cones[a])
+            sudden[a] = sudden[a] or (paradox and least[a, 0] < 0.0)
+            clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
+            # What others bear tells, too, where there are others.
+            off = least[a, 0] > clear and memory.closed[i] and _alone(problem.groups, a)
+            several = several or (paradox and off)
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
     relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
-    return Answer(z, basis, least, pushes, steady, slides)
+    return Answer(z, basis, least, pushes, steady, slides, several)
 
 
 @part
@@ -263,6 +271,10 @@ def told(
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
         chunk.struck[k, i] = sudden[a] and pressed
+        if chunk.struck[k, i] and not met.hit[i]:
+            # What jams falls freely up to the middle of the step, where it is struck.
+            falling = -0.5 * (problem.before[a, 0] + problem.free[a, 0])
+            chunk.approach[k] = max(chunk.approach[k], falling)
         memory.closed[i] = pressed and not problem.rebounds[a]
         if memory.closed[i]:
             sliding = answer.z[UNKNOWNS * a + 3] > 0.0 and slip != 0.0

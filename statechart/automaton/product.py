@@ -186,7 +186,7 @@ def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
         except (KeyError, ValueError):
             wanted = ", ".join(region.name for region in automaton.regions)
             raise StatechartError(
-                f"{automaton.name!r} has no mode ({', '.join(key)}): a mode is a state of {wanted}"
+                f"{automaton.name!r} has no mode {key!r}: a mode is a tuple, a state of {wanted}"
             ) from None
 
     return shown

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from statechart.documents.files import obstacle
 from statechart.errors import DeclarationError, StatechartError
 
 if TYPE_CHECKING:
@@ -37,13 +37,8 @@ def check_folder(output: str | None) -> None:
             f"--output {output}: there is something of this name",
             advice="name another store: runs are not written over each other",
         )
-    place = next(known for known in (path, *path.parents) if known.exists())
-    if not place.is_dir():
-        raise DeclarationError(f"--output {output}: {place} is a file", advice="name a folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise DeclarationError(
-            f"--output {output}: {place} is not writable", advice="name another folder"
-        )
+    if why := obstacle(path):
+        raise DeclarationError(f"--output {output}: {why}", advice="name another folder")
 
 
 def is_store(output: str) -> bool:
@@ -110,7 +105,7 @@ def check_file(option: str, output: str | None) -> None:
     path = Path(output).absolute()
     if path.is_dir():
         raise DeclarationError(f"{option} {output}: that is a folder", advice="name a file in it")
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK | os.X_OK):
+    if not path.parent.is_dir() or obstacle(path.parent):
         raise DeclarationError(
             f"{option} {output}: there is no folder {path.parent} that is writable",
             advice="name another folder, or make this one",

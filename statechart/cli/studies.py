@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from statechart import interrupts
 from statechart.cli.arguments import assigned, runner_of, teller
 from statechart.cli.places import PATIENCE, check_folder
-from statechart.cli.terminal import print_json, say_left_out, show
+from statechart.cli.terminal import print_json, say_left_out, show, warn
 from statechart.reporting.pieces import Pieces
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ def trade(arguments: argparse.Namespace) -> int:
     from statechart.study.report import report, told
     from statechart.study.trade import trade as study_of
 
-    runner = runner_of(arguments.file)
     check_folder(arguments.output)
+    runner = runner_of(arguments.file)
     study = study_of(
         runner,
         folder=arguments.output,
@@ -91,7 +91,7 @@ def check(arguments: argparse.Namespace) -> int:
     from statechart.testing.checking import check as check_model
 
     runner = runner_of(arguments.file)
-    runner.start()
+    warn(runner.start()[1])
     with _scratch():
         report = check_model(
             runner.model,

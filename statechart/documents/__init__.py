@@ -6,5 +6,6 @@ place. `fields` are the types of fields, `annotations` what is said of them, `do
 Python shows of their classes. `declaration` is the base of models, `uses` whether their outputs
 speak of what exists, `settings` how a run is computed as declared, `setting` as it is, `outputs`
 what it reports, `quantities` what names measure, by `dimensions` what formulas tell. `yaml_writer`
-writes models, `yaml_text` their values, `files` whole files or none.
+writes models, `yaml_text` their values, `files` whole files or none; `keywords` tells what is wrong
+with a call.
 """

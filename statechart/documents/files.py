@@ -52,6 +52,22 @@ def write_atomic(path: Path, data: bytes) -> None:
         raise
 
 
+def obstacle(path: Path) -> str:
+    """Return why nothing can be made at a path, whose folders need not exist yet, or nothing.
+
+    It is tried in the folder that exists: permissions do not tell of read-only disks, of what no
+    file can be made in, nor anything at all to root.
+    """
+    place = next(known for known in (path, *path.parents) if os.path.exists(known))
+    if not place.is_dir():
+        return f"{place} is a file"
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            return ""
+    except OSError:
+        return f"{place} is not writable"
+
+
 @contextmanager
 def made(folder: Path) -> Iterator[None]:
     """Make a folder and its parents; where the work in it fails, remove those that were made."""

@@ -107,7 +107,7 @@ def planned(
     DeclarationError
         If what is asked for does not go together, or not with the model.
     """
-    settings = model.settings
+    settings, given = model.settings, asked
     # A method asks for the engine that has methods, whatever the file says.
     engine = asked.engine or ("scipy" if asked.method is not None else settings.engine)
     steps_only = engine == "auto" and automaton.own_step is not None
@@ -117,8 +117,13 @@ def planned(
     except DeclarationProblem as problem:
         # Of what was given in the call, which has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
+    # What stands in the file is told with its place.
+    of_file = asked.engine == settings.engine and given.engine is None and given.method is None
+    if asked.engine != "impulse" and automaton.laws is None:
+        message = f"the engine {asked.engine} cannot run bodies that collide by their shapes"
+        raise _refused(message, "leave the engine out, or take impulse", of_file)
     if asked.engine == "impulse":
-        return _stepping(asked, model, automaton, steps_only)
+        return _stepping(asked, model, automaton, steps_only, of_file)
     if asked.kept is not Record.MODES:
         raise DeclarationError(
             f"runs of {model.name!r} are made of modes, as their events are located",
@@ -152,14 +157,24 @@ def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bo
     return Plan(setting, tolerance, basis, chosen, study.until)
 
 
-def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool) -> Plan:
+def _stepping(
+    asked: Setting, model: Declaration, automaton: Automaton, steps_only: bool, of_file: bool
+) -> Plan:
     """Return how to run a model on the engine impulse; `steps_only`: as no other can."""
     if automaton.stepper is None:
-        raise DeclarationError(
+        raise _refused(
             f"{model.name!r} cannot run on the engine impulse, which moves bodies in "
             "contact: a scene is needed",
-            advice="take the engine taylor or scipy",
+            "take the engine taylor or scipy",
+            of_file,
         )
+    if steps_only:
+        said = model.settings
+        try:
+            Setting("impulse", said.method, said.tolerance, max_step=said.max_step).check()
+        except DeclarationProblem as problem:
+            problem.loc = ("settings", *problem.loc)
+            raise
     if asked.step is None and asked.accuracy is None:
         asked = replace(asked, accuracy=model.settings.accuracy)
     settings = model.settings
@@ -182,9 +197,7 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
             "say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a thousandth of "
             "the shortest time of interest is a good start"
         )
-        if model.settings.engine == "impulse":
-            raise DeclarationProblem(message, advice=advice, loc=("settings", "engine"))
-        raise DeclarationError(message, advice=advice)
+        raise _refused(message, advice, model.settings.engine == "impulse")
     reason = ""
     if steps_only:
         reason = (
@@ -192,3 +205,10 @@ def _stepping(asked: Setting, model: Declaration, automaton: Automaton, steps_on
             "bodies that collide by their shapes run on no other"
         )
     return Plan(replace(asked, step=step), basis=basis, reason=reason)
+
+
+def _refused(message: str, advice: str, of_file: bool) -> Exception:
+    """Return that an engine cannot do: where the file asks for it, with its place there."""
+    if of_file:
+        return DeclarationProblem(message, advice=advice, loc=("settings", "engine"))
+    return DeclarationError(message, advice=advice)

@@ -36,6 +36,9 @@ MAX_EXPONENT = 64
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 """One part of a name."""
 
+_DATE = re.compile(r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])([T ][0-9].*)?", re.ASCII)
+"""What YAML and people take for a date, and arithmetic for a difference."""
+
 RELATIONS = ("<=", ">=", "<", ">")
 _CLOSE = "write ) behind what it holds"
 
@@ -93,6 +96,11 @@ class Reader:
             source.fail(
                 f"{len(source.text)} characters are too many",
                 advice=f"at most {MAX_LENGTH}; name its parts as parameters",
+            )
+        if date := _DATE.fullmatch(source.text.strip()):
+            source.fail(
+                "this is a date, and times are numbers",
+                advice=f"if a difference is meant, write {date[0][:10].replace('-', ' - ')}",
             )
         self.source = source
         self._tokens = _tokens(source)

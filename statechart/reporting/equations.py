@@ -64,7 +64,7 @@ def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
     return _FORMS[form](automaton, key, made)
 
 
-def mode_named(automaton: Automaton, text: str) -> Key:
+def mode_named(automaton: Automaton, text: object) -> Key:
     """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone.
 
     Raises
@@ -72,6 +72,11 @@ def mode_named(automaton: Automaton, text: str) -> Key:
     DeclarationError
         If it names none.
     """
+    example = automaton.label(tuple(r.states[0] for r in automaton.regions))
+    if not isinstance(text, str):
+        raise DeclarationError(
+            f"a mode is text, a state of every region, not {text!r}", advice=f"such as {example!r}"
+        )
     states: dict[str, str] = {}
     for word in text.replace(",", " ").split():
         name, _, state = word.rpartition(":")
@@ -89,8 +94,7 @@ def mode_named(automaton: Automaton, text: str) -> Key:
     if missing:
         raise DeclarationError(
             f"mode {text!r}: no state of {', '.join(missing)}",
-            advice="name one of every region, such as "
-            + automaton.label(tuple(r.states[0] for r in automaton.regions)),
+            advice=f"name one of every region, such as {example}",
         )
     return tuple(states[region.name] for region in automaton.regions)
 

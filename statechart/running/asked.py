@@ -10,6 +10,7 @@ from typing import Any
 
 from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
+from statechart.documents.keywords import checked
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
 
@@ -55,6 +56,7 @@ class Modes:
         return none if found is None else found["without_direction"]
 
 
+@checked
 def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | None = None) -> Modes:
     """Return the modes of a model, and which are possible where its runs start.
 
@@ -83,6 +85,7 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     return Modes(listing(automaton, built=0, time=0.0, state=state, found=found))
 
 
+@checked
 def equations(
     model: Declaration | str | Path,
     mode: str,

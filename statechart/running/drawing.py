@@ -14,7 +14,8 @@ from statechart.diagram.machine import Machine
 from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
-from statechart.errors import StatechartError
+from statechart.documents.keywords import checked
+from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 _MOMENT = 1e-6
 
 
+@checked
 def draw(
     model: Declaration | str | Path,
     path: str | Path | None = None,
@@ -108,6 +110,7 @@ def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Pa
     return Path(path)
 
 
+@checked
 def graph(
     model: Declaration | str | Path,
     *,
@@ -150,6 +153,11 @@ def graph(
     >>> len(modes), modes.nodes["slide", "pin"]["reason"]
     (9, 'A closed and B pin leave A no slip')
     """
+    if trace is not None and not isinstance(trace, Trace):
+        raise DeclarationError(
+            f"trace is that of a run, not of type {type(trace).__name__}",
+            advice="such as trace=run(model).trace",
+        )
     runner = Runner(model)
     start = [around] if around is not None else []
     if trace is None and within is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.trace import Trace
+from statechart.documents.keywords import checked
 from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
@@ -176,6 +177,7 @@ class Result:
 
         return by_time(to_xarray(self.observer, self.trace))
 
+    @checked
     def at(self, t: float) -> Reading:
         """Return what held at an instant; at the instant of a jump, after it.
 
@@ -203,6 +205,7 @@ class Result:
         values = {name: float(column[0]) for name, column in found.columns.items()}
         return Reading(t, int(found.j[0]), states, values)
 
+    @checked
     def plot(self, path: Path | str | None = None) -> Figure:
         """Return the run as one picture: the bodies at some instants, above curves and modes.
 
@@ -247,6 +250,7 @@ class Result:
             write(diagram, Path(path))
         return diagram
 
+    @checked
     def animate(
         self,
         path: Path | str,
@@ -276,6 +280,7 @@ class Result:
         showing = Showing(speed, size, trail)
         return animate(self.observer, self.trace, path, showing, progress=progress)
 
+    @checked
     def report(self, path: Path | str, *, study: Measured | None = None) -> Path:
         """Write the run as one HTML file that needs nothing else.
 
@@ -326,6 +331,7 @@ class Result:
             pieces=pieces,
         )
 
+    @checked
     def save(self, folder: Path | str, *, samples: bool | None = None) -> tuple[str, ...]:
         """Write tables, data set and figure; return the names of the files.
 

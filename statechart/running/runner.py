@@ -16,6 +16,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
+from statechart.documents.keywords import checked
 from statechart.documents.setting import Record, Setting
 from statechart.documents.validation import located
 from statechart.engines.budget import Allowance
@@ -85,6 +86,7 @@ class Runner:
     """
 
     # One argument for every word of a setting: what a person writes.
+    @checked
     def __init__(
         self,
         model: Declaration | Document | str | Path,
@@ -146,6 +148,7 @@ class Runner:
         }
         return partial(Runner, self.model, **asked), (), {"document": self.document}
 
+    @checked
     def run(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -178,8 +181,7 @@ class Runner:
         overrides = overridden(parameters)
         end = self.end(overrides, until=until)
         fitting = self._fitting(overrides)
-        measured = fitting._plan.measured
-        if measured is not None and (overrides or end != measured):
+        if (measured := fitting._plan.measured) is not None and (overrides or end != measured):
             fitting = fitting._other(fitting.model, None)
         return fitting._run(overrides, end, certify=certify, throw=throw)
 
@@ -204,14 +206,11 @@ class Runner:
         with self._turn, located(self.document, given):
             began, answers = working_time(), self._answers
             answer, basis = answers.answer(given, end)
-            trace, asked = answer.trace, None
-            if certify:
-                trace = answers.certified(answer, given, end)
-            if answers.searching:
-                asked = Asked(self.setting, basis, answer.cost, answer.not_judged)
+            trace = answers.certified(answer, given, end) if certify else answer.trace
+            sought = (self.setting, basis, answer.cost, answer.not_judged)
+            asked = Asked(*sought) if answers.searching else None
             warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)
-        if warnings != trace.warnings:
-            trace = replace(trace, warnings=warnings)
+        trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
@@ -229,6 +228,7 @@ class Runner:
         assert isinstance(observer.simulator, Simulator)
         return observer, RowRunner(observer.simulator, names)
 
+    @checked
     def stream(
         self,
         parameters: Mapping[str, float] | None = None,
@@ -307,8 +307,7 @@ class Runner:
                 setup = self.setup(overrides)
                 flow, _ = self.automaton.laws_of_events.begin(setup)
                 mode, warnings = flow.mode, (*setup.warnings, flow.warning)
-        found = (self._answers.reason, *warnings)
-        return mode, tuple(dict.fromkeys(text for text in found if text))
+        return mode, tuple(dict.fromkeys(filter(None, (self._answers.reason, *warnings))))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
         """Return the numbers of a run: parameters, initial state, tolerances.
@@ -362,6 +361,7 @@ class Runner:
 
 
 # As `Runner` and `Runner.run` together.
+@checked
 def run(
     model: Declaration | Document | str | Path,
     *,

@@ -8,6 +8,8 @@ from pathlib import Path
 from statechart.automaton.automaton import Automaton
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
+from statechart.documents.files import obstacle
+from statechart.documents.keywords import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -66,6 +68,7 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
     return tuple(settings)
 
 
+@checked
 def trade(
     model: Runner | Declaration | str | Path,
     *,
@@ -112,10 +115,13 @@ def trade(
     Raises
     ------
     DeclarationError
-        If the folder holds the study of another model, or the model cannot start.
+        If the folder holds the study of another model or cannot be written, or the model cannot
+        start.
     StatechartError
         If no reference can be had: no engine takes the model to its end.
     """
+    if folder is not None and (why := obstacle(Path(folder).absolute())):
+        raise DeclarationError(f"{folder}: {why}", advice="name another folder")
     runner = model if isinstance(model, Runner) else Runner(model)
     progress = progress or (lambda line: None)
     end = runner.end(until=until)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from statechart.documents.files import made
 from statechart.errors import DeclarationError, StatechartError
 
 try:
@@ -47,7 +48,8 @@ class Claim:
 def claimed(path: Path) -> Iterator[Claim | None]:
     """Hold a folder, which is made if it does not exist; None where no folder can be held.
 
-    The lock ends with the process, however that ends.
+    Where the work in it fails before anything is written, no folder is left. The lock ends with the
+    process, however that ends.
 
     Raises
     ------
@@ -56,24 +58,24 @@ def claimed(path: Path) -> Iterator[Claim | None]:
     StatechartError
         If it cannot be made.
     """
-    try:
-        path.mkdir(parents=True)
-    except FileExistsError:
-        pass
-    except OSError as error:
-        raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
-    if fcntl is None or not path.is_dir():
-        yield None
-        return
-    place = os.open(path, os.O_RDONLY)
-    _held.add(place)
-    try:
-        _lock(path, place)
-        yield Claim(path, place)
-    finally:
-        if place in _held:
-            _held.discard(place)
-            os.close(place)
+    with ExitStack() as stack:
+        try:
+            if not path.exists() or path.is_dir():
+                stack.enter_context(made(path))
+        except OSError as error:
+            raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+        if fcntl is None or not path.is_dir():
+            yield None
+            return
+        place = os.open(path, os.O_RDONLY)
+        _held.add(place)
+        try:
+            _lock(path, place)
+            yield Claim(path, place)
+        finally:
+            if place in _held:
+                _held.discard(place)
+                os.close(place)
 
 
 def _lock(path: Path, place: int) -> None:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from statechart.documents.files import made, write_atomic
+from statechart.documents.files import made, obstacle, write_atomic
 from statechart.errors import DeclarationError
 from statechart.reporting.figure import SUFFIXES
 from statechart.reporting.pieces import Pieces
@@ -90,14 +90,8 @@ class Target:
 
 
 def _check_place(option: str, name: str) -> None:
-    path = Path(name).absolute()
-    place = next(known for known in path.parents if known.exists())
-    if not place.is_dir():
-        raise DeclarationError(f"{option} {name}: {place} is a file", advice="name another place")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise DeclarationError(
-            f"{option} {name}: {place} is not writable", advice="name another place"
-        )
+    if why := obstacle(Path(name).absolute().parent):
+        raise DeclarationError(f"{option} {name}: {why}", advice="name another place")
 
 
 def _write(path: Path, content: bytes) -> None:

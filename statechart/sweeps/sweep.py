@@ -18,6 +18,7 @@ from statechart import interrupts
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
+from statechart.documents.keywords import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
@@ -79,6 +80,7 @@ class Made:
 
 
 # One argument for every word of a setting, as `Runner`.
+@checked
 def sweep(
     model: Declaration | Document | str | Path,
     over: Mapping[str, Sequence[float] | Array] | None = None,

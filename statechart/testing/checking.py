@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
+from statechart.documents.keywords import checked
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
@@ -164,6 +165,7 @@ def _verdict(result: PropertyReport) -> str:
     return "holds"
 
 
+@checked
 def check(
     model: Declaration | str | Path,
     *,

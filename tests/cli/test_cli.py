@@ -286,15 +286,29 @@ def test_an_output_that_is_a_file_is_refused_before_running(cli: Cli) -> None:
     assert "out is a file" in err
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="a folder that root cannot write to")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "bouncing_ball", "--output", "/proc/out"),
+        ("run", "bouncing_ball", "--output", "/proc/out.zarr"),
+        ("run", "bouncing_ball", "--animate", "/proc/out.gif"),
+        ("run", "bouncing_ball", "--report", "/proc/out.html"),
+        ("view", "bouncing_ball", "-o", "/proc/out.html"),
+        ("draw", "bouncing_ball", "-o", "/proc/out.svg"),
+        ("trade", "bouncing_ball", "-o", "/proc/out"),
+        ("sweep", "bouncing_ball", "--over", "k=0.1,0.2", "-o", "/proc/out.zarr"),
+        ("sweep", "bouncing_ball", "--over", "k=0.1,0.2", "-o", "/proc/new/out.nc"),
+        ("sweep", "bouncing_ball", "--over", "k=0.1,0.2", "--plot", "/proc/new/out.png"),
+    ],
+)
 def test_an_output_that_cannot_be_written_is_refused_before_running(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, arguments: tuple[str, ...]
 ) -> None:
-    # Root, who may run this, can write to folders that are locked for others.
-    (cli.folder / "locked").mkdir()
-    monkeypatch.setattr("os.access", lambda place, mode: Path(place).name != "locked")
-    code, out, err = cli("run", "bouncing_ball", "--output", "locked/out")
+    code, out, err = cli(*arguments)
     assert (code, out) == (2, "")
-    assert "locked is not writable" in err
+    assert "/proc is not writable" in err or "there is no folder /proc that is writable" in err
+    assert not any(cli.folder.iterdir())
 
 
 def test_a_run_that_cannot_go_on_exits_with_one_and_saves_its_trace(cli: Cli) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -23,9 +22,12 @@ def test_a_name_that_no_document_can_have(
 def test_a_folder_that_is_not_writable_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    def locked(**_: object) -> None:
+        raise PermissionError
+
     monkeypatch.chdir(tmp_path)
     # Whoever runs the tests may be allowed to write everywhere.
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    monkeypatch.setattr("tempfile.TemporaryFile", locked)
     assert main(["new", "mine"]) == 2
     assert f"there is no folder {tmp_path} that is writable" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())

@@ -294,7 +294,7 @@ def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, caps
     [
         (["--step", "0.5"], 1, "STEP_TOO_LARGE"),
         (["--step", "0.05"], 1, "STEP_TOO_LARGE"),
-        (["--engine", "scipy"], 1, "UNSUPPORTED"),
+        (["--engine", "scipy"], 2, "scipy cannot run bodies that collide by their shapes; leave"),
         (["--budget", "1"], 2, "give a step"),
         (["--set", "n=0"], 2, "whole number"),
         (["--set", "e=2"], 2, "between 0 and 1"),
@@ -463,3 +463,26 @@ def test_what_crosses_a_thin_wall_far_from_its_middle_within_a_step_strikes_it(s
     # Beside its end nothing is in the way.
     free = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": 1.02}).trace
     assert free.final[[6, 9]] == pytest.approx([1e4, 0.0], abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ("{engine: taylor}", "two.yaml:3:20: settings.engine: the engine taylor cannot run bodies"),
+        ("{tolerance: 1e-6}", "two.yaml:3:12: settings.tolerance: the engine impulse has no tol"),
+        ("{max_step: 1}", "two.yaml:3:12: settings.max_step: the engine impulse has no max_step"),
+    ],
+)
+def test_settings_that_colliding_bodies_cannot_have_are_told_where_they_stand(
+    settings, told, tmp_path, capsys
+):
+    path = tmp_path / "two.yaml"
+    path.write_text(
+        f"kind: scene\nname: two\nsettings: {settings}\nstop: {{time: 1}}\n"
+        "bodies: {ball: {mass: 1, inertia: 0.1, shape: {disc: 0.1}, start: {y: 1}}}\n"
+        "surfaces: {floor: {height: 0}}\n"
+        "collisions: {all: {bodies: [ball], surfaces: [floor], friction: 0, restitution: 0}}\n"
+    )
+    for verb in ("validate", "run"):
+        assert main([verb, str(path)]) == 2
+        assert told in capsys.readouterr().err

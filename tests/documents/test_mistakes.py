@@ -46,6 +46,8 @@ MISTAKES = {
     "angle of a particle": ("inertia: m*L**2/3, ", "", "a particle has no angle; remove it, or"),
     "other word for angle": ("angle: 0.3", "theta: 0.3", "must be 'x', 'y', 'angle', 'dx', 'dy'"),
     "degrees by name": ("angle: 0.3", "angle: 30deg", "radians: 30*pi/180; units are not written"),
+    "a date": ("angle: 0.3", "angle: 2026-01-01", "a difference is meant, write 2026 - 01 - 01"),
+    "a date with a time": ("angle: 0.3", "angle: 2026-12-31T10", "this is a date, and times are"),
     "degrees of an incline": ("height: 0", "incline: 30", "angles are in radians: 30*pi/180"),
     "mass of zero": ("mass: m", "mass: 0", "bodies.rod.mass: must be positive, not 0"),
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
@@ -287,6 +289,10 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
          "gravity: -9.81 acts upwards, as it is the acceleration do"),
         ("gravity: g", "gravity: [g*sin(30), -g*cos(0.3)]",
          "sin(30): 30 radians are 4.77 turns; of"),
+        # Above a floor whose line goes from left to right, and in one whose line goes back.
+        ("height: 0", "line: [[-1, -2], [1, -2]]", ""),
+        ("height: 0", "line: [[1, 3], [-1, 3]]", ""),
+        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts with its centre 0.2 in the so"),
     ],
 )  # fmt: skip
 def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:

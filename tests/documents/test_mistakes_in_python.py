@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Slide, Surface
-from statechart import Stop, Value, load, run, sweep
+from statechart import Stop, Value, equations, graph, load, run, sweep, trade
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
@@ -73,6 +73,37 @@ def scene(**changes: object) -> Scene:
             "a sweep is over parameters and their values, not ['mu']; such as over={'mu': [0.1",
         ),
         (lambda: load(None), "a model is a file, a name or what is built, not of type NoneType"),
+        (
+            lambda: run(scene(), dt=0.1),
+            "run: unknown argument 'dt'; write step=...; known: ",
+        ),
+        (
+            lambda: run(scene(), mu=0.3),
+            "unknown argument 'mu'; a parameter of the model is given by parameters={'mu': 0.3}",
+        ),
+        (
+            lambda: run(scene(), 0.3),
+            "run: of what is given, model can stand without a name; give the others by name: param",
+        ),
+        (run, "run: 'model' is missing; it takes model, parameters, until, engine, "),
+        (
+            lambda: Runner(scene()).run(step=1e-3),
+            "Runner.run: unknown argument 'step'; say it of a runner, Runner(model, step=...), or",
+        ),
+        (lambda: sweep(scene(), {}, tol=1), "sweep: unknown argument 'tol'; write tolerance=..."),
+        (
+            lambda: run(scene()).animate("a.gif", sped=2),
+            "animate: unknown argument 'sped'; did",
+        ),
+        (lambda: equations(scene()), "equations: 'mode' is missing; it takes model, mode, param"),
+        (
+            lambda: equations(scene(), 3),
+            "a mode is text, a state of every region, not 3; such as 'tip:free'",
+        ),
+        (
+            lambda: graph(scene(), trace=run(scene())),
+            "trace is that of a run, not of type Result; such as trace=run(model).trace",
+        ),
         (lambda: Body(mas=1), "Body: unknown key 'mas'; did you mean 'mass'? known keys: angle, "),
         (lambda: Body(inertia=1), "Body: 'mass' is missing; such as mass='m'"),
         (
@@ -144,3 +175,11 @@ def test_a_part_of_a_part_has_the_path_of_its_field_in_the_whole() -> None:
         "Scene('thrown'): contacts.tip.point.at: must have 2 items, not 1; such as [0, '-L']",
         "Scene('thrown'): contacts.tip.surface: must be text, not 3; such as 'floor'",
     ]
+
+
+def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
+    def broken(line: str) -> None:
+        raise TypeError(line)
+
+    with pytest.raises(TypeError, match="reference"):
+        trade(scene(), progress=broken)

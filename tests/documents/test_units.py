@@ -201,3 +201,15 @@ outputs: {{tilted: {{value: cos(half), at: end}}}}
     model = Runner(read_text(scene)).automaton.declaration
     assert model.unit("n") in ("", "1")
     assert model.unit("half") == "rad"
+
+
+def test_gains_that_are_plain_numbers_leave_rates_what_they_are() -> None:
+    scene = read_text(
+        "kind: scene\nname: leg\nunits: SI\nstop: {time: 1}\n"
+        "coordinates: {lean: {start: 0}}\ncontrols: {tau: 0}\n"
+        "bodies: {leg: {mass: 1, inertia: 1, position: [sin(lean), cos(lean)], angle: lean}}\n"
+        "forces: {hip: {body: leg, moment: tau}}\n"
+        "regions: {hip: {initial: on, states: {on: {sets: {tau: 60*lean - 5*dlean}}}}}\n"
+    )
+    model = Runner(scene).model
+    assert (model.unit("dlean"), model.unit("tau")) == ("rad/s", "N m")

@@ -41,6 +41,8 @@ CHARTS = ("bouncing_ball_chart", "simplest_walker")
 SEQUENTIAL = "newtons_cradle"
 # Modes differ where a few steps slide before they stick, or what slides lifts off within a step.
 SLIDES_ON = ("double_contact_bar", "raibert_hopper")
+# By Moreau's law a jam ends the slip; the tip comes off in the step after, half a step later.
+JAMS = "painleve_rod"
 
 
 @pytest.mark.parametrize(("name", "parameters", "until", "step", "constant"), SCENES)
@@ -50,8 +52,13 @@ def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
     trace = found.trace
     assert trace.outcome is exact.outcome
     assert np.abs(trace.final - exact.final).max() <= constant * step
+    modes = trace.modes
+    if name == JAMS:
+        (resting,) = (arc for arc in trace.arcs if arc.mode == ("pin",))
+        assert resting.duration == pytest.approx(0.5 * step)
+        modes = tuple(mode for mode in modes if mode != resting.mode)
     if name not in SLIDES_ON:
-        assert trace.modes == exact.modes
+        assert modes == exact.modes
     declared = [set(region.states) for region in found.observer.automaton.regions]
     assert all(s in d for key in trace.modes for s, d in zip(key, declared, strict=True))
 

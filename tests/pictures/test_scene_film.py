@@ -105,7 +105,7 @@ def test_legs_reach_from_feet_to_hip():
     film = film_of("compass_walker", [0.0], until=0.0)
     ends = {round(float(bar.points[1, 1]), 12) for bar in shapes(film, "bar")}
     assert ends == {-0.5, 0.5}
-    assert len(shapes(film, "bar")) == 3  # the swinging foot is off all the time
+    assert len(shapes(film, "bar")) == 4  # of the swinging foot, too, which is off all the time
 
 
 def test_reactions_of_two_bodies_are_a_spring():
@@ -351,3 +351,38 @@ def test_short_arrows_point_where_forces_do():
             np.clip((np.array([box.p0, box.p1]) - tip) @ across, -1e-9, None)
         )
     plt.close(figure)
+
+
+GRIPPER = """\
+kind: scene
+name: gripper
+coordinates: {h: {start: 0.2}, left: {start: -3}, q: {start: 0.1, rate: 1}}
+bodies:
+  box: {mass: 1, inertia: 1, shape: {polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}}
+  finger: {mass: 1, position: [left, h]}
+  crank: {mass: 1, inertia: 1, position: [5, 5], angle: q, shape: {disc: 0.5}}
+  pin: {mass: 1, position: [5 + 0.4*cos(q), 5 + 0.4*sin(q)]}
+  bob: {mass: 1, position: [5 + 3*q, 5]}
+surfaces: {palm: {line: [[0, 1], [0, -1]], body: finger}}
+contacts:
+  grip: {point: {body: box, at: [-1, 0]}, surface: palm, friction: 1, restitution: 0}
+stop: {time: 1}
+"""
+
+
+def test_bodies_without_a_shape_are_drawn_beside_those_that_declare_one():
+    film = film_of(read_text(GRIPPER), [0.0])
+    # The pin is part of the crank: it moves with it; the bob has its coordinate.
+    assert {shape.name for shape in shapes(film, "mass")} == {"finger"}
+    (palm,) = (link for link in shapes(film, "link") if link.name == "palm")
+    # Beside the finger that carries it, wherever the points of its line are.
+    np.testing.assert_allclose(palm.points.mean(axis=0), [0.0, 0.0], atol=1e-12)
+
+
+def test_a_leg_whose_foot_is_off_reaches_to_that_foot():
+    text = "kind: scene\nname: rod\nbodies: {rod: {mass: 1, inertia: 1/3, start: {y: 2}}}\n" + (
+        "surfaces: {ground: {height: 0}}\nstop: {time: 1}\ncontacts:\n  tip: {point: {body: rod, "
+        "at: [0, -1]}, surface: ground, friction: 1, restitution: 0, enabled: rod.y > 3}\n"
+    )
+    (bar,) = shapes(film_of(read_text(text), [0.0]), "bar")
+    np.testing.assert_allclose(np.sort(bar.points[:, 1]), [-1.0, 1.0], rtol=1e-15)

@@ -328,9 +328,15 @@ def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
 
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
 def test_a_model_that_an_engine_cannot_run_has_no_accuracy(
-    asked: list[str], capsys: pytest.CaptureFixture[str]
+    asked: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["run", "box_stack", "--engine", "taylor", "--json", *asked]) == 1
+    path = tmp_path / "ramp.yaml"
+    # A root has no Taylor series at zero.
+    path.write_text(
+        "kind: chart\nname: ramp\nvariables: {x: 0}\nstop: {time: 3}\n"
+        "regions: {r: {initial: on, states: {on: {flows: {x: sqrt(time)}}}}}\n"
+    )
+    assert main(["run", str(path), "--engine", "taylor", "--json", *asked]) == 1
     report = json.loads(capsys.readouterr().out)
     assert report["outcome"] == "UNSUPPORTED"
     assert report["error_estimate"] is None

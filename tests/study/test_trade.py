@@ -402,3 +402,13 @@ def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error
     # What rounding hides from three steps on is not told.
     settled = study(*(stepped(h, h, V_max=1e-13, x=0.5 * h) for h in steps))
     assert settled.unsettled() == {}
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_reference(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+
+    def told(line: str) -> None:
+        raise AssertionError(line)
+
+    with pytest.raises(DeclarationError, match="file is a file; name another folder"):
+        trade("toppling_stick", folder=tmp_path / "file" / "new", progress=told)

@@ -346,3 +346,9 @@ def test_of_a_store_that_could_not_be_made_nothing_is_left(
     with pytest.raises(StatechartError, match="No space left on device"):
         sweep(STICK, GRID, store=tmp_path / "a.zarr")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_store_that_cannot_be_made_leaves_no_folders(tmp_path: Path) -> None:
+    with pytest.raises(StatechartError, match="cannot write"):
+        sweep("bouncing_ball", {"k": [0.2, 0.3]}, store=tmp_path / "new" / ("long" * 100))
+    assert not any(tmp_path.iterdir())

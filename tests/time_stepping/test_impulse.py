@@ -11,7 +11,7 @@ import pytest
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, EventLoop
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner, run
 
@@ -256,3 +256,19 @@ def test_whose_forces_the_motion_leaves_open_is_told() -> None:
     for name in ("bouncing_ball", "block_on_incline"):
         alone = Runner(name, engine="impulse", step=1e-3).run(until=0.01)
         assert not [w for w in alone.trace.warnings if "indeterminate" in w]
+
+
+def test_controllers_that_follow_each_other_for_ever_are_named() -> None:
+    scene = read_text(
+        "kind: scene\nname: loop\ngravity: 1\nbodies: {ball: {mass: 1, start: {y: 1}}}\n"
+        "surfaces: {ground: {height: 0}}\nstop: {time: 2}\n"
+        "contacts: {c: {point: {body: ball}, surface: ground, friction: 1, restitution: 0}}\n"
+        "controls: {push: 0}\nforces: {up: {body: ball, force: [0, push]}}\n"
+        "regions:\n  hand:\n    initial: open\n    states: {open: {}, shut: {sets: {push: 2}}}\n"
+        "    transitions:\n"
+        "      - {name: close, from: open, to: shut, guard: ball.y <= 0.5}\n"
+        "      - {name: loose, from: shut, to: open, guard: ball.y <= 0.6}\n"
+    )
+    for setting in ({"engine": "impulse", "step": 1e-3}, {}):
+        with pytest.raises(EventLoop, match=r"close -> .*shut, loose -> .*open"):
+            run(scene, **setting)

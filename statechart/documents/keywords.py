@@ -1,0 +1,95 @@
+"""What functions for users are called with: what is wrong is told as a wrong key of a file is."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from numbers import Real
+from typing import Any, ParamSpec, TypeVar
+
+from statechart.documents.setting import Setting
+from statechart.errors import DeclarationError, close_matches
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_OTHER_WORDS = {
+    **dict.fromkeys(("dt", "h", "timestep", "time_step"), "step"),
+    **dict.fromkeys(("rtol", "atol", "tol", "eps"), "tolerance"),
+    **dict.fromkeys(("solver", "integrator", "backend"), "engine"),
+    **dict.fromkeys(("t", "T", "t_end", "tmax", "t_max", "end", "time", "duration"), "until"),
+    **dict.fromkeys(("params", "param", "set", "p"), "parameters"),
+    **dict.fromkeys(("n", "max_examples"), "examples"),
+    **dict.fromkeys(("filename", "file", "output", "out", "dir", "directory"), "path"),
+}
+"""What other programs call an argument."""
+
+_SETTINGS = {part.name for part in fields(Setting)}
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a call with arguments that the function has not be a `DeclarationError`: what it has."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            try:
+                signature.bind(*args, **kwargs)
+            except TypeError as error:
+                wrong = _error(function, signature, args, kwargs, str(error))
+            else:
+                raise
+        raise wrong
+
+    return called
+
+
+def _error(
+    function: Callable[..., Any],
+    signature: inspect.Signature,
+    args: tuple[object, ...],
+    kwargs: Mapping[str, object],
+    otherwise: str,
+) -> DeclarationError:
+    taken = {name: part for name, part in signature.parameters.items() if name != "self"}
+    name = function.__qualname__.removesuffix(".__init__")
+    unknown = [word for word in kwargs if word not in taken]
+    if unknown:
+        word = unknown[0]
+        return DeclarationError(
+            f"{name}: unknown argument {word!r}", advice=_meant(word, kwargs[word], [*taken])
+        )
+    placed = [word for word, part in taken.items() if part.kind is not part.KEYWORD_ONLY]
+    given = len(args) - (len(signature.parameters) > len(taken))
+    if given > len(placed):
+        named = [word for word in taken if word not in placed]
+        return DeclarationError(
+            f"{name}: of what is given, {', '.join(placed) or 'nothing'} can stand without a name",
+            advice=f"give the others by name: {', '.join(named)}",
+        )
+    for word in placed[given:]:
+        if taken[word].default is inspect.Parameter.empty and word not in kwargs:
+            return DeclarationError(
+                f"{name}: {word!r} is missing", advice=f"it takes {', '.join(taken)}"
+            )
+    return DeclarationError(f"{name}: {otherwise}", advice=f"it takes {', '.join(taken)}")
+
+
+def _meant(word: str, value: object, known: list[str]) -> str:
+    meant = _OTHER_WORDS.get(word, word)
+    if meant in known:
+        return f"write {meant}=...; known: {', '.join(known)}"
+    if meant in _SETTINGS:
+        return (
+            f"say it of a runner, Runner(model, {meant}=...), or among the model's settings; "
+            f"known: {', '.join(known)}"
+        )
+    advice = close_matches(word, known)
+    if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
+        return f"a parameter of the model is given by parameters={{{word!r}: {value}}}; {advice}"
+    return advice
