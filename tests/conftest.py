@@ -2,9 +2,15 @@
 
 The suite runs the first, so that what it says does not depend on luck; the second is for developers
 (``pytest --hypothesis-profile=explore``).
+
+What is collected stays to the end: Python need not look through it for garbage, which takes a
+fifth of the collection, and half of what it takes later.
 """
 
 from __future__ import annotations
+
+import gc
+from collections.abc import Generator
 
 import pytest
 from hypothesis import settings
@@ -18,3 +24,13 @@ settings.register_profile("explore", max_examples=EXPLORED, database=None, deadl
 def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("--hypothesis-profile"):
         settings.load_profile("repeat")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()

@@ -1,9 +1,15 @@
-"""Runs every shipped model and writes its page: film, run, scene, statechart, curves, source."""
+"""Runs every shipped model and writes its page: film, run, scene, statechart, curves, source.
+
+    python -m making.gallery FOLDER
+
+makes them without Sphinx, which then finds them.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -114,3 +120,8 @@ def _thumbnails(folder: Path) -> Iterator[str]:
         seen = f'<img src="{shown}" alt="" loading="lazy">'
         yield f'<a href="made/gallery/{name}.html">{seen}<b>{name}</b></a>'
     yield "</div>"
+
+
+if __name__ == "__main__":
+    for _ in make(Path(sys.argv[1]).resolve()):
+        pass

@@ -2,6 +2,8 @@
 
 import builtins
 import os
+import sys
+from collections import namedtuple
 from contextlib import suppress
 
 import pytest
@@ -125,7 +127,12 @@ def quoted(text: str) -> str:
 
 @pytest.fixture(autouse=True)
 def _nothing_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*arguments: object, **options: object) -> None:
+    evaluate = builtins.eval
+
+    def forbidden(*arguments: object, **options: object) -> object:
+        # What is imported late, as numpy.random by Hypothesis, may have named tuples.
+        if sys._getframe(1).f_code is namedtuple.__code__:
+            return evaluate(*arguments, **options)  # type: ignore[arg-type]
         raise AssertionError("text of a file was run")
 
     monkeypatch.setattr(os, "system", forbidden)

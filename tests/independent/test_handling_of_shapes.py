@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 import pytest
+from runs_of_shapes import assert_moves_as_its_image, run
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from contacts.testing.symmetry import mirrored
-from statechart.automaton.trace import Outcome
-from statechart.documents.yaml_reader import read_text
-from statechart.loading.load import interpret
-from statechart.running.runner import Runner
-
 G = 9.81
-
-
-@functools.cache
-def runner(text):
-    return Runner(interpret(read_text(text)))
-
-
-def run(text, *, step, **values):
-    result = runner(text.replace("STEP", repr(step))).run(values)
-    assert result.trace.outcome is Outcome.HORIZON, result.trace.message
-    assert not result.trace.warnings
-    return result
-
 
 GRIPPER = f"""
 kind: scene
@@ -88,10 +69,7 @@ def test_a_gripper_whose_force_fades_drops_its_box_at_a_limit():
         result = run(GRIPPER, step=step, F=15.0, fades=4.0)
         # 2 mu F(t) = m g.
         assert result.outputs["slips"] == pytest.approx((15 - G) / 4, abs=1.01 * step)
-    model, reading = mirrored(interpret(read_text(GRIPPER.replace("STEP", "0.002"))))
-    values = {"F": 15.0, "fades": 4.0}
-    final = Runner(model).run(values).trace.final * reading.factors
-    assert final == pytest.approx(run(GRIPPER, step=2e-3, **values).trace.final, abs=1e-9)
+    assert_moves_as_its_image(GRIPPER, step=2e-3, within=1e-9, F=15.0, fades=4.0)
 
 
 SHAKER = f"""

@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 import pytest
+from runs_of_shapes import assert_moves_as_its_image, run
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from contacts.testing.symmetry import mirrored
-from statechart.automaton.trace import Outcome
-from statechart.documents.yaml_reader import read_text
-from statechart.loading.load import interpret
-from statechart.running.runner import Runner
-
 G = 9.81
-
-
-@functools.cache
-def runner(text):
-    return Runner(interpret(read_text(text)))
-
-
-def run(text, *, step, **values):
-    result = runner(text.replace("STEP", repr(step))).run(values)
-    assert result.trace.outcome is Outcome.HORIZON, result.trace.message
-    return result
 
 
 def turned(angle, x, y):
@@ -102,11 +85,8 @@ def test_a_ratchet_turns_on_and_locks_on_the_way_back():
 
 
 def test_a_ratchet_and_its_mirror_image_turn_alike():
-    model, reading = mirrored(interpret(read_text(RATCHET.replace("STEP", "1e-3"))))
     # Twice the pawl comes to lie on a tooth, all along or on its end, but for rounding.
-    values = {"M": 3.0, "B": 3.0}
-    final = Runner(model).run(values).trace.final * reading.factors
-    assert final == pytest.approx(run(RATCHET, step=1e-3, **values).trace.final, abs=1e-8)
+    assert_moves_as_its_image(RATCHET, step=1e-3, within=1e-8, M=3.0, B=3.0)
 
 
 PLANK = f"""

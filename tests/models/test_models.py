@@ -1,5 +1,7 @@
 """Every shipped model, on every engine, has every property."""
 
+import functools
+
 import numpy as np
 import pytest
 from runs import EVENT_BASED, PARADOXICAL
@@ -29,12 +31,17 @@ def test_a_shipped_model_has_every_property(name):
         assert result.skipped or result.undecidable < result.examples, report.text()
 
 
+@functools.lru_cache(maxsize=1)
+def case_of(name):
+    """The runs that those by all methods of a model are compared with."""
+    return Subject(load(name)).case({})
+
+
 @pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau", "LSODA"])
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_model_runs_alike_by_every_method(name, method):
-    model = load(name)
-    subject = Subject(model)
-    case = subject.case({})
+    case = case_of(name)
+    subject = case.subject
     engine, _ = choose(Setting("scipy", method, 1e-9))
     trace = Simulator(subject.automaton, engine).run(until=subject.end({}), throw=False)
     assert trace.outcome is case.trace.outcome, trace.message

@@ -23,10 +23,12 @@ from statechart.reporting.run_store import write_store
 from statechart.running.runner import Runner
 
 KINDS = ("modes", "poses", "nothing")
+# All but charts, and controllers beside contacts that remember: steps do not carry what these do.
 STEPPED = [
     name
-    for name in models.names()
-    if load(name).kind == "scene" and automaton(name).stepper is not None
+    for name, model in ((name, load(name)) for name in models.names())
+    if model.kind == "scene"
+    and (model.collisions or not any(region.variables for region in model.regions.values()))
 ]
 # Of each model so many steps.
 STEPS = 200

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -50,6 +51,7 @@ outputs: {vx: {value: b.dx}}
 """
 
 
+@functools.lru_cache(maxsize=8)
 def runner(text: str, step: float) -> Runner:
     return Runner(read_text(text), engine="impulse", step=step)
 
