@@ -13,6 +13,7 @@ from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.no_ground import NoGround
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.detection.touching import LANDED
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.refused import depth_left
 from statechart.arrays import Array
@@ -45,6 +46,8 @@ class SteppedHeap:
         A gap that no step may close.
     forces : bool
         Whether somebody reads forces and accelerations.
+    begun : float
+        How deep bodies start in each other at most; they are kept no deeper.
     """
 
     def __init__(
@@ -57,11 +60,14 @@ class SteppedHeap:
         allowed: float,
         deepest: float = math.inf,
         forces: bool = True,
+        begun: float = 0.0,
     ) -> None:
         self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
+        # As if an impact had left them there.
+        self._memory.past[2] = begun / LANDED
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)

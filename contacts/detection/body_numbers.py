@@ -111,7 +111,8 @@ class Memory(NamedTuple):
     many : (1,) array of int
         How many they are.
     past : (3,)
-        Length of the step before; the fastest approach so far, and the longest in a step.
+        Length of the step before; the fastest approach so far, and the longest in a step, of
+        which half is how deep bodies may be kept.
     """
 
     keys: Ints

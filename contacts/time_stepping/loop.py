@@ -314,8 +314,9 @@ class SteppedRun:
         elif record is Record.NOTHING:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
-        # A contact lands within a step, and stays as deep as it has landed.
-        tolerances["gap"] = max(tolerances["gap"], self.span.step * self.fastest)
+        # A contact lands within a step, and stays as deep as it has landed, or started.
+        landed = self.setup.begun + self.span.step * self.fastest
+        tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.effort.residual
         return Trace(
             name=stepping.name,
