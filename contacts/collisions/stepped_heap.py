@@ -23,7 +23,7 @@ from statechart.tabular import several
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
-_PARTS = (4, 16, 64)
+_PARTS = (4, 16, 64, 256)
 # So many moves out of what overlaps are tried; a look takes this part of a step.
 _MOVES, _INSTANT = 20, 1e-6
 
@@ -86,8 +86,7 @@ class SteppedHeap:
 
     def forget(self) -> None:
         """Take back the last steps."""
-        while len(self._kept.keys) < len(self._memory.keys):
-            self._kept = self._kept.larger()
+        self._kept = self._kept.as_large(self._memory)
         self._memory = self._kept.copy()
         self._around.forget()
 
@@ -129,9 +128,9 @@ class SteppedHeap:
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
         """
-        n, placed = 3 * len(self._names), state.copy()
+        n, placed, before = 3 * len(self._names), state.copy(), self._memory
         placed[n : 2 * n] = 0.0
-        known, gaps = np.zeros((0, n)), np.zeros(0)
+        known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
             rows, held, deep = self._overlaps(placed, time)
             if not len(deep):
@@ -140,9 +139,11 @@ class SteppedHeap:
             gaps = np.concatenate([gaps, deep - rows @ (placed - state)[:n]])
             depth, move = depth_left(gaps, known, held)
             if depth > 0.0:
-                return depth
+                break
             placed[:n] = state[:n] + move
-        return -math.inf
+        # The run may go on.
+        self._memory = before.as_large(self._memory)
+        return depth if depth > 0.0 else -math.inf
 
     def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
         """Return rows of gaps of what overlaps, rows of joints, and these gaps."""

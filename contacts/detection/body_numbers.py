@@ -135,6 +135,13 @@ class Memory(NamedTuple):
         """Return it as it is now."""
         return Memory(self.keys.copy(), self.contacts.copy(), self.many.copy(), self.past.copy())
 
+    def as_large(self, other: Memory) -> Memory:
+        """Return it with place for as many contacts as another."""
+        found = self
+        while len(found.keys) < len(other.keys):
+            found = found.larger()
+        return found
+
     def larger(self) -> Memory:
         """Return it with place for twice as many contacts."""
         return self._replace(
