@@ -11,6 +11,7 @@ from contacts.collisions.body_step import step_bodies
 from contacts.collisions.island_step import Room
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.no_ground import NoGround
+from contacts.collisions.stiff_forces import UNSTABLE, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.touching import LANDED
@@ -147,8 +148,14 @@ class SteppedHeap:
 
     def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
         """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
+        rows, held = self._touched(state, time)
+        levels = self._room.touches.memory[: len(rows), 0]
+        return rows[:, 0][levels < 0.0], held, levels[levels < 0.0]
+
+    def _touched(self, state: Array, time: float) -> tuple[Array, Array]:
+        """Return rows (m, 2, n) of contacts, normal and tangential, and of joints (r, n)."""
         self._memory = Memory.room(self.numbers)
-        self._taken(time, _INSTANT * self._length, state, 1, math.inf)
+        self._taken(time, _INSTANT * (self._length or 1.0), state, 1, math.inf)
         touches, many = self._room.touches, int(self._memory.many[0])
         rows = np.zeros((many, 2, 3 * len(self._names)))
         for i, bodies in enumerate(touches.bodies[:many].tolist()):
@@ -157,9 +164,7 @@ class SteppedHeap:
                     rows[i, :, 3 * b : 3 * b + 3] += touches.rows[i, :, 3 * side : 3 * side + 3]
         met = many - len(self.numbers.joints.holds)
         both = self.numbers.joints.holds == BOTH
-        held = np.concatenate([rows[met:, 0], rows[met:][both, 1]])
-        levels = touches.memory[:met, 0]
-        return rows[:met, 0][levels < 0.0], held, levels[levels < 0.0]
+        return rows[:met], np.concatenate([rows[met:, 0], rows[met:][both, 1]])
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -190,6 +195,7 @@ class SteppedHeap:
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
             self._kept = self._memory.copy()
+        self._check_forces(start, h, state)
         chunk, status = self._taken(start, h, state, count, self._deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
@@ -213,6 +219,20 @@ class SteppedHeap:
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
+
+    def _check_forces(self, start: float, h: float, state: Array) -> None:
+        """Raise `StepTooLarge` where forces are too stiff for these steps."""
+        inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
+        found = stiffness(self._around.forces, inverse, size, h, state, start)
+        if found is None or not found.most() > UNSTABLE:
+            return
+        before = self._memory
+        rows, joints = self._touched(state, start)
+        lasts = self._memory.contacts[: len(rows), 1] == 1.0
+        rough = self._room.touches.materials[: len(rows), 1] > 0.0
+        self._memory = before.as_large(self._memory)
+        held = np.concatenate([rows[lasts, 0], rows[lasts & rough, 1], joints])
+        check_followed(found, inverse, held, h)
 
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float
