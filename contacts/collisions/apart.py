@@ -1,4 +1,4 @@
-"""Whether bodies start apart from each other and from surfaces; what is said where they do not."""
+"""How deep bodies start in each other and in surfaces; what is said where that is too deep."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from contacts.detection.body_numbers import BodyNumbers
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
+# Of the inner circle of a body: about so far goes what is fast in a step that is chosen by the
+# scales of a scene (`contacts.collisions.bodies`), and half as deep stays what has landed. So a
+# packing that steps have left can be a start.
+_LEFT = 0.1
 # Depths that are equal but for rounding.
 _SAME = 1e-9
 # So many bodies, and moves of each, are tried.
@@ -31,8 +35,10 @@ def check_apart(
     owners: Sequence[str],
     initial: Array,
     near: float,
-) -> None:
-    """Check that no body is deeper in another or a surface than `near`.
+) -> tuple[float, tuple[str, ...]]:
+    """Check that no body is deeper in another or a surface than steps leave what has landed.
+
+    Return how deep the deepest is, and what is said of that, where that is deeper than `near`.
 
     Parameters
     ----------
@@ -44,6 +50,7 @@ def check_apart(
     initial : (6 b,) array
         Coordinates and rates at the start.
     near : float
+        What is no deeper touches.
 
     Raises
     ------
@@ -52,13 +59,19 @@ def check_apart(
     """
     _check_places(numbers, names, owners, initial)
     trial = tried(numbers, initial)
-    deep = {
-        list(names).index(name.removesuffix(".gap")): margin
-        for name, margin in trial.margins.items()
-        if margin < -near
-    }
+    cores = np.full(len(names), np.inf)
+    np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
+    gaps = np.array([trial.margins.get(f"{name}.gap", np.inf) for name in names])
+    too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
+    deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
-        return
+        first, depth = int(np.argmin(gaps)), -float(gaps.min())
+        if depth <= near:
+            return 0.0, ()
+        return depth, (
+            f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
+            f"{trial.deepest_of(first)}), as steps leave what has landed: they are kept no deeper",
+        )
     # Who can be moved out of all that it is in, or else the first.
     for b in [*deep][:_MOVES]:
         where, out = trial.deepest_of(b), _way_out(tried, trial, initial, b, near)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -45,7 +46,7 @@ from statechart.automaton.time_stepper import USUAL
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.kernels.jit import by_python, is_ready
 
-# Bodies may overlap at the start by this part of the scene.
+# Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
 _START_DEPTH = 1e-6
 # A step that is chosen here takes bodies this part of the smallest one's size at the scene's speed,
 # and lasts this part of the time in which it falls by half its size: 3e-4 s to 2e-3 s for the
@@ -207,14 +208,16 @@ class BodyStepper(Stepper):
             allowed: float = math.inf,
             deepest: float = math.inf,
             forces: bool = False,
+            begun: float = 0.0,
         ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
             return SteppedHeap(
-                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces
+                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces, begun
             )
 
-        bodies = self._started(setup, bodies, known, heap)
-        return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces)
+        bodies, depth, remarks = self._started(setup, bodies, known, heap)
+        setup = replace(setup, begun=depth, warnings=(*setup.warnings, *remarks))
+        return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
 
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
@@ -251,10 +254,11 @@ class BodyStepper(Stepper):
         bodies: BodyNumbers,
         known: Mapping[str, float],
         heap: Callable[[BodyNumbers], SteppedHeap],
-    ) -> BodyNumbers:
+    ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
         """Check that bodies start in what is hollow, on their joints, and apart.
 
-        Return them with their joints closed to rounding.
+        Return them with their joints closed to rounding; how deep they start in each other, and
+        what is said of that.
         """
         scene, owners = self._scene, self._bodies.owners
         moved, remembered = np.split(setup.initial, [6 * len(bodies.sizes)])
@@ -290,7 +294,7 @@ class BodyStepper(Stepper):
 
         near = _START_DEPTH * length
         try:
-            check_apart(looked, bodies, self._names, owners, setup.initial, near)
+            found = check_apart(looked, bodies, self._names, owners, setup.initial, near)
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
-        return bodies
+        return bodies, *found

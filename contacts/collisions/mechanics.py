@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.collisions.starts import Starts
-from contacts.detection.applied import ForceProgram
+from contacts.collisions.stiff_forces import Forces
 from contacts.dynamics.control_guards import given, given_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
@@ -97,7 +97,7 @@ class BodyMechanics(Mechanics):
             )
         return self._given_tapes[key]
 
-    def forces_at(self, states: Mapping[str, str], values: Array) -> ForceProgram:
+    def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
         """Return the forces on bodies while controllers are in these states.
 
         Parameters
@@ -109,8 +109,7 @@ class BodyMechanics(Mechanics):
         key = tuple(states.items())
         if key not in self._force_tapes:
             self._force_tapes[key] = self._force_tape(states)
-        places, tape = self._force_tapes[key]
-        return ForceProgram(places, tape.code, tape.constants, tape.outputs, values)
+        return Forces(*self._force_tapes[key], values)
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
         """Return which bodies forces act on, and what gives these forces."""

@@ -11,8 +11,10 @@ from contacts.collisions.body_step import step_bodies
 from contacts.collisions.island_step import Room
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.no_ground import NoGround
+from contacts.collisions.stiff_forces import UNSTABLE, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.detection.touching import LANDED
 from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.refused import depth_left
 from statechart.arrays import Array
@@ -22,7 +24,7 @@ from statechart.tabular import several
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
-_PARTS = (4, 16, 64)
+_PARTS = (4, 16, 64, 256)
 # So many moves out of what overlaps are tried; a look takes this part of a step.
 _MOVES, _INSTANT = 20, 1e-6
 
@@ -45,6 +47,8 @@ class SteppedHeap:
         A gap that no step may close.
     forces : bool
         Whether somebody reads forces and accelerations.
+    begun : float
+        How deep bodies start in each other at most; they are kept no deeper.
     """
 
     def __init__(
@@ -57,11 +61,14 @@ class SteppedHeap:
         allowed: float,
         deepest: float = math.inf,
         forces: bool = True,
+        begun: float = 0.0,
     ) -> None:
         self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
+        # As if an impact had left them there.
+        self._memory.past[2] = begun / LANDED
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)
@@ -80,8 +87,7 @@ class SteppedHeap:
 
     def forget(self) -> None:
         """Take back the last steps."""
-        while len(self._kept.keys) < len(self._memory.keys):
-            self._kept = self._kept.larger()
+        self._kept = self._kept.as_large(self._memory)
         self._memory = self._kept.copy()
         self._around.forget()
 
@@ -123,9 +129,9 @@ class SteppedHeap:
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
         """
-        n, placed = 3 * len(self._names), state.copy()
+        n, placed, before = 3 * len(self._names), state.copy(), self._memory
         placed[n : 2 * n] = 0.0
-        known, gaps = np.zeros((0, n)), np.zeros(0)
+        known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
             rows, held, deep = self._overlaps(placed, time)
             if not len(deep):
@@ -134,14 +140,22 @@ class SteppedHeap:
             gaps = np.concatenate([gaps, deep - rows @ (placed - state)[:n]])
             depth, move = depth_left(gaps, known, held)
             if depth > 0.0:
-                return depth
+                break
             placed[:n] = state[:n] + move
-        return -math.inf
+        # The run may go on.
+        self._memory = before.as_large(self._memory)
+        return depth if depth > 0.0 else -math.inf
 
     def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
         """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
+        rows, held = self._touched(state, time)
+        levels = self._room.touches.memory[: len(rows), 0]
+        return rows[:, 0][levels < 0.0], held, levels[levels < 0.0]
+
+    def _touched(self, state: Array, time: float) -> tuple[Array, Array]:
+        """Return rows (m, 2, n) of contacts, normal and tangential, and of joints (r, n)."""
         self._memory = Memory.room(self.numbers)
-        self._taken(time, _INSTANT * self._length, state, 1, math.inf)
+        self._taken(time, _INSTANT * (self._length or 1.0), state, 1, math.inf)
         touches, many = self._room.touches, int(self._memory.many[0])
         rows = np.zeros((many, 2, 3 * len(self._names)))
         for i, bodies in enumerate(touches.bodies[:many].tolist()):
@@ -150,9 +164,7 @@ class SteppedHeap:
                     rows[i, :, 3 * b : 3 * b + 3] += touches.rows[i, :, 3 * side : 3 * side + 3]
         met = many - len(self.numbers.joints.holds)
         both = self.numbers.joints.holds == BOTH
-        held = np.concatenate([rows[met:, 0], rows[met:][both, 1]])
-        levels = touches.memory[:met, 0]
-        return rows[:met, 0][levels < 0.0], held, levels[levels < 0.0]
+        return rows[:met], np.concatenate([rows[met:, 0], rows[met:][both, 1]])
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -183,6 +195,7 @@ class SteppedHeap:
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
             self._kept = self._memory.copy()
+        self._check_forces(start, h, state)
         chunk, status = self._taken(start, h, state, count, self._deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
@@ -206,6 +219,20 @@ class SteppedHeap:
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
         return chunk
+
+    def _check_forces(self, start: float, h: float, state: Array) -> None:
+        """Raise `StepTooLarge` where forces are too stiff for these steps."""
+        inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
+        found = stiffness(self._around.forces, inverse, size, h, state, start)
+        if found is None or not found.most() > UNSTABLE:
+            return
+        before = self._memory
+        rows, joints = self._touched(state, start)
+        lasts = self._memory.contacts[: len(rows), 1] == 1.0
+        rough = self._room.touches.materials[: len(rows), 1] > 0.0
+        self._memory = before.as_large(self._memory)
+        held = np.concatenate([rows[lasts, 0], rows[lasts & rough, 1], joints])
+        check_followed(found, inverse, held, h)
 
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float

@@ -31,6 +31,13 @@ class Surroundings:
         Parameters.
     values : (p,) array
         Of the parameters and what follows from them.
+
+    Attributes
+    ----------
+    controlled : bool
+        Whether there are controllers.
+    forces : Forces
+        While these are in their states.
     """
 
     def __init__(
@@ -52,7 +59,7 @@ class Surroundings:
     def switch(self, states: Mapping[str, str]) -> None:
         """Go on with controllers in other states."""
         self._states = states
-        self._forces = self._mechanics.forces_at(states, self._values)
+        self.forces = self._mechanics.forces_at(states, self._values)
         self._given = self._mechanics.given_in(states)
 
     def forget(self) -> None:
@@ -74,6 +81,7 @@ class Surroundings:
             If none can.
         """
         # Counted from the start of the run: instants are the same in chunks of any length.
+        forces = self.forces.program
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
@@ -81,7 +89,7 @@ class Surroundings:
         seen = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
-                Ahead(*self._paths.none(count + 2), seen, self._forces),
+                Ahead(*self._paths.none(count + 2), seen, forces),
                 memories[2::2],
                 count + 1,
             )
@@ -110,7 +118,7 @@ class Surroundings:
         if known < len(looks.frames):
             for rows in (frames, places):
                 rows[known + 1 :] = 2.0 * rows[known] - rows[known - 1]
-        return Ahead(frames, places, seen, self._forces), memories[2::2], known
+        return Ahead(frames, places, seen, forces), memories[2::2], known
 
     def _without(self, looks: Where) -> str:
         """Return whose path has no value at the first of some looks."""

@@ -111,7 +111,8 @@ class Memory(NamedTuple):
     many : (1,) array of int
         How many they are.
     past : (3,)
-        Length of the step before; the fastest approach so far, and the longest in a step.
+        Length of the step before; the fastest approach so far, and the longest in a step, of
+        which half is how deep bodies may be kept.
     """
 
     keys: Ints
@@ -133,6 +134,13 @@ class Memory(NamedTuple):
     def copy(self) -> Memory:
         """Return it as it is now."""
         return Memory(self.keys.copy(), self.contacts.copy(), self.many.copy(), self.past.copy())
+
+    def as_large(self, other: Memory) -> Memory:
+        """Return it with place for as many contacts as another."""
+        found = self
+        while len(found.keys) < len(other.keys):
+            found = found.larger()
+        return found
 
     def larger(self) -> Memory:
         """Return it with place for twice as many contacts."""

@@ -34,12 +34,12 @@ from statechart.kernels.jit import beside, part
 _CORE, _WHOLE = 0.9, 0.995
 # Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
 _SUNK = 0.25
-# Of that size: so deep something may be at the first look because it starts there, which is checked
-# before the run.
+# Of that size: so much deeper than it starts, which is checked before the run, something may be at
+# the first look.
 _STARTED = 1e-5
-# What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
-# fastest goes in a step.
-_LANDED = 0.5
+LANDED = 0.5
+"""What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
+fastest goes in a step."""
 
 
 APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
@@ -247,7 +247,8 @@ def _takes_part(
     slow = SLOW * max(gained, TOUCHING * pair.size / h)
     if gap < 0.0 and not known:
         explained = times.since * max(memory.past[1], nearing, slow)
-        explained += _STARTED * pair.size if times.first else 0.0
+        if times.first:
+            explained += _STARTED * pair.size + LANDED * memory.past[2]
         _note(points, SUNK, -gap - explained)
     # Struck in the step whose middle is nearest to the instant of touching.
     role, level, above = arriving(
@@ -317,7 +318,7 @@ def touching(
     points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
     first = not memory.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    lowest = math.inf if first else _LANDED * memory.past[2]
+    lowest = math.inf if first else LANDED * memory.past[2]
     times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(look.centres, sizes, look.reach, grid)

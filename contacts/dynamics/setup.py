@@ -61,12 +61,15 @@ class SceneSetup(Setup):
     bands : mapping
         Stop condition, or condition of a contact -> how near zero its margin counts as met; from
         its value at the start.
+    begun : float
+        How deep bodies with shapes start in what they touch.
     """
 
     scales: Scales
     contacts: tuple[ContactLaw, ...]
     capture: float
     bands: Mapping[str, float]
+    begun: float = 0.0
 
     @property
     def tie(self) -> float:

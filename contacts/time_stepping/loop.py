@@ -40,7 +40,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.polynomials import TERMS
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.refused import Refused, evenly, no_room, squeezed, too_large
+from contacts.time_stepping.refused import Refused, Squeezed, evenly, no_room, too_large
 from contacts.time_stepping.stops import StopConditions
 from contacts.time_stepping.track import Track
 from statechart import interrupts
@@ -108,6 +108,7 @@ class SteppedRun:
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = Effort(span.impulses)
+        self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.begun)
         poses = span.keeping.record is Record.POSES
         self._track = Track(len(stepping.angles)) if poses else None
         self._turning = evenly(len(stepping.angles) + np.flatnonzero(stepping.angles))
@@ -198,8 +199,8 @@ class SteppedRun:
         if refused is not None:
             failure = refused.why
             chunk = chunk.first(refused.step)
-        missed = self.effort.beyond(chunk) or squeezed(
-            chunk, self.stepping.regions, self.span.step, self.fastest
+        missed = self.effort.beyond(chunk) or self._squeezed.found(
+            chunk, start, self.fastest, self.stepped.depth_left
         )
         if missed is not None:
             failure = missed[1]
@@ -318,8 +319,9 @@ class SteppedRun:
         elif record is Record.NOTHING:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
-        # A contact lands within a step, and stays as deep as it has landed.
-        tolerances["gap"] = max(tolerances["gap"], self.span.step * self.fastest)
+        # A contact lands within a step, and stays as deep as it has landed, or started.
+        landed = self.setup.begun + self.span.step * self.fastest
+        tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.effort.residual
         return Trace(
             name=stepping.name,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -96,34 +97,87 @@ def evenly(places: Ints) -> slice | Ints:
     return places
 
 
-def squeezed(chunk: Chunk, regions: Sequence[str], step: float, fastest: float) -> Refused | None:
-    """Return the first step in which something sinks that no impulses keep out.
+class Squeezed:
+    """Tells where something sinks that no impulses keep out.
 
     Parameters
     ----------
-    chunk : Chunk
     regions : sequence of str
     step : float
         As asked for.
-    fastest : float
-        Approach before the chunk.
+    begun : float
+        How deep bodies start in what they touch.
     """
-    helpless = chunk.efforts[:, 0] > _HELPLESS
-    if not helpless.any():
-        return None
-    gaps = _gaps(chunk)
-    deepest: Array = np.min(gaps, axis=1, initial=math.inf)
-    approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
-    wrong = (deepest < -step * approach) & helpless
-    if not wrong.any():
-        return None
-    k = int(np.argmax(wrong))
-    name = regions[int(np.argmin(gaps[k]))]
-    return Refused(k, UnsolvedImpulses(
-        f"no impulses keep {name} out of what it touches: it is {-deepest[k]:.3g} deep, and they "
-        f"miss the contact laws by {chunk.efforts[k, 0]:.2g} of the fastest approach; what is led "
-        "or held leaves it no room, or the masses are too far apart"
-    ), name)  # fmt: skip
+
+    def __init__(self, regions: Sequence[str], step: float, begun: float) -> None:
+        self._regions, self._step, self._begun = regions, step, begun
+        # How deep the deepest was in a step without help, and how deep something stayed then.
+        self._deepest, self._left = -math.inf, -math.inf
+
+    def found(
+        self, chunk: Chunk, start: float, fastest: float, left: Callable[[Array, float], float]
+    ) -> Refused | None:
+        """Return a step whose impulses are of no help, where something sinks.
+
+        It is deeper than a step at the fastest approach; or no motion takes all out of each other
+        any more, and by a step at the approach of these steps less than when they were first of no
+        help: an approach that a run has once seen says nothing of what is squeezed later.
+
+        Parameters
+        ----------
+        chunk : Chunk
+        start : float
+            When it begins.
+        fastest : float
+            Approach before the chunk.
+        left : callable
+            See `contacts.time_stepping.stepped.Stepped.depth_left`.
+        """
+        helpless = chunk.efforts[:, 0] > _HELPLESS
+        if not helpless.any():
+            return None
+        depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)
+        approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
+        wrong = (depths > self._begun + self._step * approach) & helpless
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            name = self._name(chunk, k)
+            return Refused(k, UnsolvedImpulses(
+                f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
+                f"they miss the contact laws by {chunk.efforts[k, 0]:.2g} of the fastest approach; "
+                "what is led or held leaves it no room, or the masses are too far apart"
+            ), name)  # fmt: skip
+        stuck = np.flatnonzero(helpless)
+        k = int(stuck[np.argmax(depths[stuck])])
+        sinks = self._step * float(chunk.approach[k])
+        if not depths[k] > max(0.0, self._deepest + 0.5 * sinks):
+            return None
+        self._deepest = float(depths[k])
+
+        def stays(k: int) -> float:
+            return max(left(chunk.states[k], start + k * chunk.h), 0.0)
+
+        if self._left < 0.0:
+            self._left = stays(int(stuck[0]))
+        allowed = self._left + sinks
+        if not stays(k) > allowed:
+            return None
+        # Of those up to it, the first.
+        stuck = stuck[stuck <= k]
+        k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
+        name = self._name(chunk, k)
+        return Refused(k, _no_room(name, stays(k)), name)
+
+    def _name(self, chunk: Chunk, k: int) -> str:
+        """Return which region is the deepest in a step."""
+        return self._regions[int(np.argmin(_gaps(chunk)[k]))]
+
+
+def _no_room(name: str, depth: float) -> UnsolvedImpulses:
+    return UnsolvedImpulses(
+        f"no impulses keep {name} out of what it touches: wherever it moves something stays "
+        f"{depth:.3g} deep; what is led or held leaves it no room"
+    )
 
 
 def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
@@ -137,12 +191,7 @@ def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
     size : float
         Of the scene.
     """
-    if not depth > _SHALLOW * size:
-        return None
-    return UnsolvedImpulses(
-        f"no impulses keep {name} out of what it touches: wherever it moves something stays "
-        f"{depth:.3g} deep; what is led or held leaves it no room"
-    )
+    return _no_room(name, depth) if depth > _SHALLOW * size else None
 
 
 def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:

@@ -54,3 +54,39 @@ def test_walls_that_leave_a_way_out_are_followed():
     trace = Runner(interpret(read_text(WALLS + SHAPE))).run({"e": 0, "tilt": 2}).trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final[1] > 0.5
+
+
+VISE = """
+kind: scene
+name: vise
+gravity: 9.81
+bodies:
+  ball: {copies: 3, mass: 1, inertia: 0.005, shape: {disc: 0.1},
+    start: {x: 0.15 + 0.205*index, y: 0.1 + 0.001*index, dx: 1}}
+parameters: {e: 0, v: 0.1}
+surfaces:
+  ground: {height: 0}
+  left: {line: [[0, 1], [0, 0]]}
+  right: {line: [[0.8, 0], [0.8, 1]], displacement: [-v*time, 0]}
+  roof: {line: [[5, 0.21], [-5, 0.21]]}
+collisions:
+  all: {bodies: [ball], surfaces: [ground, left, right, roof], friction: 0.3, restitution: e}
+stop: {time: 3}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.mark.parametrize("e", [0, 0.5, 1])
+def test_what_is_squeezed_is_told_however_fast_it_once_was(e):
+    """Three balls in a row between a wall and one that leaves them no room from t = 2 on.
+
+    What bounces there becomes so fast that what is squeezed is no deeper than a step at that.
+    """
+    with pytest.raises(UnsolvedImpulses, match="leaves it no room") as caught:
+        Runner(interpret(read_text(VISE))).run({"e": e})
+    time, deep = map(
+        float, re.findall(r"t = ([\d.]+): .*stays ([\d.e-]+) deep", str(caught.value))[0]
+    )
+    assert 2.0 < time < 2.1
+    # Several places of contact share what the walls have closed.
+    assert deep <= 0.1 * (time - 2.0)

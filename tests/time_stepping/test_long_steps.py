@@ -105,6 +105,14 @@ def test_discs_that_passed_before_a_step_that_is_taken_in_parts_have_met() -> No
     assert abs(runner(DISCS, 1e-4).run(start).outputs["vx"] - exact) < 0.2  # type: ignore[operator]
 
 
+def test_a_step_of_fifty_diameters_is_taken_in_256_parts() -> None:
+    # In a sixty-fourth of it the disc goes 0.8 of what it is wide, and misses both looks.
+    text = DISCS.replace("disc: 0.1", "disc: 0.01").replace("50", "1000")
+    found = runner(text, 1e-3).run({"x0": -3.1, "y0": 0.0})
+    assert any("up to 256 parts" in warning for warning in found.warnings)
+    assert found.outputs["vx"] == pytest.approx(250.0)
+
+
 def test_discs_that_are_in_the_same_place_at_a_look_have_met() -> None:
     found = runner(DISCS, 0.02).run({"x0": -1.5, "y0": 0.0})
     assert found.outputs["vx"] == pytest.approx(12.5)
