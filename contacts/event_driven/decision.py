@@ -11,7 +11,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, jammed
-from contacts.modes.classification import Choice, choose
+from contacts.modes.classification import Before, Choice, choose
 from contacts.modes.doubt import Doubt
 from contacts.modes.fast_classification import ENDLESS
 from contacts.modes.painleve import paradoxes
@@ -26,15 +26,15 @@ def decide(
     snapshot: Snapshot,
     touching: Sequence[bool],
     paradox: Resolution,
-    kept: Key | None = None,
+    before: Before | None = None,
     doubt: Doubt | None = None,
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
 
     Parameters
     ----------
-    kept : Key, optional
-        The mode that the state comes from.
+    before : Before, optional
+        What held before.
     doubt : Doubt, optional
         What the state may be off by, where contacts may have come to rest.
 
@@ -47,7 +47,7 @@ def decide(
     still = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(
-            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, kept, doubt
+            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, doubt
         )
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)

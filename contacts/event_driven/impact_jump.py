@@ -17,6 +17,7 @@ from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, closed_state, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
+from contacts.modes.classification import Before
 from contacts.modes.doubt import Doubt
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
@@ -264,7 +265,8 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
         flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
     doubt = rules.doubt(here, struck.state)
-    choice = decide(setup, following, touching, rules.paradox, doubt=doubt)
+    before = Before.flow(here.at.flow.roles)
+    choice = decide(setup, following, touching, rules.paradox, before, doubt)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)

@@ -27,7 +27,7 @@ from contacts.event_driven.impact_jump import (
 from contacts.event_driven.ordinary import SceneInstants
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
-from contacts.modes.classification import Choice
+from contacts.modes.classification import Before, Choice
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
 from contacts.states import OFF, OPEN
@@ -129,7 +129,7 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
-        choice = decide(setup, snapshot, touching, self._paradox)
+        choice = decide(setup, snapshot, touching, self._paradox, Before())
         if isinstance(choice, Jam):
             starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
             return flow_in(setup, starts, roles_in(choice.sliding), settled=False), state
@@ -168,7 +168,8 @@ class SceneLaws:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
         doubt = self._rules.doubt(here)
-        choice = decide(setup, here.snapshot, touching, self._paradox, here.moving, doubt)
+        before = Before.flow(at.flow.roles, here.moving)
+        choice = decide(setup, here.snapshot, touching, self._paradox, before, doubt)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid on to where none can: p fell to zero on the way.

@@ -30,10 +30,11 @@ from contacts.modes.candidates import (
     same_motion,
 )
 from contacts.modes.doubt import Doubt
-from contacts.modes.load_sharing import Share
+from contacts.modes.load_sharing import Share, bearing, rank
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
 from statechart.automaton.deferred import Deferred
+from statechart.automaton.trace import Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
@@ -87,6 +88,27 @@ class Choice(NamedTuple):
     doubted: bool = False
 
 
+class Before(NamedTuple):
+    """What held before: what goes on, and which forces are there.
+
+    Attributes
+    ----------
+    mode : tuple of str or None
+        The mode that the state comes from: of several that agree the one is taken that moves on as
+        it did. None after an impact, and at the start.
+    bearing : frozenset of int
+        Contacts that may bear. What presses others against each other comes without cause.
+    """
+
+    mode: tuple[str, ...] | None = None
+    bearing: frozenset[int] = frozenset()
+
+    @classmethod
+    def flow(cls, roles: Roles, mode: tuple[str, ...] | None = None) -> Before:
+        """Return what held in a flow."""
+        return cls(mode, bearing(roles))
+
+
 def choose(
     snapshot: Snapshot,
     laws: Sequence[ContactLaw],
@@ -94,7 +116,7 @@ def choose(
     scales: Scales,
     tie: float,
     still_below: float,
-    kept: tuple[str, ...] | None = None,
+    before: Before | None = None,
     doubt: Doubt | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
@@ -107,10 +129,9 @@ def choose(
         Violations up to this (relative) count as boundary cases, not as violations.
     still_below : float
         Slip speeds up to this count as zero.
-    kept : tuple of str, optional
-        The mode that the state comes from: of several that agree the one is taken that moves on as
-        it did. Where its contacts share a load it goes on as long as some forces explain it,
-        whatever else agrees.
+    before : Before, optional
+        What held before. Where contacts share a load its mode goes on as long as some forces
+        explain it, whatever else agrees, if these are of contacts that bore. Not given: all may.
     doubt : Doubt, optional
         What the state may be off by, where contacts may have come to rest.
 
@@ -124,6 +145,7 @@ def choose(
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
     case = Case(snapshot, laws, closed, still, scales, tie)
+    before = before or Before(bearing=frozenset(range(len(laws))))
     tried: Iterable[Candidate | Undetermined] = ()
     count, agreeing = sum(closed), []
     many = count > _ENUMERATED
@@ -149,7 +171,7 @@ def choose(
             *_advice(laws, closed, tried),
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
-    taken, warning = _rivals(_continuing(agreeing, tried, scales, kept), case, kept)
+    taken, warning = _rivals(_continuing(agreeing, tried, scales, before), case, before)
     doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
     if doubted is not None:
         taken, warning = doubted, ""
@@ -175,23 +197,22 @@ def _continuing(
     agreeing: list[Candidate],
     tried: Iterable[Candidate | Undetermined],
     scales: Scales,
-    kept: tuple[str, ...] | None,
+    before: Before,
 ) -> list[Candidate]:
     """Return those of the candidates that agree that move on as the mode left, or all.
 
     Where friction presses a contact into its surface, others agree at forces without cause; none of
     them is taken because something else comes to its bound.
     """
-    if len(agreeing) > 1 and kept is not None:
-        for left in tried:
-            if isinstance(left, Candidate) and left.states == kept:
-                return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
-    return agreeing
+    left = None
+    if len(agreeing) > 1 and before.mode is not None:
+        left = next((c for c in tried if c[0] == before.mode and isinstance(c, Candidate)), None)
+    if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
+        return agreeing
+    return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
 
 
-def _rivals(
-    agreeing: Sequence[Candidate], case: Case, kept: tuple[str, ...] | None
-) -> tuple[Candidate, str]:
+def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
     """Return the one taken of the candidates that agree with the state, and why not another.
 
     Raises
@@ -203,13 +224,19 @@ def _rivals(
     taken = agreeing[0]
     if len(agreeing) == 1:
         return taken, ""
-    for one in agreeing:
-        if one.share is not None and one.states == kept and one.violation <= _NEARLY * tie:
-            return one, ""
-    taken = min(agreeing, key=lambda c: (c.violation > _NEARLY * tie, openness(c)))
+    clear = [c for c in agreeing if c.violation <= _NEARLY * tie]
+    for one in clear:
+        if one.share is not None and one.states == before.mode:
+            return _without_new_loads(one, clear, case, before.bearing), ""
+    taken = min(clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
+    if not others and taken.share is not None:
+        # What lies along a surface is on its edge wherever it goes.
+        new = _bearing(taken) - before.bearing
+        less = [c for c in clear if _bearing(c) < _bearing(taken) <= _bearing(c) | new]
+        others = [c for c in less if not same_motion(c, taken, scales, _GOES_ON)]
     if not others:
         return taken, ""
     labels = ", ".join(_label(laws, c) for c in [taken, *others])
@@ -228,6 +255,23 @@ def _rivals(
     free = [c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)]
     taken = min(free, key=openness)
     return taken, f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
+
+
+def _without_new_loads(
+    one: Candidate, agreeing: Sequence[Candidate], case: Case, bore: frozenset[int]
+) -> Candidate:
+    """Return the mode that goes on where contacts share a load: no force comes without cause.
+
+    Forces that are there may hold what else would move, as in what is wedged. A contact that bore
+    nothing presses against others only where no mode agrees without it: a block that is pushed
+    along a slot does not jam between its sides.
+    """
+    if _bearing(one) <= bore:
+        return one
+    jacobians = case.snapshot.jacobians
+    without = [c for c in agreeing if _bearing(c) <= bore]
+    moving = [c for c in without if rank(c.states, jacobians) < rank(one.states, jacobians)]
+    return one if len(moving) < len(without) else min(moving, key=openness, default=one)
 
 
 def _advice(

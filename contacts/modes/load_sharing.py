@@ -10,7 +10,7 @@ where no forces in the cones do, the mode ends.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import judge_forces
 from contacts.solvers.redundancy import mode_columns, sharing
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
-from contacts.states import FREE, OFF, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import CODES, FREE, OFF, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Role, Roles
 
@@ -147,9 +147,30 @@ def share(
     )
 
 
+def bearing(roles: Roles) -> frozenset[int]:
+    """Return the contacts that may bear in a flow: what is closed, and not at its cone's apex."""
+    return frozenset(
+        i
+        for i, role in enumerate(roles)
+        if role.state not in OPEN
+        and not (isinstance(role.share, Bearing) and role.share.zone == _ZONES[APEX])
+    )
+
+
+def rank(states: Sequence[str], jacobians: Array) -> int:
+    """Return how many independent constraints the contacts of a mode make."""
+    own = [jacobians[k, d] for k, d in _own([CODES[state] for state in states])]
+    return independent(np.array(own))[0] if own else 0
+
+
+def _own(code: Iterable[int]) -> list[tuple[int, int]]:
+    """Return the constraints of every contact: which, and along its normal or tangent."""
+    return [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
+
+
 def _rows(code: Ints, jacobians: Array) -> tuple[str, ...]:
     """Return which constraints of each contact the others do not imply."""
-    own = [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
+    own = _own(code.tolist())
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))
     kept = {own[i] for i in order[:count]}
     return tuple("".join("nt"[d] for d in range(2) if (k, d) in kept) for k in range(len(code)))
