@@ -57,5 +57,5 @@ def test_the_step_follows_the_scales_and_gives_way_to_one_that_is_given():
 def test_engines_with_events_still_refuse_colliding_bodies():
     with pytest.raises(DeclarationError):
         Runner(read_text(DISCS), engine="impulse")
-    with pytest.raises(Exception, match="engine impulse alone"):
+    with pytest.raises(DeclarationError, match="the engine taylor cannot run bodies that collide"):
         Runner(read_text(DISCS), engine="taylor").run()
