@@ -205,7 +205,7 @@ def test_a_path_that_begins_nowhere_is_told_with_its_line():
 
 
 def test_engines_with_events_say_what_runs_it():
-    with pytest.raises(StatechartError, match="engine impulse"):
+    with pytest.raises(StatechartError, match="or take impulse"):
         Runner(interpret(read_text(TWO)), engine="scipy").run()
 
 
