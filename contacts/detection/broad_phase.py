@@ -19,8 +19,8 @@ from statechart.kernels.jit import beside, part
 _LARGE = 4.0
 # Cells for each body.
 _CELLS = 2
-# How much wider the circles of listed pairs are: in parts of a body's size, and of how far it may
-# go until the next look.
+# How much wider the circles of listed pairs are: by this part of a body's size, and by so many times
+# how far it may go until the next look, which is its size at most.
 _WIDER, _FARTHER = 0.1, 4.0
 # Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
 _ACROSS = 73856093
@@ -196,7 +196,8 @@ def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
     if grid.many[0] < 0 or not _all_within(centres, sizes, reach, circles):
         for b in range(len(sizes)):
             circles[b, 0], circles[b, 1] = centres[b]
-            circles[b, 2] = (1.0 + _WIDER) * sizes[b] + (1.0 + _FARTHER) * reach[b]
+            circles[b, 2] = sizes[b] + reach[b]
+            circles[b, 2] += _WIDER * sizes[b] + min(_FARTHER * reach[b], sizes[b])
         grid.many[0] = _list_pairs(grid)
     for i in range(grid.many[0]):
         b, c = listed[i, 0], listed[i, 1]
