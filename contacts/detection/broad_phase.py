@@ -19,8 +19,8 @@ from statechart.kernels.jit import beside, part
 _LARGE = 4.0
 # Cells for each body.
 _CELLS = 2
-# How much wider the circles of listed pairs are: by this part of a body's size, and by so many times
-# how far it may go until the next look, which is its size at most.
+# How much wider the circles of listed pairs are: by this part of a body's size, and by so many
+# times how far it may go until the next look, which is its size at most.
 _WIDER, _FARTHER = 0.1, 4.0
 # Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
 _ACROSS = 73856093
