@@ -208,15 +208,23 @@ class BodyStepper(Stepper):
             allowed: float = math.inf,
             deepest: float = math.inf,
             forces: bool = False,
-            begun: float = 0.0,
+            start_depth: float = 0.0,
         ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
             return SteppedHeap(
-                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces, begun
+                self._names,
+                self._surfaces,
+                bodies,
+                around,
+                law,
+                allowed,
+                deepest,
+                forces,
+                start_depth,
             )
 
         bodies, depth, remarks = self._started(setup, bodies, known, heap)
-        setup = replace(setup, begun=depth, warnings=(*setup.warnings, *remarks))
+        setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
         return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
 
     def _setup(

@@ -47,7 +47,7 @@ class SteppedHeap:
         A gap that no step may close.
     forces : bool
         Whether somebody reads forces and accelerations.
-    begun : float
+    start_depth : float
         How deep bodies start in each other at most; they are kept no deeper.
     """
 
@@ -61,14 +61,14 @@ class SteppedHeap:
         allowed: float,
         deepest: float = math.inf,
         forces: bool = True,
-        begun: float = 0.0,
+        start_depth: float = 0.0,
     ) -> None:
         self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
         self._memory = self._kept = Memory.room(numbers)
         # As if an impact had left them there.
-        self._memory.past[2] = begun / LANDED
+        self._memory.past[2] = start_depth / LANDED
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
         self._least = np.full(count, np.inf)
@@ -148,14 +148,17 @@ class SteppedHeap:
 
     def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
         """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
-        rows, held = self._touched(state, time)
+        rows, held = self._touched(state, time, self._length)
         levels = self._room.touches.memory[: len(rows), 0]
         return rows[:, 0][levels < 0.0], held, levels[levels < 0.0]
 
-    def _touched(self, state: Array, time: float) -> tuple[Array, Array]:
-        """Return rows (m, 2, n) of contacts, normal and tangential, and of joints (r, n)."""
+    def _touched(self, state: Array, time: float, h: float) -> tuple[Array, Array]:
+        """Return rows (m, 2, n) of contacts, normal and tangential, and of joints (r, n).
+
+        Those that a small part of a step of `h` meets.
+        """
         self._memory = Memory.room(self.numbers)
-        self._taken(time, _INSTANT * (self._length or 1.0), state, 1, math.inf)
+        self._taken(time, _INSTANT * h, state, 1, math.inf)
         touches, many = self._room.touches, int(self._memory.many[0])
         rows = np.zeros((many, 2, 3 * len(self._names)))
         for i, bodies in enumerate(touches.bodies[:many].tolist()):
@@ -227,7 +230,7 @@ class SteppedHeap:
         if found is None or not found.most() > UNSTABLE:
             return
         before = self._memory
-        rows, joints = self._touched(state, start)
+        rows, joints = self._touched(state, start, h)
         lasts = self._memory.contacts[: len(rows), 1] == 1.0
         rough = self._room.touches.materials[: len(rows), 1] > 0.0
         self._memory = before.as_large(self._memory)

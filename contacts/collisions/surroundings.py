@@ -80,8 +80,8 @@ class Surroundings:
         NonFinite
             If none can.
         """
-        # Counted from the start of the run: instants are the same in chunks of any length.
         forces = self.forces.program
+        # Counted from the start of the run: instants are the same in chunks of any length.
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))

@@ -61,7 +61,7 @@ class SceneSetup(Setup):
     bands : mapping
         Stop condition, or condition of a contact -> how near zero its margin counts as met; from
         its value at the start.
-    begun : float
+    start_depth : float
         How deep bodies with shapes start in what they touch.
     """
 
@@ -69,7 +69,7 @@ class SceneSetup(Setup):
     contacts: tuple[ContactLaw, ...]
     capture: float
     bands: Mapping[str, float]
-    begun: float = 0.0
+    start_depth: float = 0.0
 
     @property
     def tie(self) -> float:

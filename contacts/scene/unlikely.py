@@ -16,6 +16,7 @@ from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
 # An angle beyond a turn, written as a plain number, was rarely counted in radians.
 _TURN = 2.0 * math.pi
+# A centre that is no farther in, beside how far it is from the line's first point, is on it.
 _ROUNDING = 1e-9
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 

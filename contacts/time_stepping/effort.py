@@ -10,7 +10,7 @@ from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
 
-OPEN = (
+INDETERMINATE = (
     "a contact may slide on as well as come off, as friction presses it into its surface "
     "(Painleve: indeterminate): one of these was taken, another engine or step may take the other"
 )
@@ -99,7 +99,8 @@ class Effort:
             )
         if self._several:
             found += (
-                f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, {OPEN}",
+                f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, "
+                + INDETERMINATE,
             )
         if self._unended:
             found += (

@@ -108,7 +108,7 @@ class SteppedRun:
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = Effort(span.impulses)
-        self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.begun)
+        self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.start_depth)
         poses = span.keeping.record is Record.POSES
         self._track = Track(len(stepping.angles)) if poses else None
         self._turning = evenly(len(stepping.angles) + np.flatnonzero(stepping.angles))
@@ -320,7 +320,7 @@ class SteppedRun:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
         # A contact lands within a step, and stays as deep as it has landed, or started.
-        landed = self.setup.begun + self.span.step * self.fastest
+        landed = self.setup.start_depth + self.span.step * self.fastest
         tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.effort.residual
         return Trace(

@@ -105,12 +105,12 @@ class Squeezed:
     regions : sequence of str
     step : float
         As asked for.
-    begun : float
+    start_depth : float
         How deep bodies start in what they touch.
     """
 
-    def __init__(self, regions: Sequence[str], step: float, begun: float) -> None:
-        self._regions, self._step, self._begun = regions, step, begun
+    def __init__(self, regions: Sequence[str], step: float, start_depth: float) -> None:
+        self._regions, self._step, self._start_depth = regions, step, start_depth
         # How deep the deepest was in a step without help, and how deep something stayed then.
         self._deepest, self._left = -math.inf, -math.inf
 
@@ -138,7 +138,7 @@ class Squeezed:
             return None
         depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)
         approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
-        wrong = (depths > self._begun + self._step * approach) & helpless
+        wrong = (depths > self._start_depth + self._step * approach) & helpless
         if wrong.any():
             k = int(np.argmax(wrong))
             name = self._name(chunk, k)

@@ -19,7 +19,7 @@ from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.effort import OPEN
+from contacts.time_stepping.effort import INDETERMINATE
 from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
@@ -143,7 +143,7 @@ class SceneStepper(Stepper):
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
         if sliding.any() and by_python(lambda: tried(sliding))[1].efforts[0, 6]:
-            warnings.append(f"at the start {OPEN}")
+            warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:
             warnings.append(
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
