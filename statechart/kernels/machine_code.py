@@ -4,6 +4,9 @@ numba's cache looks only at the file of the function that is called: where that 
 another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
 newest of all files whose kernels it can see, and of what says how kernels are compiled.
 
+Of processes that begin together one compiles a kernel, and the others wait for what it leaves on
+disk: were each to compile it, what calls it would be of use only to the one that was the last.
+
 A file of the cache that was cut off or damaged, that another version left, or that cannot be
 written, must not end a run: each carries a digest of its content, and what does not agree with its
 own, or names what is no longer there, is compiled again.
@@ -14,8 +17,9 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -36,7 +40,17 @@ from statechart.kernels.jit import Compiled, Kernel, Late
 from statechart.kernels.later import Signature, plain, returned
 from statechart.kernels.lowering import Written
 
+try:
+    import fcntl
+except ImportError:  # Windows, where each process compiles for itself
+    fcntl = None  # type: ignore[assignment]
+
 _DIGEST = 16  # bytes: damage is an accident, not an attack
+
+# Seconds between looks at whether another process has compiled a kernel, and until it is thought to
+# have stopped: none of ours takes half as long.
+_LOOK = 0.05
+_PATIENCE = 120.0
 
 # One of each file that says how kernels are compiled.
 _MAKERS = (returned, Callee.of, Written.setup_function, Builder.extract_value)
@@ -74,6 +88,56 @@ class _DigestedFile(IndexDataCacheFile):
         with suppress(OSError):
             os.unlink(path)
         return nothing
+
+
+class _Turn:
+    """The one process that compiles a kernel, as far as files can be locked.
+
+    Entered before a kernel is loaded or compiled, left after it was kept.
+
+    Parameters
+    ----------
+    path : str
+        The file whose lock it is; it is left there, empty.
+    name : str
+        The kernel.
+    """
+
+    def __init__(self, path: str, name: str) -> None:
+        self._path, self._name = path, name
+        self._place: int | None = None
+
+    def take(self) -> None:
+        """Let no other process compile it from now on, once none does."""
+        if fcntl is None or self._place is not None:
+            return
+        # A folder that may not be written, or a disk of a network without locks.
+        with suppress(OSError):
+            os.makedirs(os.path.dirname(self._path), exist_ok=True)
+            self._place = place = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+            if not _locked(place):
+                with compiling.whole(self._name):
+                    until = time.monotonic() + _PATIENCE
+                    while not _locked(place) and time.monotonic() < until:
+                        time.sleep(_LOOK)
+
+    def __enter__(self) -> None:
+        """Take it only where there is something to compile."""
+
+    def __exit__(self, *_: object) -> None:
+        """Let others."""
+        if self._place is not None:
+            os.close(self._place)
+            self._place = None
+
+
+def _locked(place: int) -> bool:
+    """Lock a file as long as it is open; False if another process has."""
+    try:
+        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 class _Stored(CompileResultCacheImpl):
@@ -140,8 +204,18 @@ class _Cache(FunctionCache):
         self._cache_file: Any = _DigestedFile(
             self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
         )
+        place = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
+        self.turn = _Turn(place, function.__name__)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = self._loaded(sig, target_context)
+        if found is None:
+            self.turn.take()
+            # Another process may have compiled it meanwhile.
+            found = self._loaded(sig, target_context)
+        return found
+
+    def _loaded(self, sig: Any, target_context: Any) -> Any:
         # What another version of a library wrote may be whole, and of no use.
         with suppress(Exception):
             # Machine code needs what numba's runtime offers, and not the registries that a
@@ -197,7 +271,8 @@ def _kept(function: Callable[..., Any], **options: bool) -> Any:
 
     def compile_plain(signature: Signature) -> Any:
         # Signals end a compilation at once: it may take half a minute.
-        with interrupts.let_through():
+        turn = getattr(compiled._cache, "turn", nullcontext())
+        with interrupts.let_through(), turn:
             entry = compile_(plain(signature))
         compiled.overloads[plain(signature)].library.callee = Callee.of(compiled, plain(signature))
         return entry

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import itertools
+import os
 import pickle
 import sys
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 
 import numba
 import numpy as np
@@ -16,6 +18,7 @@ from numba.core.caching import NullCache
 from numba.core.runtime import _nrt_python, rtsys
 
 from statechart.arrays import Array
+from statechart.kernels import machine_code
 from statechart.kernels.jit import is_cached, kernel, part
 
 LOWER = """\
@@ -237,6 +240,54 @@ def test_what_calls_a_kernel_that_was_compiled_again_is_compiled_again(upper, tm
 
 def lower_of(upper):
     return upper.py_func.__globals__["lower"]
+
+
+@pytest.fixture
+def taken(upper, tmp_path):
+    """Another process's lock on `upper`, which was compiled; how to let it go, and keep that."""
+    fcntl = pytest.importorskip("fcntl")
+    upper("kernel", "10.0")(1.0)
+    (index,) = tmp_path.glob("**/upper*.nbi")
+    kept = index.read_bytes()
+    index.unlink()
+    place = os.open(index.with_suffix(".lock"), os.O_RDWR)
+    fcntl.flock(place, fcntl.LOCK_EX)
+    yield lambda: (index.write_bytes(kept), fcntl.flock(place, fcntl.LOCK_UN))
+    os.close(place)
+
+
+def test_what_another_process_compiles_is_waited_for(taken, monkeypatch):
+    waits = []
+
+    def sleep(seconds):
+        waits.append(seconds)
+        if len(waits) == 3:
+            taken()
+
+    monkeypatch.setattr(machine_code, "time", SimpleNamespace(sleep=sleep, monotonic=lambda: 0.0))
+    found = again()
+    assert found(1.0) == 22.0
+    assert len(waits) == 3
+    assert found.made.stats.cache_hits
+
+
+def test_a_process_that_has_stopped_is_not_waited_for(taken, monkeypatch):
+    clock = itertools.count(0.0, 50.0)
+    silent = SimpleNamespace(sleep=lambda seconds: None, monotonic=lambda: next(clock))
+    monkeypatch.setattr(machine_code, "time", silent)
+    found = again()
+    assert found(1.0) == 22.0
+    assert not found.made.stats.cache_hits
+
+
+def test_what_fails_to_compile_keeps_nobody_waiting(taken, upper, tmp_path):
+    taken()
+    fcntl = importlib.import_module("fcntl")
+    with pytest.raises(Exception, match="upper"):
+        again()("text")
+    for file in tmp_path.glob("**/*.lock"):
+        with file.open("r+") as place:
+            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @pytest.mark.parametrize("decorator", ["kernel", "part"])
