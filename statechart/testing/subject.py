@@ -211,22 +211,36 @@ class Case:
     def __init__(self, subject: Subject, parameters: Mapping[str, float]) -> None:
         self.subject = subject
         self.parameters = parameters
-        self._traces: dict[str, Trace] | None = None
+        self._runs: dict[str, Trace | None] = {}
+
+    def _run_by(self, name: str) -> Trace | None:
+        """Return the run of an engine, made once; None if it cannot run the model."""
+        if name not in self._runs:
+            self._runs[name] = self._run(name, self.parameters)
+        return self._runs[name]
 
     @property
     def traces(self) -> Mapping[str, Trace]:
         """Engine -> run, the most accurate first; engines that cannot run the model left out."""
-        if self._traces is None:
-            made = {n: self._run(n, self.parameters) for n in tuple(self.subject.observers)}
-            self._traces = {name: trace for name, trace in made.items() if trace is not None}
-            if not self._traces:
-                raise SimulationError("; ".join(self.subject.missing.values()))
-        return self._traces
+        first = self.engine  # one at least
+        made = {first: None, **dict.fromkeys(self.subject.observers)}
+        runs = {name: self._run_by(name) for name in made}
+        return {name: trace for name, trace in runs.items() if trace is not None}
+
+    @cached_property
+    def engine(self) -> str:
+        """The most accurate engine that can run the model."""
+        for name in tuple(self.subject.observers):
+            if self._run_by(name) is not None:
+                return name
+        raise SimulationError("; ".join(self.subject.missing.values()))
 
     @property
     def trace(self) -> Trace:
-        """The run of the most accurate engine."""
-        return next(iter(self.traces.values()))
+        """The run of the most accurate engine, made without those of the others."""
+        trace = self._run_by(self.engine)
+        assert trace is not None  # or it could not run the model
+        return trace
 
     @property
     def sound(self) -> tuple[Trace, ...]:
@@ -260,7 +274,7 @@ class Case:
                 if math.isfinite(values[name])
             }
             try:
-                trace = self._run(next(iter(self.traces)), changed)
+                trace = self._run(self.engine, changed)
             except (DeclarationError, DeclarationProblem):
                 continue  # an edge of what the model allows: the other ways tell
             if trace is not None and trace.outcome.succeeded:
@@ -270,7 +284,7 @@ class Case:
         trace = self.trace
         if trace.step is not None:  # no event is located
             return Sensitivity(found, ())
-        observer = self.subject.observers[next(iter(self.traces))]
+        observer = self.subject.observers[self.engine]
         return Sensitivity(found, conditions(observer, trace))
 
     def shorter(self, until: float) -> Trace:

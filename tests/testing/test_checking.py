@@ -567,6 +567,12 @@ def test_a_formula_too_long_to_transform_is_skipped_with_the_reason():
     assert not skipped["energy never grows"]
 
 
+def test_the_most_accurate_run_is_made_without_the_others():
+    subject = Subject(model(BALL))
+    subject.observers["scipy"] = None
+    assert subject.case({}).trace.engine.startswith("taylor")
+
+
 def test_readings_are_the_identity_by_default():
     assert Reading().factors == 1.0
     assert Reading().time == 1.0
