@@ -15,8 +15,9 @@ from contacts.collisions.stiff_forces import UNSTABLE, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.touching import LANDED
-from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.refused import depth_left
+from statechart import interrupts
 from statechart.arrays import Array
 from statechart.errors import NonFinite
 from statechart.tabular import several
@@ -249,11 +250,13 @@ class SteppedHeap:
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
-        done, status = 0, FULL
-        while status == FULL:
+        done, status = 0, DONE
+        while status == FULL or (status == DONE and done < count):
+            interrupts.check()
+            some = chunk.after(done).first(step_bodies.together(count - done))
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), start + done * h, self._law,
-                self._forces, self._memory, self._room, (self._allowed, deepest), chunk.after(done),
+                self.numbers, ahead.after(done), start, done, self._law,
+                self._forces, self._memory, self._room, (self._allowed, deepest), some,
             )  # fmt: skip
             done += taken
             if status == FULL:

@@ -187,8 +187,8 @@ def stepped(
     ----------
     step : callable
         (steps to take, how many are done, solutions of problems of the first of them that were
-        not solved before, `AS_ASKED`, `SOFTENED` or `AS_GIVEN`) -> (steps taken, status, and the
-        problem that was not solved, where there is one).
+        not solved before, `AS_ASKED`, `SOFTENED` or `AS_GIVEN`) -> (steps taken, of which there
+        may be less, status, and the problem that was not solved, where there is one).
     failure : callable
         Status -> what it means.
     chunk : Chunk
@@ -211,7 +211,7 @@ def stepped(
             given, how, missed = np.zeros(0), AS_ASKED, 0.0
         done += taken
         if status == DONE:
-            break
+            continue
         try:
             if status != HARD:
                 raise failure(status)

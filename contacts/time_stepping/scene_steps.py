@@ -19,6 +19,7 @@ from contacts.time_stepping.refused import depth_left
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
+from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 
@@ -154,7 +155,9 @@ class SteppedScene:
         def step(
             left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
-            return step_scene(scene, memory, start + done * h, given, how, left)
+            interrupts.check()
+            some = left.first(step_scene.together(len(left.codes)))
+            return step_scene(scene, memory, start, done, given, how, some)
 
         done = stepped(step, _failure, chunk, self._allowed)
         chunk = chunk.first(self._declared(chunk.codes[:done], start, h))
