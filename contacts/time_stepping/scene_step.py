@@ -193,18 +193,9 @@ def step_scene(
             answer = answered(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, 6] = answer.several
             blurred = _borne(
-                scene,
-                memory,
-                tape,
-                problem,
-                answer,
-                met,
-                state[n : 2 * n],
-                k,
-                total,
-                lasting,
+                scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,
-            )
+            )  # fmt: skip
         _after(memory, met.active)
         _held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
