@@ -257,7 +257,8 @@ class SteppedHeap:
         chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
-            interrupts.check()
+            if done and interrupts.arrived():
+                break
             some = chunk.after(done).first(step_bodies.together(count - done))
             taken, status = step_bodies(
                 self.numbers, ahead.after(done), start, done, self._law,

@@ -19,7 +19,6 @@ from contacts.time_stepping.refused import depth_left
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
-from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NoConsistentMode, NonFinite, SingularMode
 
@@ -155,7 +154,6 @@ class SteppedScene:
         def step(
             left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
-            interrupts.check()
             some = left.first(step_scene.together(len(left.codes)))
             return step_scene(scene, memory, start, done, given, how, some)
 

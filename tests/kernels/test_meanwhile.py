@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ import pytest
 from contacts.collisions.body_step import step_bodies
 from contacts.time_stepping.scene_step import step_scene
 from statechart import Runner
+from statechart.automaton.trace import Outcome
 from statechart.kernels import jit, maker
 from statechart.kernels.jit import late, stepwise
 
@@ -82,6 +84,24 @@ def test_python_takes_the_same_steps(model, until, polls, anew, monkeypatch):
     meanwhile = told(model, until, once=True)
     assert all(steps._maker is None or steps._settled == (polls == 3) for steps in STEPS)
     assert meanwhile == told(model, until, once=False)
+
+
+@pytest.mark.parametrize(("model", "step"), [("dice", 1e-3), ("woodpecker", 2e-5)])
+def test_a_signal_ends_steps_with_those_that_were_taken(model, step, anew, monkeypatch):
+    class Ended(Waiting):
+        def is_done(self):
+            self._left = 0 if self._left == math.inf else self._left + 1
+            if self._left == 20:
+                signal.raise_signal(signal.SIGINT)
+            return False
+
+    monkeypatch.setattr(maker, "Maker", Ended)
+    monkeypatch.setattr(jit, "_TOGETHER", 0.0)
+    trace = Runner(model, once=True).run(until=500.0 * step).trace
+    assert trace.outcome is Outcome.INTERRUPTED
+    # It is asked twice for each step, from the second one on.
+    assert 10 <= trace.counts["steps"] <= 12
+    assert trace.t_end == pytest.approx(trace.counts["steps"] * step, abs=1e-9 * step)
 
 
 def test_what_is_no_number_to_compiled_code_alone_is_left_to_it(anew):
