@@ -64,6 +64,11 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.total = count() if _now.say is not None else 0
 
 
+def beside(name: str) -> None:
+    """Say that another process compiles a function, while this one goes on."""
+    _say(f"another process compiles {name} for the next run; this one goes on without")
+
+
 @contextmanager
 def whole(name: str) -> Iterator[None]:
     """Compile what tells nothing of how far it is."""

@@ -61,7 +61,7 @@ def check_apart(
     trial = tried(numbers, initial)
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
-    gaps = np.array([trial.margins.get(f"{name}.gap", np.inf) for name in names])
+    gaps = trial.least
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
@@ -156,7 +156,7 @@ def _covered(
     numbers = trial.numbers
 
     def as_deep(numbers: BodyNumbers, state: Array) -> bool:
-        gap = tried(numbers, state).margins.get(f"{names[b]}.gap", np.inf)
+        gap = tried(numbers, state).least[b]
         return gap <= (1.0 - _SAME) * margin
 
     places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]

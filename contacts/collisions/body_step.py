@@ -25,7 +25,7 @@ from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import beside, kernel, late, part
+from statechart.kernels.jit import beside, late, part, stepwise
 from statechart.kernels.tapes import BLOCK, filled
 
 # Impacts are no later after the middle of a step than this part of it: something is after them.
@@ -218,11 +218,12 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
     return h * most > _FAR * least
 
 
-@kernel
+@stepwise
 def step_bodies(
     numbers: BodyNumbers,
     around: Ahead,
-    instant: float,
+    start: float,
+    done: int,
     law: int,
     forces: bool,
     memory: Memory,
@@ -237,8 +238,8 @@ def step_bodies(
     numbers : BodyNumbers
     around : Ahead
         What acts on the bodies.
-    instant : float
-        When the first step begins.
+    start, done : float, int
+        When steps began, and how many were taken before these.
     law : int
         What is hit together follows; see `contacts.collisions.order`.
     forces : bool
@@ -273,7 +274,7 @@ def step_bodies(
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
         look_at(numbers, state, h, memory.past[0], room.look)
         if len(applied.bodies) > 0:
-            time = instant + (k + 0.5) * h
+            time = start + (done + k + 0.5) * h
             pushed(numbers, applied, acting, around.memories[k + 1], time, h, room.look)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):

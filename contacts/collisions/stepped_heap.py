@@ -15,8 +15,9 @@ from contacts.collisions.stiff_forces import UNSTABLE, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.touching import LANDED
-from contacts.time_stepping.chunk import COARSE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.refused import depth_left
+from statechart import interrupts
 from statechart.arrays import Array
 from statechart.errors import NonFinite
 from statechart.tabular import several
@@ -49,6 +50,11 @@ class SteppedHeap:
         Whether somebody reads forces and accelerations.
     start_depth : float
         How deep bodies start in each other at most; they are kept no deeper.
+
+    Attributes
+    ----------
+    least : (n,) array
+        The least gap seen of every body; inf of one that was near nothing.
     """
 
     def __init__(
@@ -71,7 +77,7 @@ class SteppedHeap:
         self._memory.past[2] = start_depth / LANDED
         self._room = Room.of(self.numbers, self._memory)
         self._allowed = allowed
-        self._least = np.full(count, np.inf)
+        self.least = np.full(count, np.inf)
         self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
@@ -94,7 +100,7 @@ class SteppedHeap:
     @property
     def margins(self) -> dict[str, float]:
         """The least gaps seen of every body, at the midpoints of steps."""
-        least = zip(self._names, self._least.tolist(), strict=True)
+        least = zip(self._names, self.least.tolist(), strict=True)
         return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
 
     def deepest_of(self, body: int) -> str:
@@ -103,7 +109,7 @@ class SteppedHeap:
         mine = [i for i in range(int(self._memory.many[0])) if body in touches.bodies[i].tolist()]
         i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
         # Deeper than all that it touches is what is in the middle of others' pieces.
-        if i < 0 or self._memory.contacts[i, 0] > self._least[body]:
+        if i < 0 or self._memory.contacts[i, 0] > self.least[body]:
             return ""
         one, other = touches.bodies[i].tolist()
         pieces = len(self.numbers.pieces.sizes)
@@ -215,7 +221,7 @@ class SteppedHeap:
             what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
         bodies = len(self._names)
-        self._least = np.minimum(self._least, chunk.gaps.min(axis=0, initial=np.inf))
+        self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
         turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
         struck = chunk.struck[:, self._angular]
@@ -249,11 +255,14 @@ class SteppedHeap:
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
-        done, status = 0, FULL
-        while status == FULL:
+        done, status = 0, DONE
+        while status == FULL or (status == DONE and done < count):
+            if done and interrupts.arrived():
+                break
+            some = chunk.after(done).first(step_bodies.together(count - done))
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), start + done * h, self._law,
-                self._forces, self._memory, self._room, (self._allowed, deepest), chunk.after(done),
+                self.numbers, ahead.after(done), start, done, self._law,
+                self._forces, self._memory, self._room, (self._allowed, deepest), some,
             )  # fmt: skip
             done += taken
             if status == FULL:

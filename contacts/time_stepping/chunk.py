@@ -15,6 +15,7 @@ from contacts.solvers.contact_lcp_kernels import LOOSEST, problem, step_residual
 from contacts.solvers.island_impulses import dense_impulses
 from contacts.solvers.lcp import solve_lcp
 from contacts.solvers.step_impulses import AS_ASKED, AS_GIVEN, SOFTENED
+from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
@@ -183,12 +184,14 @@ def stepped(
 ) -> int:
     """Take the steps of a chunk; return how many could be taken.
 
+    Less where a signal to end arrives between two calls.
+
     Parameters
     ----------
     step : callable
         (steps to take, how many are done, solutions of problems of the first of them that were
-        not solved before, `AS_ASKED`, `SOFTENED` or `AS_GIVEN`) -> (steps taken, status, and the
-        problem that was not solved, where there is one).
+        not solved before, `AS_ASKED`, `SOFTENED` or `AS_GIVEN`) -> (steps taken, of which there
+        may be less, status, and the problem that was not solved, where there is one).
     failure : callable
         Status -> what it means.
     chunk : Chunk
@@ -203,7 +206,7 @@ def stepped(
     """
     given, done, how, missed = np.zeros(0), 0, AS_ASKED, 0.0
     count = len(chunk.codes)
-    while done < count:
+    while done < count and not (done and interrupts.arrived()):
         taken, status, delassus, least, cones = step(chunk.after(done), done, given, how)
         if taken:
             chunk.efforts[done, 0] = missed
@@ -211,7 +214,7 @@ def stepped(
             given, how, missed = np.zeros(0), AS_ASKED, 0.0
         done += taken
         if status == DONE:
-            break
+            continue
         try:
             if status != HARD:
                 raise failure(status)

@@ -36,7 +36,7 @@ from contacts.time_stepping.step_contacts import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, stepwise
 from statechart.kernels.tapes import tape_values
 
 
@@ -128,10 +128,11 @@ def _after(memory: ContactMemory, active: Bools) -> None:
             memory.closed[i] = False
 
 
-@kernel
+@stepwise
 def step_scene(
-    scene: SceneNumbers, memory: ContactMemory, start: float, given: Array, how: int, chunk: Chunk
-) -> tuple[int, int, Array, Array, Array]:
+    scene: SceneNumbers, memory: ContactMemory, start: float, done: int, given: Array, how: int,
+    chunk: Chunk,
+) -> tuple[int, int, Array, Array, Array]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status, W, free, cones).
 
     The last three are the contact problem that was not solved, where the status is `HARD`; called
@@ -142,8 +143,8 @@ def step_scene(
     scene : SceneNumbers
     memory : ContactMemory
         Changed in place.
-    start : float
-        Time of the first state.
+    start, done : float, int
+        When steps began, and how many were taken before these.
     given : (k,)
         Solutions of problems of the first step that were not solved before.
     how : int
@@ -160,10 +161,10 @@ def step_scene(
     set_at, forces = tape.first + tape.per * c + (n + JOINT) * scene.joints, n + scene.joints
     for k in range(len(chunk.codes)):
         middle = state.copy()
-        _flowed(scene, start + k * h, state, 0.5 * h, middle)
+        _flowed(scene, start + (done + k) * h, state, 0.5 * h, middle)
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
-        time = start + (k + 0.5) * h
+        time = start + (done + k + 0.5) * h
         tape_values(*scene.equations, middle, scene.parameters, time, numbers)
         regular, change, factors, order = _moved(scene, memory.light, numbers, n, h)
         if not regular:
@@ -192,18 +193,9 @@ def step_scene(
             answer = answered(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, 6] = answer.several
             blurred = _borne(
-                scene,
-                memory,
-                tape,
-                problem,
-                answer,
-                met,
-                state[n : 2 * n],
-                k,
-                total,
-                lasting,
+                scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,
-            )
+            )  # fmt: skip
         _after(memory, met.active)
         _held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):

@@ -154,7 +154,8 @@ class SteppedScene:
         def step(
             left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
-            return step_scene(scene, memory, start + done * h, given, how, left)
+            some = left.first(step_scene.together(len(left.codes)))
+            return step_scene(scene, memory, start, done, given, how, some)
 
         done = stepped(step, _failure, chunk, self._allowed)
         chunk = chunk.first(self._declared(chunk.codes[:done], start, h))

@@ -3,21 +3,27 @@
 Nothing of numba is imported before: what calls no kernel, as drawing a statechart, starts in half
 the time. A kernel that most runs call a few times only is `seldom` worth its compilation, which
 takes some seconds: Python runs it as it is written, to the same bits, until it took `BRIEF` in all.
+One that takes steps of a run may be run so for longer, while another process compiles it.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cached_property, update_wrapper
 from time import thread_time
 from types import FunctionType, SimpleNamespace
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
 from statechart.errors import StatechartError
+
+if TYPE_CHECKING:
+    from statechart.arrays import Array
+    from statechart.kernels.maker import Maker
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -31,6 +37,9 @@ LINKING = 0.02
 
 BRIEF = 0.25
 """Seconds that Python may take for a kernel that does not: to compile it takes one to ten."""
+
+_TOGETHER = 0.1
+"""Seconds that Python takes for steps at once: between them is looked whether it still has to."""
 
 # Python's own is rounded better than that of the C library, which compiled code calls.
 _MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
@@ -73,7 +82,23 @@ class Compiled:
 
 
 class Kernel(Compiled):
-    """A kernel, or a part of kernels."""
+    """A kernel, or a part of kernels.
+
+    Attributes
+    ----------
+    entered : bool
+        Whether Python has run it as it is written; known of those that call others or are late.
+    """
+
+    entered = False
+
+    @cached_property
+    def below(self) -> dict[str, Kernel | Native]:
+        """The kernels that it names, by name: those that it calls, and maybe others."""
+        names = self.py_func.__globals__
+        # Names of attributes are among these: one that is a kernel's, too, is in nobody's way.
+        found = {name: names.get(name) for name in self.py_func.__code__.co_names}
+        return {name: one for name, one in found.items() if isinstance(one, Kernel | Native)}
 
     @cached_property
     def as_written(self) -> Callable[..., Any]:
@@ -81,20 +106,20 @@ class Kernel(Compiled):
 
         From `_Deadline.at` on, those that call others are given up when they are called.
         """
-        names, code = self.py_func.__globals__, self.py_func.__code__
-        # Names of attributes are among these: one that is a kernel's, too, is in nobody's way.
-        below = [name for name in code.co_names if isinstance(names.get(name), Kernel | Native)]
-        space = {**names, "math": _MATH}
+        space = {**self.py_func.__globals__, "math": _MATH}
+        code, below = self.py_func.__code__, self.below
         function = FunctionType(code, space, argdefs=self.py_func.__defaults__)
 
         def run(*arguments: Any) -> Any:
-            if thread_time() > _Deadline.at:
+            self.entered = True
+            # To ask the clock takes as long as a small kernel.
+            if _Deadline.at < math.inf and thread_time() > _Deadline.at:
                 raise TimeoutError
             return function(*arguments)
 
         # Known before those below it are looked for, of which it may be one.
-        found = self.__dict__["as_written"] = run if below else function
-        space.update((name, names[name].as_written) for name in below)
+        found = self.__dict__["as_written"] = run if below or isinstance(self, Late) else function
+        space.update((name, one.as_written) for name, one in below.items())
         return found
 
     def __call__(self, *arguments: Any) -> Any:
@@ -118,9 +143,11 @@ class _Deadline:
         Whether it runs all of them.
     patient : bool
         Whether it never took too long to run them all.
+    meanwhile : bool
+        Whether it takes steps while another process compiles what takes them.
     """
 
-    spent, at, all_written, patient = 0.0, math.inf, False, True
+    spent, at, all_written, patient, meanwhile = 0.0, math.inf, False, True, False
 
 
 class Seldom(Kernel):
@@ -140,8 +167,7 @@ class Seldom(Kernel):
         if self._settled:
             return self.made(*arguments)
         left = BRIEF - self._spent
-        imported = "statechart.kernels.machine_code" in sys.modules
-        dear = self._spent >= LINKING if imported else _Deadline.spent >= LOADING
+        dear = self._spent >= LINKING if _numba_is_there() else _Deadline.spent >= LOADING
         if left <= 0.0 or (dear and self._on_disk):
             self._settled = True
             return self.made(*arguments)
@@ -166,6 +192,52 @@ class Seldom(Kernel):
             if array.flags.writeable:
                 array[...] = copies[key]
         return _plain(result)
+
+
+class Stepwise(Kernel):
+    """A kernel that takes steps, which Python may take until another process has compiled it."""
+
+    _spent, _looked_at, _many, _settled = 0.0, 0.0, 1, False
+    _maker: Maker | None = None
+
+    def together(self, count: int) -> int:
+        """Return how many of some steps are to be asked for in a call."""
+        return count if self._is_made() else min(count, self._many)
+
+    def _is_made(self) -> bool:
+        """Whether its machine code is to be used."""
+        if not self._settled and _Deadline.meanwhile and self._spent >= self._looked_at:
+            self._looked_at = self._spent + _TOGETHER
+            if self._maker is not None:
+                self._settled = self._maker.is_done()
+            elif self._spent >= (LINKING if _numba_is_there() else LOADING):
+                self._settled = is_cached(self)
+        return self._settled or not _Deadline.meanwhile
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Take steps, compiled or as it is written."""
+        if _Deadline.all_written or self._is_made():
+            return super().__call__(*arguments)
+        if self._maker is None and self._spent >= BRIEF:
+            from statechart.kernels.maker import Maker
+
+            self._maker = Maker(self, arguments)
+        before = [(array, array.copy()) for array in _arrays(arguments)]
+        began = thread_time()
+        try:
+            with np.errstate(all="ignore"):
+                return _plain(self.as_written(*arguments))
+        except Exception:
+            # An infinity or no number to compiled code alone.
+            self._settled = True
+            for array, content in before:
+                if array.flags.writeable:
+                    array[...] = content
+            return self.made(*arguments)
+        finally:
+            took = thread_time() - began
+            self._spent += took
+            self._many = max(1, 2 * self._many if 4.0 * took < _TOGETHER else self._many // 2)
 
 
 class Inner(Kernel):
@@ -223,6 +295,15 @@ def seldom(function: F) -> F:
     return cast(F, Seldom(function, "kernel"))
 
 
+def stepwise(function: Callable[..., Any]) -> Stepwise:
+    """Compile a function as `kernel` does; within `meanwhile`, in another process.
+
+    Its first result is how many steps it took, and it gives the same bits as it is written; see
+    `seldom`. Whoever calls it asks it how many steps it takes `together`.
+    """
+    return Stepwise(function, "kernel")
+
+
 def late(function: F) -> F:
     """Compile a function as `kernel` does, but when it is entered, and not with those that call it.
 
@@ -278,6 +359,20 @@ def by_python(look: Callable[[], T]) -> T:
         _Deadline.all_written = False
 
 
+@contextmanager
+def meanwhile() -> Iterator[None]:
+    """Let Python take the steps of a run while another process compiles what takes them.
+
+    For what is run once: it takes as long as steps do that Python takes, and the next run finds
+    what was compiled. Times of what is run so are those of Python.
+    """
+    outer, _Deadline.meanwhile = _Deadline.meanwhile, True
+    try:
+        yield
+    finally:
+        _Deadline.meanwhile = outer
+
+
 def entry(compiled: Any, *arguments: Any) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of these types.
 
@@ -292,7 +387,7 @@ def entry(compiled: Any, *arguments: Any) -> Callable[..., Any]:
 
 def is_ready(compiled: Any) -> bool:
     """Whether a kernel is compiled, or lies on disk, in a process that has had to import numba."""
-    if "statechart.kernels.machine_code" not in sys.modules:
+    if not _numba_is_there():
         return False
     return bool(compiled.made.overloads) or is_cached(compiled)
 
@@ -302,6 +397,19 @@ def is_cached(compiled: Any) -> bool:
     from statechart.kernels import machine_code
 
     return machine_code.is_cached(compiled.made)
+
+
+def _numba_is_there() -> bool:
+    return "statechart.kernels.machine_code" in sys.modules
+
+
+def _arrays(arguments: Iterable[Any]) -> Iterator[Array]:
+    """Yield the arrays among arguments, in tuples, too."""
+    for argument in arguments:
+        if isinstance(argument, np.ndarray):
+            yield argument
+        elif isinstance(argument, tuple):
+            yield from _arrays(argument)
 
 
 def _plain(result: Any) -> Any:

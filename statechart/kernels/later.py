@@ -77,6 +77,13 @@ class Later(NamedTuple):
 
 
 _known: dict[str, Later] = {}
+
+
+def noted() -> tuple[Later, ...]:
+    """Return the kernels that machine code in this process may ask for."""
+    return tuple(_known.values())
+
+
 _failed: list[BaseException] = []
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.rows import RowRunner
 from statechart.execution.simulator import Simulator
+from statechart.kernels.jit import meanwhile
 from statechart.loading.kind import kind
 from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
@@ -205,7 +207,9 @@ class Runner:
         # Where it is declared is known later than what is run, of a runner that travelled.
         with self._turn, located(self.document, given):
             began, answers = working_time(), self._answers
-            answer, basis = answers.answer(given, end)
+            # Whoever looks for a tolerance measures what runs take.
+            with meanwhile() if self._alone and not answers.searching else nullcontext():
+                answer, basis = answers.answer(given, end)
             trace = answers.certified(answer, given, end) if certify else answer.trace
             sought = (self.setting, basis, answer.cost, answer.not_judged)
             asked = Asked(*sought) if answers.searching else None

@@ -78,6 +78,7 @@ def told(model, until, certify):
         ("sliding_ladder", 0.3, False),
         ("raibert_hopper", 0.3, False),
         ("simplest_walker", 1.0, False),
+        ("woodpecker", 0.02, False),
     ],
 )
 def test_python_runs_kernels_to_the_same_bits(model, until, certify, request):
