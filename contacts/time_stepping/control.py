@@ -2,8 +2,9 @@
 
 A transition that waits for an event fires at the end of the step in which that happens; one with a
 guard at the end of the first step at which it is true, or becomes true, unless it is about to
-become false by itself. Steps are taken many at a time under the forces of the states at hand; those
-after a transition are taken back.
+become false by itself. What stays on a boundary for a step, as the slip of what sticks does, is on
+it whatever its rounding: there `<=` and `>=` are true, `<` and `>` are not. Steps are taken many
+at a time under the forces of the states at hand; those after a transition are taken back.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ _MOST_TURNS = 100
 # What becomes true within this part of a step after its end is true at its end: times of steps, and
 # so timeouts that end with one, are rounded.
 _AT_END = 1e-6
+# Of the size of its terms, a margin is zero to this part: what impulses of points leave of a slip
+# is their rounding, 1e-16 of the speeds, times what masses are apart.
+_ROUNDED = 1e-12
 
 
 class SteppedTapes(Controllers):
@@ -197,8 +201,14 @@ class StepControl:
         """Return which guards (m, g) are due."""
         guards = self._states.guards(self.states)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
-        margin, rate = rows[..., 0], rows[..., 1]
+        margin, rate, second, size = (rows[..., k] for k in range(4))
         passing = (rate > 0.0) & (margin + h * rate >= 0.0)
         falling = np.minimum(np.nan_to_num(rate, neginf=0.0), 0.0)
-        due: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
+        true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
+        # How a step came to the boundary does not tell how the next one goes: what has just come
+        # to rest was braked. So a strict guard waits for its margin to leave zero, but of time.
+        zero = _ROUNDED * size
+        near = ~guards.watch.timed & (np.abs(margin) <= zero)
+        rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
+        due: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
         return due

@@ -162,6 +162,12 @@ class GuardWatch:
         Time.
     timers : collection of Symbol
         Inputs that are instants of time, and as exact, or whole numbers.
+
+    Attributes
+    ----------
+    guards : tuple of Guard
+    timed, closed : (g,) array of bool
+        Which depend on time alone, and which hold on their boundary, too.
     """
 
     def __init__(
@@ -189,7 +195,8 @@ class GuardWatch:
         self._tape = compile_tape(
             outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
         )
-        self._timed = np.array(timed, np.bool_)
+        self.timed = np.array(timed, np.bool_)
+        self.closed = np.array([g.relation.operator in ("<=", ">=") for g in watched], np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
         """Return (g, 6): margin, its first and second derivative in time, sizes of their terms."""
@@ -207,7 +214,7 @@ class GuardWatch:
         A guard of time alone is as exact as time, whatever the tolerance of the run.
         """
         sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
-        parts = np.where(self._timed, min(relative, _OF_TIME), relative) * sizes
+        parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
         return {
             guard.margin: max(part, _UNDERFLOW)
             for guard, part in zip(self.guards, parts.tolist(), strict=True)
