@@ -153,13 +153,27 @@ def _landing(room: Room, rates: Array, early: Array, h: float, fall: float, coun
 
 @late
 def _kept_joints(
-    numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, chunk: Chunk
-) -> None:
-    """Remember the impulses of joints, which stand behind the contacts, and write their forces."""
-    holds, at = numbers.joints.holds, 3 * len(numbers.sizes)
+    numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, rates: Array,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Remember the impulses of joints, which stand behind the contacts, and write their forces.
+
+    And what these add to the energy beyond the bound of the scheme; see `SteppedHeap`.
+    """
+    holds, at, touches, look = numbers.joints.holds, 3 * len(numbers.sizes), room.touches, room.look
+    for b in range(len(numbers.sizes)):
+        for d in range(3):
+            chunk.gained[k] -= (
+                0.125 * (look.loose[b, d] - look.old[b, d]) ** 2 / (numbers.inverse[b, d])
+            )
     for j in range(len(holds)):
         i = first + j
-        memory.keys[i, 0], memory.keys[i, 1] = room.touches.keys[i]
+        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
+        for d in range(2):
+            both = touches.before[i, d] + touches.free[i, d]
+            both += velocity(touches.bodies, touches.rows, rates, i, d)
+            both -= velocity(touches.bodies, touches.rows, look.loose, i, d)
+            chunk.gained[k] += 0.5 * room.pressed[i, d] * both
         memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
         for d in range(2):
             memory.contacts[i, 2 + d] = room.pressed[i, d]
@@ -324,7 +338,7 @@ def step_bodies(
         if forces:
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(touches, old, forced, count))
         if joins:
-            _kept_joints(numbers, memory, room, seen.contacts, k, chunk)
+            _kept_joints(numbers, memory, room, seen.contacts, k, rates, chunk)
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,23 +13,62 @@ from contacts.collisions.body_step import step_bodies
 from contacts.collisions.island_step import Room
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.no_ground import NoGround
-from contacts.collisions.stiff_forces import UNSTABLE, check_followed, stiffness
+from contacts.collisions.stiff_forces import UNSTABLE, Held, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.detection.touches import Touches
 from contacts.detection.touching import LANDED
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
 from contacts.time_stepping.refused import depth_left
 from statechart import interrupts
-from statechart.arrays import Array
-from statechart.errors import NonFinite
+from statechart.arrays import Array, Bools, Ints
+from statechart.errors import NonFinite, StepTooLarge
 from statechart.tabular import several
 
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
+# Joints may add this part of the most energy of motion: a bridge that a load jerks taut gets up to
+# 0.7 for a moment, which what lands takes again.
+_ADDED = 1.0
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64, 256)
 # So many moves out of what overlaps are tried; a look takes this part of a step.
 _MOVES, _INSTANT = 20, 1e-6
+
+
+class _Touched(NamedTuple):
+    """What bodies touch at a look.
+
+    Attributes
+    ----------
+    levels : (m,)
+        How deep contacts are.
+    lasts, rough : (m,) array of bool
+        Which last, and which rub.
+    normal, tangential, joints : Held
+    """
+
+    levels: Array
+    lasts: Bools
+    rough: Bools
+    normal: Held
+    tangential: Held
+    joints: Held
+
+    @classmethod
+    def of(cls, touches: Touches, many: int, holds: Ints, memory: Memory) -> _Touched:
+        """Return it from the contacts of a step, behind which joints stand."""
+        bodies, rows, met = touches.bodies[:many].copy(), touches.rows, many - len(holds)
+        both = holds == BOTH
+        joints = [rows[met:many, 0], rows[met:many][both, 1]]
+        return cls(
+            touches.memory[:met, 0].copy(),
+            memory.contacts[:met, 1] == 1.0,
+            touches.materials[:met, 1] > 0.0,
+            Held(bodies[:met], rows[:met, 0].copy()),
+            Held(bodies[:met], rows[:met, 1].copy()),
+            Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
+        )
 
 
 class SteppedHeap:
@@ -81,6 +122,10 @@ class SteppedHeap:
         self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
+        # What joints have added to the energy, and the most that bodies have moved with.
+        self._added = self._moved = 0.0
+        self._before = (0.0, 0.0)
+        self._unfollowed: StepTooLarge | None = None
         self._no_ground = NoGround(names, surfaces, numbers)
         # A disc about its centre of mass looks the same however it turns.
         pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
@@ -95,6 +140,8 @@ class SteppedHeap:
         """Take back the last steps."""
         self._kept = self._kept.as_large(self._memory)
         self._memory = self._kept.copy()
+        self._added, self._moved = self._before
+        self._unfollowed = None
         self._around.forget()
 
     @property
@@ -135,7 +182,7 @@ class SteppedHeap:
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
         """
-        n, placed, before = 3 * len(self._names), state.copy(), self._memory
+        n, placed = 3 * len(self._names), state.copy()
         placed[n : 2 * n] = 0.0
         known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
@@ -148,32 +195,24 @@ class SteppedHeap:
             if depth > 0.0:
                 break
             placed[:n] = state[:n] + move
-        # The run may go on.
-        self._memory = before.as_large(self._memory)
         return depth if depth > 0.0 else -math.inf
 
     def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
         """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
-        rows, held = self._touched(state, time, self._length)
-        levels = self._room.touches.memory[: len(rows), 0]
-        return rows[:, 0][levels < 0.0], held, levels[levels < 0.0]
+        met, count = self._touched(state, time, self._length), len(self._names)
+        deep = met.levels < 0.0
+        return met.normal.only(deep).whole(count), met.joints.whole(count), met.levels[deep]
 
-    def _touched(self, state: Array, time: float, h: float) -> tuple[Array, Array]:
-        """Return rows (m, 2, n) of contacts, normal and tangential, and of joints (r, n).
-
-        Those that a small part of a step of `h` meets.
-        """
-        self._memory = Memory.room(self.numbers)
+    def _touched(self, state: Array, time: float, h: float) -> _Touched:
+        """Return what a small part of a step of `h` meets."""
+        # The run may go on from where it is.
+        before, around = self._memory, self._around
+        self._memory, self._around = Memory.room(self.numbers), copy(around)
         self._taken(time, _INSTANT * h, state, 1, math.inf)
         touches, many = self._room.touches, int(self._memory.many[0])
-        rows = np.zeros((many, 2, 3 * len(self._names)))
-        for i, bodies in enumerate(touches.bodies[:many].tolist()):
-            for side, b in enumerate(bodies):
-                if b >= 0:
-                    rows[i, :, 3 * b : 3 * b + 3] += touches.rows[i, :, 3 * side : 3 * side + 3]
-        met = many - len(self.numbers.joints.holds)
-        both = self.numbers.joints.holds == BOTH
-        return rows[:met], np.concatenate([rows[met:, 0], rows[met:][both, 1]])
+        found = _Touched.of(touches, many, self.numbers.joints.holds, self._memory)
+        self._memory, self._around = before.as_large(self._memory), around
+        return found
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -203,7 +242,9 @@ class SteppedHeap:
         """
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
-            self._kept = self._memory.copy()
+            self._kept, self._before = self._memory.copy(), (self._added, self._moved)
+        if self._unfollowed is not None:
+            raise self._unfollowed
         self._check_forces(start, h, state)
         chunk, status = self._taken(start, h, state, count, self._deepest)
         parts = iter(_PARTS)
@@ -220,6 +261,10 @@ class SteppedHeap:
             lost = np.argwhere(~np.isfinite(self._room.look.loose))[:, 0].tolist()
             what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
+        if len(self.numbers.joints.holds):
+            chunk = self._without_gain(chunk)
+            if not len(chunk.codes) and self._unfollowed is not None:
+                raise self._unfollowed
         bodies = len(self._names)
         self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
         self._around.passed(len(chunk.codes))
@@ -229,19 +274,40 @@ class SteppedHeap:
         self._length = max(self._length, h)
         return chunk
 
+    def _without_gain(self, chunk: Chunk) -> Chunk:
+        """Return the steps before joints have added as much energy as there ever was of motion.
+
+        They do no work: what they give is what they took before, or comes of steps that do not
+        follow how what they pull at swings. Why the next step is not taken is kept.
+        """
+        n, added = 3 * len(self._names), self._added + np.append(0.0, np.cumsum(chunk.gained))
+        chunk.gained[:] = 0.0
+        moving = 0.5 * (chunk.states[1:, n : 2 * n] ** 2 / self.numbers.inverse.ravel()).sum(axis=1)
+        moved = np.maximum.accumulate(np.append(self._moved, moving))
+        added -= np.minimum.accumulate(np.minimum(added, 0.0))
+        self._added, self._moved = float(added[-1]), float(moved[-1])
+        wrong = np.flatnonzero(added[1:] > _ADDED * moved[1:])
+        if not len(wrong):
+            return chunk
+        k = int(wrong[0])
+        part = float(added[k + 1] / moved[k + 1])
+        self._unfollowed = StepTooLarge(
+            f"joints have added {part:.2g} of the most energy that bodies have moved with, where "
+            f"they should add none: steps of {chunk.h:g} do not follow how what they pull at "
+            f"swings; take {0.1 * chunk.h / math.sqrt(part):.1g} or less"
+        )
+        return chunk.first(k)
+
     def _check_forces(self, start: float, h: float, state: Array) -> None:
         """Raise `StepTooLarge` where forces are too stiff for these steps."""
         inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
-        found = stiffness(self._around.forces, inverse, size, h, state, start)
-        if found is None or not found.most() > UNSTABLE:
+        stiff = stiffness(self._around.forces, inverse, size, h, state, start)
+        if not stiff.most() > UNSTABLE:
             return
-        before = self._memory
-        rows, joints = self._touched(state, start, h)
-        lasts = self._memory.contacts[: len(rows), 1] == 1.0
-        rough = self._room.touches.materials[: len(rows), 1] > 0.0
-        self._memory = before.as_large(self._memory)
-        held = np.concatenate([rows[lasts, 0], rows[lasts & rough, 1], joints])
-        check_followed(found, inverse, held, h)
+        met = self._touched(state, start, h)
+        parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
+        held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
+        check_followed(stiff, self.numbers.inverse, held, h)
 
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float

@@ -1,14 +1,18 @@
-"""Whether forces grow so fast with places and speeds that steps swing ever farther under them."""
+"""Whether forces grow so fast with places and speeds that steps swing ever farther under them.
+
+The tension of joints is no such force: what it adds is told by `SteppedHeap`.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from contacts.detection.applied import ForceProgram
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
 
@@ -20,8 +24,12 @@ _FINE = 0.1
 # Of the size of a body: by so much places, and what they move in a step, are changed to see how
 # forces do.
 _CHANGE = 1e-6
-# Directions are one to within this part of the largest; so many coordinates are looked at.
-_DEPENDENT, _MOST = 1e-9, 1500
+# Squares of directions, beside theirs of one, that are rounding: joints may imply each other.
+_DEPENDENT = 1e-12
+# Steps of Arnoldi's iteration: what is larger than it finds is so by less than a hundredth.
+_ITERATIONS = 60
+# So many points a formula is evaluated at at once.
+_AT_ONCE = 64
 
 
 class Forces(NamedTuple):
@@ -43,22 +51,33 @@ class Stiffness(NamedTuple):
 
     Attributes
     ----------
-    places, rates : (n, n) array
+    size : int
+        Coordinates, n.
+    rows, columns : (k,) array of int
+        What changes by what.
+    places, rates : (k,) array
         ``h^2 K`` and ``2 h D``: less force where bodies have moved, and are faster.
     """
 
+    size: int
+    rows: Ints
+    columns: Ints
     places: Array
     rates: Array
 
     def most(self) -> float:
         """Return a bound of their sum."""
-        return float(np.abs(self.places + self.rates).sum(axis=1).max(initial=0.0))
+        sums = np.bincount(self.rows, np.abs(self.places + self.rates), minlength=self.size)
+        return float(sums.max(initial=0.0))
 
 
 def stiffness(
     forces: Forces, inverse: Array, size: float, h: float, state: Array, time: float
-) -> Stiffness | None:
-    """Return how forces change in a step; None where they change with nothing that moves.
+) -> Stiffness:
+    """Return how forces change in a step; what has no value is left out.
+
+    By differences, of coordinates that no formula reads two of at once (Curtis, Powell and Reid
+    1974), so that what controllers give is in it.
 
     Parameters
     ----------
@@ -72,45 +91,88 @@ def stiffness(
     time : float
     """
     n, tape = inverse.size, forces.tape
-    reads = tape.reads[tape.reads < 2 * n]
-    if not len(reads) or n > _MOST:
-        return None
-    changes = np.where(reads % 3 == 2, _CHANGE, _CHANGE * size)
-    changes[reads >= n] /= h
-    around = np.tile(state, (2, len(reads), 1))
-    around[0, range(len(reads)), reads] += changes
-    around[1, range(len(reads)), reads] -= changes
-    seen = tape.table(around.reshape(-1, len(state)), forces.values, np.full(2 * len(reads), time))
-    more, less = seen.reshape(2, len(reads), -1)
-    found = np.zeros((n, 2 * n))
-    rows = (3 * forces.bodies[:, None] + np.arange(3)).ravel()
-    found[rows[:, None], reads] = ((less - more) / (2.0 * changes[:, None])).T
-    if not np.isfinite(found).all():
-        return None
-    root = np.sqrt(inverse).ravel()
-    places, rates = root[:, None] * np.stack([found[:, :n], found[:, n:]]) * root
-    return Stiffness(h * h * places, 2.0 * h * rates)
+    outputs, variables, colours = tape.apart(2 * n)
+    changes = np.where(variables % 3 == 2, _CHANGE, _CHANGE * size)
+    changes[variables >= n] /= h
+    found = np.zeros(len(outputs))
+    for first in range(0, int(colours.max(initial=-1)) + 1, _AT_ONCE):
+        mine = np.flatnonzero((colours >= first) & (colours < first + _AT_ONCE))
+        k = colours[mine] - first
+        around = np.tile(state, (2, int(k.max()) + 1, 1))
+        around[0, k, variables[mine]] = state[variables[mine]] + changes[mine]
+        around[1, k, variables[mine]] = state[variables[mine]] - changes[mine]
+        points = around.reshape(-1, len(state))
+        seen = tape.table(points, forces.values, np.full(len(points), time))
+        more, less = seen.reshape(2, -1, len(tape.outputs))
+        found[mine] = (less - more)[k, outputs[mine]] / (2.0 * changes[mine])
+    found = np.where(np.isfinite(found), found, 0.0)
+    rows, root = 3 * forces.bodies[outputs // 3] + outputs % 3, np.sqrt(inverse).ravel()
+    columns, places = variables % n, variables < n
+    found *= root[rows] * root[columns]
+    return Stiffness(
+        n, rows, columns, np.where(places, h * h * found, 0.0),
+        np.where(places, 0.0, 2.0 * h * found),
+    )  # fmt: skip
 
 
-def check_followed(found: Stiffness, inverse: Array, held: Array, h: float) -> None:
+class Held(NamedTuple):
+    """Directions in which contacts and joints hold.
+
+    Attributes
+    ----------
+    bodies : (r, 2) array of int
+        Whose; -1: none.
+    rows : (r, 6)
+        Of their rates.
+    """
+
+    bodies: Ints
+    rows: Array
+
+    def only(self, which: Bools) -> Held:
+        """Return some of them."""
+        return Held(self.bodies[which], self.rows[which])
+
+    def whole(self, count: int) -> Array:
+        """Return them (r, 3 b) as rows of all bodies."""
+        found = np.zeros((len(self.rows), count + 1, 3))
+        # What is no body's is written behind the last.
+        found[np.arange(len(self.rows))[:, None], self.bodies] = self.rows.reshape(-1, 2, 3)
+        return found[:, :count].reshape(len(self.rows), 3 * count)
+
+
+def check_followed(found: Stiffness, inverse: Array, held: Held, h: float) -> None:
     """Raise `StepTooLarge` where steps of this length swing ever farther under forces.
 
     Parameters
     ----------
     found : Stiffness
     inverse : (b, 3)
-    held : (r, n) array
-        Directions in which contacts and joints hold.
+    held : Held
     h : float
     """
-    free = np.eye(inverse.size)
-    if len(held):
-        _, sizes, rows = np.linalg.svd(held * np.sqrt(inverse).ravel())
-        free = rows[int((sizes > _DEPENDENT * sizes[0]).sum()) :].T
+    from scipy.sparse import csr_array, identity
+    from scipy.sparse.linalg import splu
 
-    def largest(matrix: Array) -> float:
-        eigenvalues = np.linalg.eigvals(free.T @ matrix @ free)
-        return float(eigenvalues.real.max(initial=0.0))
+    root, n = np.sqrt(inverse).ravel(), found.size
+    columns = (3 * held.bodies[:, :, None] + np.arange(3)).reshape(-1, 6)
+    values = np.where(columns >= 0, held.rows * root[columns], 0.0)
+    sizes = np.sqrt((values**2).sum(axis=1))
+    values, columns = (values / sizes[:, None])[sizes > 0.0], columns[sizes > 0.0]
+    of = np.repeat(np.arange(len(values)), 6)
+    rows = csr_array((values.ravel(), (of, np.maximum(columns, 0).ravel())), (len(values), n))
+    gram = (rows @ rows.T + _DEPENDENT * identity(len(values))).tocsc()
+    factors = splu(gram) if len(values) else None
+
+    def free(x: Array) -> Array:
+        # Twice: what is nearly held is left to the rounding of its factors.
+        for _ in range(2):
+            x = x if factors is None else x - rows.T @ factors.solve(rows @ x)
+        return x
+
+    def largest(values: Array) -> float:
+        matrix = csr_array((values, (found.rows, found.columns)), (n, n))
+        return _largest(lambda x: free(matrix @ x), free(np.random.default_rng(0).normal(size=n)))
 
     most = largest(found.places + found.rates)
     if not most > UNSTABLE:
@@ -121,3 +183,26 @@ def check_followed(found: Stiffness, inverse: Array, held: Array, h: float) -> N
         f"in one step of {h:g}, and from 2 on ever farther; take "
         f"{_FINE * h / max(spring, damper, _FINE):.1g} or less"
     )
+
+
+def _largest(matrix: Callable[[Array], Array], start: Array) -> float:
+    """Return the largest real part of an eigenvalue; 0 where all are below (Arnoldi 1951)."""
+    size = float(np.linalg.norm(start))
+    if size < 1e-6:
+        return 0.0
+    steps = min(len(start), _ITERATIONS)
+    basis, seen = np.zeros((steps + 1, len(start))), np.zeros((steps + 1, steps))
+    basis[0] = start / size
+    for k in range(steps):
+        x = matrix(basis[k])
+        before = float(np.linalg.norm(x))
+        for _ in range(2):
+            parts = basis[: k + 1] @ x
+            seen[: k + 1, k] += parts
+            x = x - parts @ basis[: k + 1]
+        seen[k + 1, k] = np.linalg.norm(x)
+        if seen[k + 1, k] <= 1e-10 * before:
+            steps = k + 1
+            break
+        basis[k + 1] = x / seen[k + 1, k]
+    return float(np.linalg.eigvals(seen[:steps, :steps]).real.max(initial=0.0))

@@ -223,7 +223,7 @@ class SceneLaws:
         if target == moving and not (skipping and fired == ("zeno",)):
             goes_on = shown_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
-                return None, flow._replace(roles=goes_on, settled=True)
+                return None, flow._replace(roles=goes_on, warning=choice.warning, settled=True)
             if state is at.state or not fired or flow.settled:
                 return None
             # What fell off the constraints has not fallen on them.

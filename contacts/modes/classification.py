@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.modes.candidates import (
@@ -30,7 +30,7 @@ from contacts.modes.candidates import (
     same_motion,
 )
 from contacts.modes.doubt import Doubt
-from contacts.modes.load_sharing import Share, bearing, rank
+from contacts.modes.load_sharing import Share, bearing, pressed_together, rank
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
 from statechart.automaton.deferred import Deferred
@@ -227,7 +227,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     clear = [c for c in agreeing if c.violation <= _NEARLY * tie]
     for one in clear:
         if one.share is not None and one.states == before.mode:
-            return _without_new_loads(one, clear, case, before.bearing), ""
+            return _without_new_loads(one, clear, case, before.bearing)
     taken = min(clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
@@ -259,19 +259,30 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
 
 def _without_new_loads(
     one: Candidate, agreeing: Sequence[Candidate], case: Case, bore: frozenset[int]
-) -> Candidate:
-    """Return the mode that goes on where contacts share a load: no force comes without cause.
+) -> tuple[Candidate, str]:
+    """Return the mode that goes on where contacts share a load, and what is to be known of it.
 
     Forces that are there may hold what else would move, as in what is wedged. A contact that bore
     nothing presses against others only where no mode agrees without it: a block that is pushed
-    along a slot does not jam between its sides.
+    along a slot does not jam between its sides. The smallest forces may press it from both sides
+    before it would slip, as they do at a friction above 1: then it is held, and that is told.
     """
-    if _bearing(one) <= bore:
-        return one
+    new = _bearing(one) - bore
+    if not new:
+        return one, ""
     jacobians = case.snapshot.jacobians
     without = [c for c in agreeing if _bearing(c) <= bore]
     moving = [c for c in without if rank(c.states, jacobians) < rank(one.states, jacobians)]
-    return one if len(moving) < len(without) else min(moving, key=openness, default=one)
+    if len(moving) == len(without):
+        return min(moving, key=openness, default=one), ""
+    both = pressed_together(jacobians, cones(tuple(case.laws)), sorted(_bearing(one)))
+    if not new <= both:
+        return one, ""
+    names = ", ".join(case.laws[i].name for i in sorted(both))
+    return one, (
+        f"indeterminate: {names} may press on each other by any force; the smallest forces have "
+        "them do so from now on, and friction may hold what would slip if nothing but loads pressed"
+    )
 
 
 def _advice(

@@ -76,6 +76,10 @@ class Share:
         return tuple(result)
 
 
+# Of all forces: what presses less does so by rounding.
+_PRESSED = 1e-6
+
+
 def share(
     code: Ints, snapshot: Snapshot, cones: Array, forces: Array, inward: float
 ) -> Share | None:
@@ -174,3 +178,35 @@ def _rows(code: Ints, jacobians: Array) -> tuple[str, ...]:
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))
     kept = {own[i] for i in order[:count]}
     return tuple("".join("nt"[d] for d in range(2) if (k, d) in kept) for k in range(len(code)))
+
+
+def pressed_together(jacobians: Array, cones: Array, bearing: Sequence[int]) -> frozenset[int]:
+    """Return the contacts that may press on each other without any load, by linear programming.
+
+    Parameters
+    ----------
+    jacobians : (c, 2, n)
+    cones : (c, 2)
+        See `contacts.dynamics.contact_law.cones`.
+    bearing : sequence of int
+        Contacts that may.
+    """
+    from scipy.optimize import linprog
+
+    # Along both edges of every cone; all together are to press by 1 at most.
+    edges = [
+        cones[i, 0] * jacobians[i, 0] + side * cones[i, 1] * jacobians[i, 1]
+        for i in bearing
+        for side in (1.0, -1.0)
+    ]
+    effects = np.transpose(edges)
+    scale = np.abs(effects).max(axis=1, initial=0.0)
+    held = effects[scale > 0.0] / scale[scale > 0.0, None]
+    found = set()
+    for k, i in enumerate(bearing):
+        aim = np.zeros(len(edges))
+        aim[2 * k : 2 * k + 2] = -1.0
+        most = linprog(aim, np.ones((1, len(edges))), [1.0], held, np.zeros(len(held)))
+        if most.status == 0 and -most.fun > _PRESSED:
+            found.add(i)
+    return frozenset(found)

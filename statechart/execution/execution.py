@@ -297,6 +297,8 @@ class Execution:
                 if following.start is not None:
                     self.state = following.start
                 self.flow = following._replace(start=None)
+                if moved:
+                    self._warn()
                 continue
             moved = True
             if self.certificate is not None:

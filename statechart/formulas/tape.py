@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from statechart.arrays import Array, Ints32
-from statechart.kernels.tapes import tape_table, tape_values
+from statechart.arrays import Array, Ints, Ints32
+from statechart.kernels.tapes import POW, tape_table, tape_values
 
 
 def contiguous(array: ArrayLike) -> Array:
@@ -134,9 +134,54 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
         )
 
+    def apart(self, variables: int) -> tuple[Ints, Ints, Ints]:
+        """Return which outputs read which of the first variables, and a colour of each of these.
+
+        No output reads two variables of one colour.
+
+        Returns
+        -------
+        outputs, variables, colours : (k,) array of int
+        """
+        if variables not in self._apart:
+            self._apart[variables] = _coloured(self._read_by_outputs(variables), variables)
+        return self._apart[variables]
+
+    @cached_property
+    def _apart(self) -> dict[int, tuple[Ints, Ints, Ints]]:
+        return {}
+
+    def _read_by_outputs(self, variables: int) -> list[list[int]]:
+        """Return the variables, of the first ones, that each output may change with."""
+        base = self.n_variables + 1 + self.n_parameters + len(self.constants)
+        none: frozenset[int] = frozenset()
+        found = [frozenset((i,)) for i in range(variables)] + [none] * (base - variables)
+        for op, left, right in self.code.tolist():
+            other = found[right] if op <= POW else none
+            found.append(found[left] | other if other - found[left] else found[left])
+        return [sorted(found[i]) for i in self.outputs.tolist()]
+
     def require(self, parameters: Array) -> None:
         """Raise `ValueError` if the parameters are not as many as the tape has."""
         if parameters.shape != (self.n_parameters,):
             raise ValueError(
                 f"the parameters have shape {parameters.shape}, not ({self.n_parameters},)"
             )
+
+
+def _coloured(reads: list[list[int]], variables: int) -> tuple[Ints, Ints, Ints]:
+    """Return pairs of a row and a column, and colours of columns, different within every row."""
+    readers: list[list[int]] = [[] for _ in range(variables)]
+    for output, columns in enumerate(reads):
+        for variable in columns:
+            readers[variable].append(output)
+    taken: list[set[int]] = [set() for _ in reads]
+    colours = [0] * variables
+    for variable, outputs in enumerate(readers):
+        while any(colours[variable] in taken[output] for output in outputs):
+            colours[variable] += 1
+        for output in outputs:
+            taken[output].add(colours[variable])
+    pairs = [(output, variable) for output, columns in enumerate(reads) for variable in columns]
+    rows, read = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return rows, read, np.array(colours, dtype=np.int64)[read]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import pytest
 
 from statechart.documents.yaml_reader import read_text
@@ -75,3 +78,67 @@ def test_what_joints_hold_is_as_heavy_as_all_that_moves():
     assert runner.run({"c": 0.98 * limit}).outputs["most"] < 1e-3
     with pytest.raises(StepTooLarge):
         runner.run({"c": 1.02 * limit})
+
+
+MANY = """\
+kind: scene
+name: many
+parameters: {c: 0}
+gravity: 0
+bodies: {a: {mass: 2, inertia: 0.02, shape: {disc: 0.1}, copies: 600, start: {x: 0.3*index, dx: 1}}}
+forces: {drag: {body: a, force: [-c*a.dx, 0]}}
+collisions: {all: {bodies: [a], friction: 0, restitution: 0}}
+stop: {time: 0.02}
+outputs: {far: {value: energy}}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_any_number_of_bodies_is_looked_at():
+    # One step of a damper leaves 1 - h c/m of a speed.
+    runner = Runner(interpret(read_text(MANY)))
+    assert runner.run({"c": 0.98 * 4e3}).outputs["far"] < 600.0
+    with pytest.raises(StepTooLarge, match="swing bodies by 2"):
+        runner.run({"c": 1.02 * 4e3})
+
+
+def bridge(mass, step):
+    """Ten planks on an arc of one radian between pins, and a box that falls on them."""
+    d = 0.1
+    radius = 0.1 / math.sin(d / 2)
+    at = [
+        (radius * math.sin(0.5) + radius * math.sin(i * d - 0.5),
+         radius * math.cos(0.5) - radius * math.cos(i * d - 0.5))
+        for i in range(11)
+    ]  # fmt: skip
+    plank, names = "[[-0.09, -0.01], [0.09, -0.01], [0.09, 0.01], [-0.09, 0.01]]", ["box"]
+    bodies, joints = [], [f"  end: {{point: {{body: p9, at: [0.1, 0]}}, to: [{at[-1][0]!r}, 0]}}"]
+    for i, ((x, y), (u, v)) in enumerate(itertools.pairwise(at)):
+        start = f"{{x: {(x + u) / 2!r}, y: {(y + v) / 2!r}, angle: {math.atan2(v - y, u - x)!r}}}"
+        names.append(f"p{i}")
+        bodies.append(
+            f"  p{i}: {{mass: 1, inertia: 0.00337, shape: {{polygon: {plank}}}, start: {start}}}"
+        )
+        to = f"{{body: p{i - 1}, at: [0.1, 0]}}" if i else "[0, 0]"
+        joints.append(f"  j{i}: {{point: {{body: p{i}, at: [-0.1, 0]}}, to: {to}}}")
+    box = "[[-0.25, -0.25], [0.25, -0.25], [0.25, 0.25], [-0.25, 0.25]]"
+    bodies.append(
+        f"  box: {{mass: {mass}, inertia: {mass / 50}, shape: {{polygon: {box}}}, "
+        f"start: {{x: {at[-1][0] / 2!r}, y: {at[5][1] + 0.3!r}}}}}"
+    )
+    return "\n".join([
+        "kind: scene", "name: bridge", "gravity: 9.81", "bodies:", *bodies, "joints:", *joints,
+        f"collisions: {{all: {{bodies: {names}, friction: 0.5, restitution: 0}}}}".replace("'", ""),
+        "stop: {time: 0.3}",
+        "outputs: {most: {maximum: energy}, y: {value: box.y}}",
+        f"settings: {{engine: impulse, step: {step}}}",
+    ])  # fmt: skip
+
+
+def test_a_load_that_joints_pull_through_ends_the_run():
+    with pytest.raises(StepTooLarge, match=r"joints have added .* take") as caught:
+        Runner(interpret(read_text(bridge(5000, 1e-3)))).run()
+    assert 1e-5 < float(str(caught.value).rsplit("take ", 1)[1].split()[0]) < 1e-3
+    carried = Runner(interpret(read_text(bridge(5000, 2.5e-4)))).run()
+    assert carried.outputs["y"] > 0.0
+    assert carried.outputs["most"] < 2685.1
