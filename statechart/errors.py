@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -318,11 +318,29 @@ def close_matches(name: str, known: Iterable[str]) -> str:
     known : iterable of str
         What could have been written.
     """
-    names = sorted(known)
+    names = sorted(known, key=_numbers_in)
+    if numbered := _numbered(name, names):
+        return numbered
     close = difflib.get_close_matches(name, names, n=3)
     listed = ", ".join(names[:30]) + (", ..." if len(names) > 30 else "")
     meant = f"did you mean {' or '.join(repr(match) for match in close)}? " if close else ""
     return f"{meant}known: {listed or 'none'}"
+
+
+def _numbered(name: str, names: Sequence[str]) -> str:
+    """Return which names there are that differ from `name` in a number; "" for none."""
+    split = re.fullmatch(r"(.+?)\d*((?:\.\w+)?)", name)
+    if split is None:
+        return ""
+    stem, part = map(re.escape, split.groups())
+    alike = re.compile(rf"{stem}\d+{part}")
+    found = [one for one in names if alike.fullmatch(one)]
+    return f"there are {found[0]} to {found[-1]}" if len(found) > 1 else ""
+
+
+def _numbers_in(name: str) -> list[tuple[str, int, str]]:
+    """Return a key by which numbers in names count: grain2 is before grain10."""
+    return [(text, len(digits), digits) for text, digits in re.findall(r"(\D*)(\d*)", name)]
 
 
 def undeclared(name: str, known: Iterable[str]) -> str:

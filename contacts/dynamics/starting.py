@@ -10,7 +10,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.scene.parts import Point
+from contacts.scene.parts import Point, Surface
 from contacts.solvers.dependence import least
 from contacts.states import OFF
 from statechart.arrays import Array
@@ -25,6 +25,7 @@ _MOST_NAMED = 6
 
 
 def check_start(
+    surface: Surface,
     law: ContactLaw,
     moves: Sequence[float],
     depth: float,
@@ -35,6 +36,8 @@ def check_start(
 
     Parameters
     ----------
+    surface : Surface
+        What is touched.
     law : ContactLaw
     moves : sequence of float
         Gap, its rate and slip at the start, of a contact that is not off.
@@ -53,7 +56,7 @@ def check_start(
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         raise DeclarationProblem(
             f"contact {law.name!r} starts inside its surface, {-gap:.6g} deep",
-            advice=f"move the body out of the surface{gated}; of a line the solid is on the right",
+            advice=f"move the body out of the surface{gated}{_solid(surface)}",
             loc=("contacts", law.name),
         )
     if "free" in law.states:
@@ -79,6 +82,15 @@ def check_start(
             advice="add slide, with a friction, or start its point at rest",
             loc=loc,
         )
+
+
+def _solid(surface: Surface) -> str:
+    """Return where the solid of a surface is, of which that is a matter of how it is written."""
+    if surface.line is not None or surface.edge is not None:
+        return "; of a line the solid is on the right, going from one point to two"
+    if surface.circle is not None:
+        return "; a circle is solid around it" if surface.hollow else "; a circle is solid inside"
+    return ""
 
 
 def check_joints(

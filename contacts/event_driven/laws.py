@@ -114,8 +114,9 @@ class SceneLaws:
         )
         snapshot = hidden(snapshot, off)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+        touched = self._mechanics.scene.surface_of
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
-            check_start(law, contact[:3], depth, near, slow)
+            check_start(touched(law.name), law, contact[:3], depth, near, slow)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [
             shut and abs(c.gap_rate) <= slow

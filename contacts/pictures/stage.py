@@ -15,7 +15,7 @@ from contacts.dynamics.rims import Vector
 from contacts.pictures.bodies import BodyShapes, disc_of
 from contacts.pictures.grounds import grounds
 from contacts.pictures.links import compiled
-from contacts.pictures.window import beside, cloud_of, window
+from contacts.pictures.window import ahead, beside, cloud_of, window
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -116,8 +116,10 @@ class SceneStage:
         centres, half = window(cloud)
         known = self._scene.surfaces
         around = self._grounds(moments, poses, centres, _FAR * np.array(half))
-        held = [s for s in around if known[s.name].body is None and known[s.name].edge is None]
+        held = [s for s in around if known[s.name].body is None]
         cloud = beside(cloud, held, poses)
+        if len(moments.times) == 1:
+            cloud = ahead(cloud, held, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
         rims = [cones(t, half, when) for t, when in zip(touches, closed, strict=True)]

@@ -20,6 +20,9 @@ _ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
 # A surface is shown whole if it is no larger than so many times what moves; one that goes round it
 # may be larger.
 _AROUND, _ROUND_ABOUT = 2.2, 6.0
+# Of an instant it is not known where bodies will go: what goes on is seen up to so many times half
+# the size of what moves away, beyond which bodies would be dots.
+_SEEN = 20.0
 # Followed through what a camera would not see: this part of the run.
 _SMOOTH = 0.04
 
@@ -89,6 +92,26 @@ def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
             near |= np.all(around) and np.ptp(line, axis=1).max() <= _ROUND_ABOUT * 2.0 * size
         if near:
             found.append(line)
+    return np.concatenate(found, axis=1)
+
+
+def ahead(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+    """Return the cloud of one instant with the places of surfaces that are nearest to it.
+
+    So the ground is seen that a body is about to fall on.
+    """
+    low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
+    middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
+    found = [cloud]
+    for surface in surfaces:
+        line = placed(surface.points, poses[:, surface.frame])[0]
+        along = np.diff(line, axis=0)
+        squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+        part = ((middle - line[:-1]) * along).sum(axis=1) / squares
+        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
+        away = np.hypot(*(places - middle).T)
+        if len(away) and away.min() <= _SEEN * size:
+            found.append(places[None, [int(away.argmin())]])
     return np.concatenate(found, axis=1)
 
 

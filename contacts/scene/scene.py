@@ -353,8 +353,8 @@ class Scene(SceneFields):
         with found:
             check_member(what, name, known, *loc)
 
-    @staticmethod
     def _formulas(
+        self,
         found: Findings,
         written: FormulaText | tuple[FormulaText, ...] | None,
         known: frozenset[str],
@@ -365,7 +365,9 @@ class Scene(SceneFields):
         for index, text in enumerate(texts):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             with found:
-                check_names(parse(text), known, *where)
+                formula = parse(text)
+                self.check_elsewhere(formula, known, *where)
+                check_names(formula, known, *where)
 
 
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:

@@ -18,6 +18,9 @@ from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 _TURN = 2.0 * math.pi
 # A centre that is no farther in, beside how far it is from the line's first point, is on it.
 _ROUNDING = 1e-9
+# Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
+# seldom less than a hundredth; lengths in millimetres beside metres make a million of it.
+_LEAST, _MOST = 1e-5, 1e2
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 
@@ -48,6 +51,8 @@ def _found(scene: SceneFields) -> Iterator[str]:
     if scene.collisions:
         yield from _idle(scene)
     with suppress(DeclarationError, DeclarationProblem):
+        yield from _spread(scene)
+    with suppress(DeclarationError, DeclarationProblem):
         # What is wrong with a formula is told where it is used.
         yield from _inside_out(scene)
     for formula, _ in fields_of(scene):
@@ -68,6 +73,27 @@ def _idle(scene: SceneFields) -> Iterator[str]:
     ):
         for name in idle:
             yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
+
+
+def _spread(scene: SceneFields) -> Iterator[str]:
+    """Say whose inertia is not that of mass within its shapes: units were mixed."""
+    known = scene.values()
+    for name, body in scene.bodies.items():
+        if not body.shape or body.inertia is None:
+            continue
+        far = 0.0
+        for shape in body.shape:
+            rim = parse(shape.disc or 0).value(known)
+            for corner in (shape.at,) if shape.polygon is None else shape.polygon:
+                far = max(far, math.hypot(*(parse(text).value(known) for text in corner)) + rim)
+        mass, inertia = (parse(text).value(known) for text in (body.mass, body.inertia))
+        most = mass * far**2
+        if most > 0.0 and not _LEAST * most <= inertia <= _MOST * most:
+            yield (
+                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times what all mass "
+                f"at the farthest point of its shape would have, {most:.3g}; are units mixed? "
+                "Of a disc it is m*r**2/2, of a box m*(width**2 + height**2)/12"
+            )
 
 
 def _inside_out(scene: SceneFields) -> Iterator[str]:

@@ -124,7 +124,8 @@ class SceneStepper(Stepper):
                 condition < 0.0 or (gap < -near and self._scene.initial_modes.get(law.name) == OFF)
             )
             if not off[i]:
-                check_start(law, row[:3], near, near, setup.tolerances["speed"])
+                surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
+                check_start(surface, law, row[:3], near, near, slow)
         h = _TRIAL * setup.scales.length / setup.scales.speed
 
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T

@@ -87,6 +87,8 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
             first, second = measured(left, known), measured(right, known)
             if first is None or second is None:
                 return None
+            if node.operator == "/" and _of_turn(right):
+                first = first._replace(angle=False)
             return first.times(second, 1 if node.operator == "*" else -1)
         case Binary(operator="**", left=left, right=Number(value=value)):
             base = measured(left, known)
@@ -101,6 +103,18 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
                 return _first(arguments, known)
             return POWERS["angle"] if function in _ANGLES else Powers()
     return None
+
+
+def _of_turn(node: Node) -> bool:
+    """Whether a formula is a part of a turn, or turns: an angle by 2*pi is a number of these."""
+    match node:
+        case Constant():
+            return node.name == "pi"
+        case Binary(operator="*", left=left, right=right):
+            return _of_turn(left) or _of_turn(right)
+        case Binary(operator="/", left=left):
+            return _of_turn(left)
+    return False
 
 
 def _first(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
@@ -166,6 +180,9 @@ def _expect(node: Node, powers: Powers, known: _Known) -> None:
         case Binary(operator="*" | "/", left=left, right=right):
             first, second = measured(left, known), measured(right, known)
             sign = 1 if node.operator == "*" else -1
+            if sign == 1 and (_of_turn(left) or _of_turn(right)):
+                # How many turns, not the angle that they are.
+                powers = powers._replace(angle=False)
             if first is None and second is not None:
                 _expect(left, powers.times(second, -sign), known)
             elif first is not None and second is None:

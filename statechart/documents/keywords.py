@@ -6,7 +6,8 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from numbers import Real
+from numbers import Integral, Real
+from os import PathLike
 from typing import Any, ParamSpec, TypeVar
 
 from statechart.documents.setting import Setting
@@ -26,11 +27,22 @@ _OTHER_WORDS = {
 }
 """What other programs call an argument."""
 
+_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
+    "float": ((Real,), "a number"),
+    "int": ((Integral,), "a whole number"),
+    "Path | str": ((str, PathLike), "a path"),
+    "bool": ((bool,), "True or False"),
+}
+"""What an argument must be, by its annotation, and in words; of others nothing is told."""
+
 _SETTINGS = {part.name for part in fields(Setting)}
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a call with arguments that the function has not be a `DeclarationError`: what it has."""
+    """Let a call with arguments that the function has not be a `DeclarationError`: what it has.
+
+    So is one that Python stumbles over because an argument is not what its annotation says.
+    """
     signature = inspect.signature(function)
 
     @functools.wraps(function)
@@ -43,10 +55,27 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             except TypeError as error:
                 wrong = _error(function, signature, args, kwargs, str(error))
             else:
-                raise
+                mistaken = _mistaken(function, signature.bind(*args, **kwargs))
+                if mistaken is None:
+                    raise
+                wrong = mistaken
         raise wrong
 
     return called
+
+
+def _mistaken(
+    function: Callable[..., Any], given: inspect.BoundArguments
+) -> DeclarationError | None:
+    """Return what is said of the first argument of another kind than its annotation's."""
+    for word, value in given.arguments.items():
+        annotation = str(given.signature.parameters[word].annotation)
+        kind = annotation.removesuffix(" | None").replace("str | Path", "Path | str")
+        optional = value is None and annotation.endswith(" | None")
+        if kind in _KINDS and not optional and not isinstance(value, _KINDS[kind][0]):
+            name = function.__qualname__.removesuffix(".__init__")
+            return DeclarationError(f"{name}: {word} must be {_KINDS[kind][1]}, not {value!r}")
+    return None
 
 
 def _error(

@@ -137,6 +137,14 @@ class Setting:
                 f"impulse_bound must be above 0, not {self.impulse_bound:g}",
                 loc=("impulse_bound",),
             )
+        bound, allowed = self.impulse_bound, self.impulse_tolerance
+        if bound is not None and allowed is not None and bound < allowed:
+            raise DeclarationProblem(
+                f"impulse_bound is {bound:g}, and impulses are good to impulse_tolerance, "
+                f"{allowed:g}, only: it would end runs whose impulses are found",
+                advice="give a larger bound, or a smaller tolerance",
+                loc=("impulse_bound",),
+            )
         times = (("step", "time"), ("budget", "time in seconds"), ("max_step", "time"))
         for what, kind in times:
             value = getattr(self, what)

@@ -232,10 +232,10 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
             return f"must have {several(last[0] + 1, 'item')}, not {len(given)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
-        return (
-            f"must have {several(context['max_length'], 'item')}, not {context['actual_length']}",
-            "",
-        )
+        # What has to have a number of items is a pair.
+        most = context["max_length"]
+        words = f"{'at most ' if most > 2 else ''}{several(most, 'item')}"
+        return f"must have {words}, not {context['actual_length']}", ""
     if "error" in context:
         return str(context["error"]), ""
     shown = repr(given) if isinstance(given, str | int | float | None) else type(given).__name__

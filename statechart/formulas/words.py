@@ -17,7 +17,7 @@ _CHARACTERS: Mapping[str, str] = {
     "π": "write pi",
     "∞": "write inf",
     "°": "angles are in radians: 30*pi/180",
-    "%": "write a part as a number: 0.5",
+    "%": "write a part as a number: 0.5; copies in rows are a body with copies for each row",
     "[": "parentheses are round",
     "{": "parentheses are round",
     "|": "write abs(...)",
@@ -95,6 +95,7 @@ _PARTS: Mapping[str, str] = {
 _PIECEWISE = frozenset(
     {"if", "where", "piecewise", "heaviside", "step", "floor", "ceil", "round", "mod", "fmod"}
 )
+_ROWS = frozenset({"floor", "ceil", "round", "mod", "fmod"})
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _ROOMS = ("math.", "np.", "numpy.")
 
@@ -118,7 +119,12 @@ def meant(
     if bare.lower() in _CONVERTED:
         return TOKENS["deg"]
     if bare.lower() in _PIECEWISE:
-        return "where it switches, a state of a region ends: write a state for each piece"
+        rows = "; copies in rows are a body with copies for each row"
+        return "where it switches, a state of a region ends: write a state for each piece" + (
+            rows if bare.lower() in _ROWS else ""
+        )
+    if bare.lower() == "nan":
+        return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):
         return TOKENS["^"]
     whole, dot, part = name.rpartition(".")

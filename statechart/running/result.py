@@ -220,6 +220,7 @@ class Result:
         trace = self.trace.at_hand()
         return figure(self.observer, trace, path, strip=strip_of(self.observer, trace))
 
+    @checked
     def diagram(self, path: Path | str | None = None) -> Diagram:
         """Return the modes that the run visited, and its path through them.
 

@@ -120,6 +120,8 @@ def trade(
     StatechartError
         If no reference can be had: no engine takes the model to its end.
     """
+    if settings is not None:
+        _check(settings)
     if folder is not None and (why := obstacle(Path(folder).absolute())):
         raise DeclarationError(f"{folder}: {why}", advice="name another folder")
     runner = model if isinstance(model, Runner) else Runner(model)
@@ -156,6 +158,17 @@ def trade(
             else:
                 made.take(point)
     return made.kept()
+
+
+def _check(settings: object) -> None:
+    """Check that these are settings, of which there is one at least."""
+    several = settings if isinstance(settings, Sequence) else (settings,)
+    wrong = next((one for one in several if not isinstance(one, Setting)), None)
+    if wrong is not None or several is not settings or not several:
+        raise DeclarationError(
+            f"settings are a list of what to run, not {settings!r}",
+            advice="such as [Setting(tolerance=1e-6)]; by default those that the model can have",
+        )
 
 
 class _Trade:

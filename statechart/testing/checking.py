@@ -193,9 +193,7 @@ def check(
     Raises
     ------
     DeclarationError
-        If the model does not say when a run ends.
-    ValueError
-        If `examples` is not positive.
+        If the model does not say when a run ends, or `examples` is no number of them.
 
     Examples
     --------
@@ -203,7 +201,7 @@ def check(
     True
     """
     if not isinstance(examples, int) or examples < 1:
-        raise ValueError(f"examples must be a whole number from 1 on, not {examples!r}")
+        raise DeclarationError(f"examples must be a whole number from 1 on, not {examples!r}")
     model, _ = resolved(model)
     subject = Subject(model)
     if model.stop.time is None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from heaps import heap
 
+from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.outlines import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
@@ -90,9 +91,17 @@ def test_what_misses_the_tolerance_is_told_and_ends_the_run_at_a_bound_only(caps
     [
         ({"impulse_tolerance": 0.0}, "above 0 and below 1"),
         ({"impulse_bound": -1.0}, "above 0"),
+        ({"impulse_bound": 1e-6, "impulse_tolerance": 1e-3}, "would end runs whose impulses are"),
         ({"impulse_tolerance": 1e-3, "engine": "scipy"}, "has no impulse_tolerance"),
     ],
 )
 def test_wrong_tolerances_of_impulses_are_refused(asked, words):
     with pytest.raises(DeclarationError, match=words):
         Runner("block_on_incline", **{"engine": "impulse", **asked})
+
+
+@pytest.mark.parametrize(("ratio", "looser"), [(1e10, "a tolerance of 1e-04"), (1e14, None)])
+def test_of_masses_too_far_apart_only_a_tolerance_is_advised_that_there_is(ratio, looser):
+    (said,) = ratio_remarks(np.array([ratio, 0.0, 1.0, 0.64]), ["box", "ball"], 1e-6)
+    assert "miss the contact laws by 0.64" in said
+    assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")

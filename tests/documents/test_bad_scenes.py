@@ -6,8 +6,10 @@ import math
 
 import pytest
 
+from contacts.scene.scene import Scene
+from contacts.scene.unlikely import unlikely
 from statechart.documents.yaml_reader import read_text
-from statechart.errors import DeclarationError
+from statechart.errors import DeclarationError, close_matches
 from statechart.running.runner import Runner
 
 SCENE = """\
@@ -101,6 +103,83 @@ def test_a_range_of_a_whole_number_has_one() -> None:
     told = r"4:13: ranges\.n: 'n' is a whole number: none is from 2\.2 to 2\.8; write \[2, 3\]"
     with pytest.raises(DeclarationError, match=told):
         Runner(read_text(text))
+
+
+GRAINS = """\
+kind: scene
+name: grains
+parameters: {n: 4, r: 0.1}
+gravity: 9.81
+bodies:
+  grain: {copies: n, mass: 1, inertia: r**2/2, shape: {disc: r}, start: {x: 0.3*index, y: 2}}
+surfaces:
+  floor: {height: 0}
+collisions:
+  all: {bodies: [grain], surfaces: [floor], friction: 0.5, restitution: 0}
+controls: {lift: 0}
+regions:
+  hand: {initial: up, states: {up: {sets: {lift: 1}}}}
+stop: {time: 1}
+outputs:
+  y: {value: grain3.y}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("grain3.y", "@grain7.y", "unknown name 'grain7.y'; there are grain0.y to grain3.y"),
+        ("grain3.y", "@grain.y", "there are grain0.y to grain3.y"),
+        ("mass: 1", "mass: 1 + @index", "'index': copies are alike but for their start"),
+        ("copies: n, ", "", "'index': it is the number of a copy; say how many"),
+        ("height: 0", "height: 0, displacement: [0, @lift]", "'lift': a control changes at"),
+        ("0.3*index", "0.3*(index @% 2)", "copies in rows are a body with copies for each row"),
+        ("0.3*index", "@floor(index/2)", "copies in rows are a body with copies for each row"),
+        ("mass: 1", "mass: @nan", "not a number; write one"),
+        ("{disc: r}", "@[" + "{disc: r}, " * 17 + "]", "must have at most 16 items, not 17"),
+    ],
+)
+def test_mistakes_with_copies_are_told_where_they_stand(old: str, new: str, words: str) -> None:
+    assert old in GRAINS
+    text = GRAINS.replace(old, new, 1)
+    before, found, _ = text.partition("@")
+    with pytest.raises(DeclarationError, match=r"^f\.yaml:\d+:\d+: ") as caught:
+        Runner(read_text(text.replace("@", "", 1), "f.yaml"))
+    assert words in str(caught.value)
+    if found:
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        assert str(caught.value).startswith(f"f.yaml:{line}:{column}: ")
+
+
+def test_names_are_listed_in_the_order_of_their_numbers() -> None:
+    known = ["rod10.x", "time", "rod2.x", "rod1.x"]
+    assert close_matches("mu", known) == "known: rod1.x, rod2.x, rod10.x, time"
+    assert close_matches("rod3.x", known) == "there are rod1.x to rod10.x"
+    assert close_matches("rod.y", ["rod1.x", "rod2.x"]).endswith("known: rod1.x, rod2.x")
+    assert close_matches("", ["a1", "a2"]) == "known: a1, a2"
+
+
+@pytest.mark.parametrize(("inertia", "warned"), [("r**2/2", False), ("1e-9", True), ("4", True)])
+def test_an_inertia_in_other_units_than_its_shape_is_warned_of(inertia: str, warned: bool) -> None:
+    scene = Runner(read_text(GRAINS.replace("inertia: r**2/2", f"inertia: {inertia}"))).model
+    assert isinstance(scene, Scene)
+    said = [line for line in unlikely(scene) if "are units mixed?" in line]
+    assert bool(said) == warned
+
+
+@pytest.mark.parametrize(
+    ("surface", "words"),
+    [
+        ("line: [[0, 2], [1, 2]]", "out of the surface; of a line the solid is on the right"),
+        ("circle: [0, 0], radius: 5", "out of the surface; a circle is solid inside"),
+        ("height: 2", "out of the surface"),
+    ],
+)
+def test_where_the_solid_is_is_told_of_the_surface_that_there_is(surface: str, words: str) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        Runner(read_text(SCENE.replace("height: 0", surface))).start()
+    assert words in str(caught.value)
+    assert ("right" in str(caught.value)) == ("line" in surface)
 
 
 def test_the_scene_itself_is_fine() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Slide, Surface
-from statechart import Stop, Value, equations, graph, load, run, sweep, trade
+from statechart import Result, Stop, Value, check, equations, graph, load, run, sweep, trade
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
@@ -183,3 +183,35 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
 
     with pytest.raises(TypeError, match="reference"):
         trade(scene(), progress=broken)
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda result: result.at("x"), "Result.at: t must be a number, not 'x'"),
+        (
+            lambda result: result.animate("a.gif", speed="3"),
+            "Result.animate: speed must be a number, not '3'",
+        ),
+        (
+            lambda result: result.animate("a.gif", size=None),
+            "Result.animate: size must be a whole number, not None",
+        ),
+        (lambda result: result.diagram(3), "Result.diagram: path must be a path, not 3"),
+        (
+            lambda result: trade(result.runner, settings=["x"]),
+            "settings are a list of what to run, not ['x']; such as [Setting(tolerance=1e-6)]",
+        ),
+        (lambda result: trade(result.runner, settings=[]), "settings are a list of what to run"),
+        (
+            lambda result: check(result.runner.model, examples="3"),
+            "examples must be a whole number from 1 on, not '3'",
+        ),
+    ],
+)
+def test_an_argument_of_another_kind_is_told_before_the_work(
+    call: Callable[[Result], object], told: str
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        call(run(scene()))
+    assert str(caught.value).startswith(told)

@@ -139,7 +139,8 @@ def measures(text: str, units: object = "SI") -> Chart:
         ("max(x, 0)", "m"), ("hypot(x, k)", "m"), ("2*x", "m"), ("x/12", "m"), ("sin(angle)", "1"),
         ("atan2(x, y*time)", "rad"), ("-x", "m"), ("1/x", "1/m"), ("y**2/x", "m/s\u00b2"),
         ("pi*x", "m"), ("180*x", ""), ("0.5*x", ""), ("k*x", ""), ("x**n", ""), ("7", ""),
-        ("+".join(["x"] * 120), ""),
+        ("+".join(["x"] * 120), ""), ("atan2(x, y*time)/(2*pi)", "1"), ("atan(x/x)/2", "rad"),
+        ("atan(x/x)/time/(2*pi)", "1/s"), ("2*pi/time", "1/s"), ("pi*x**2", "m\u00b2"),
     ],
 )  # fmt: skip
 def test_an_output_has_the_unit_of_its_formula(text: str, unit: str) -> None:

@@ -219,6 +219,30 @@ def test_what_holds_bodies_is_whole(name):
     assert (np.abs(wall.points - film.centres[0]) < film.half).all()
 
 
+def test_a_bowl_of_edges_is_whole_where_bodies_start():
+    film = film_of("jacks", [0.0], until=0.0)
+    for edge in shapes(film, "ground"):
+        assert (np.abs(edge.points - film.centres[0]) < film.half).all()
+
+
+def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
+    path = tmp_path / "fall.yaml"
+    path.write_text(
+        "kind: scene\nname: fall\ngravity: 9.81\n"
+        "bodies: {ball: {mass: 1, inertia: 0.1, start: {y: 3}, shape: {disc: 0.3}}}\n"
+        "surfaces: {floor: {height: 0}, far: {line: [[99, 0], [99, 1]]}}\n"
+        "collisions: {all: {bodies: [ball], surfaces: [floor, far], friction: 0, restitution: 0}}\n"
+        "stop: {time: 0.1}\n"
+    )
+    drawn = []
+    monkeypatch.setattr("statechart.pictures.snapshots.picture", drawn.append)
+    monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
+    draw_scene(path, tmp_path / "scene.png")
+    (film,) = drawn
+    assert film.centres[0, 1] - film.half[1] < 0.0
+    assert film.centres[0, 0] + film.half[0] < 20.0
+
+
 def test_of_hills_what_is_below_a_ball_is_seen():
     film = film_of("bouncing_ball_hills", [0.0], until=0.0)
     known = statechart.load("bouncing_ball_hills").values()

@@ -15,6 +15,7 @@ from contacts.testing.symmetry import LENGTH, TIMES, mirrored, rescaled
 from statechart.automaton.regions import State
 from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
 from statechart.loading.load import interpret, load
 from statechart.testing.checking import check, examine
 from statechart.testing.guards import assert_invariants, assert_margins, dense
@@ -532,7 +533,7 @@ def test_the_text_tells_what_was_skipped_and_what_failed():
 
 
 def test_the_number_of_examples_is_positive():
-    with pytest.raises(ValueError, match="examples"):
+    with pytest.raises(DeclarationError, match="examples"):
         check(model(BALL), examples=0)
 
 
