@@ -240,20 +240,25 @@ class BodyStepper(Stepper):
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
         initial = np.concatenate([moved, remembered])
+        places = np.tile([length, length, 1.0], len(bodies.sizes))
+        sizes = np.concatenate([places, places * (speed / length)])
         return SceneSetup(
             values=values,
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
-            scales=Scales(length, speed, speed**2 / length, 1.0, np.ones(len(moved))),
+            scales=Scales(length, speed, speed**2 / length, 1.0, sizes),
             contacts=(),
             capture=0.0,
             bands={},
-            sizes=np.ones(len(initial)),
+            sizes=np.concatenate(
+                [sizes, np.where(remembered == 0.0, 1.0, np.abs(remembered))]
+            ),
             warnings=(
                 *self._unlikely,
                 *implied_remarks(self._scene, bodies.joints, moved),
             ),
+            rounded=RELATIVE,
         )  # fmt: skip
 
     def _started(

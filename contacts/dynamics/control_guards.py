@@ -144,10 +144,7 @@ class ControlGuards:
 
     def typical(self, setup: SceneSetup) -> Array:
         """Return the size of accelerations and forces."""
-        scales = setup.scales
-        rates = scales.sizes[len(scales.sizes) // 2 :]
-        forces = np.full(len(self._unsolved) - len(rates), scales.force)
-        return np.concatenate([rates * (scales.speed / scales.length), forces])
+        return setup.scales.solved(len(self._unsolved))
 
     def rows(
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None

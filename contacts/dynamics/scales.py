@@ -39,6 +39,12 @@ class Scales:
     force: float
     sizes: Array
 
+    def solved(self, count: int) -> Array:
+        """Return the sizes of so many unknowns: of accelerations, and forces behind them."""
+        rates = self.sizes[len(self.sizes) // 2 :]
+        forces = np.full(count - len(rates), self.force)
+        return np.concatenate([rates * (self.speed / self.length), forces])
+
 
 def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
     """Raise `DeclarationProblem` where the square of a length, a speed or the like is no float."""

@@ -63,6 +63,9 @@ class SceneSetup(Setup):
         its value at the start.
     start_depth : float
         How deep bodies with shapes start in what they touch.
+    rounded : float
+        What steps leave of what rests, in parts of the size of each number: of impulses of points
+        their rounding, 1e-16 of the speeds, times what masses are apart.
     """
 
     scales: Scales
@@ -70,6 +73,7 @@ class SceneSetup(Setup):
     capture: float
     bands: Mapping[str, float]
     start_depth: float = 0.0
+    rounded: float = 1e-12
 
     @property
     def tie(self) -> float:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.stepped import Control, Stepped
+from contacts.time_stepping.stop_tapes import StopTapes
 from statechart.arrays import Bools, Ints
 from statechart.automaton.keeping import EVERYTHING, Keeping
 from statechart.automaton.time_stepper import Impulses
@@ -38,8 +39,7 @@ class Stepping:
         See `Recorder`.
     angles : (n,) array of bool
         Which coordinates are angles.
-    stops : Tape
-        Margins of the stop conditions, over variables and unknowns.
+    stops : StopTapes
     stop_names : tuple of str
     stop_counts : (2, s) array of bool
         Which of them hold on their boundary, too; see `counting`.
@@ -55,7 +55,7 @@ class Stepping:
     forces: int | None
     sticks: Bools
     angles: Bools
-    stops: Tape
+    stops: StopTapes
     stop_names: tuple[str, ...]
     stop_counts: Bools
     energy: Tape

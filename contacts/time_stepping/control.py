@@ -33,9 +33,6 @@ _MOST_TURNS = 100
 # What becomes true within this part of a step after its end is true at its end: times of steps, and
 # so timeouts that end with one, are rounded.
 _AT_END = 1e-6
-# Of the size of its terms, a margin is zero to this part: what impulses of points leave of a slip
-# is their rounding, 1e-16 of the speeds, times what masses are apart.
-_ROUNDED = 1e-12
 
 
 class SteppedTapes(Controllers):
@@ -207,7 +204,7 @@ class StepControl:
         true: Bools = (margin + _AT_END * h * falling < 0.0) & ~passing
         # How a step came to the boundary does not tell how the next one goes: what has just come
         # to rest was braked. So a strict guard waits for its margin to leave zero, but of time.
-        zero = _ROUNDED * size
+        zero = self._setup.rounded * size
         near = ~guards.watch.timed & (np.abs(margin) <= zero)
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
         due: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)

@@ -103,7 +103,7 @@ class SteppedRun:
         self._begun = begun
         self.stepping, self.recorder, self.span = stepping, recorder, span
         self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
-        self.stops = StopConditions(stepping, self.setup.values)
+        self.stops = StopConditions(stepping, self.setup)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""

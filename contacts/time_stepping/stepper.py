@@ -14,7 +14,7 @@ from contacts.scene.other_laws import replaced
 from contacts.states import STATES
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.loop import made_ready
-from contacts.time_stepping.stops import counting
+from contacts.time_stepping.stop_tapes import StopTapes, counting
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
 from statechart.automaton.keeping import EVERYTHING, Keeping
@@ -71,7 +71,7 @@ class Stepper(ABC):
             forces,
             sticks,
             np.array([name.endswith(".angle") for name in mechanics.names]),
-            mechanics.whole_tape([stop.expression for stop in stops.values()], unknowns=unknowns),
+            StopTapes(mechanics, [stop.expression for stop in stops.values()], unknowns),
             tuple(stops),
             counting(self._scene),
             mechanics.whole_tape([energy]),

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.scene.controls import ControlState
-from contacts.scene.scene import Scene
+from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.begun import Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Arc
-from statechart.charts.transitions import nested
-from statechart.formulas.formula import parse_relation
 
 # A condition is located within its step to this part of it.
 _BISECTIONS = 60
-# So small a part of what a margin has just been is what rounding leaves of zero.
-_ROUNDED = 1e-13
 
 
 class StopConditions:
@@ -27,14 +22,20 @@ class StopConditions:
     ----------
     stepping : Stepping
         Whose.
-    values : (p,) array
-        Of the parameters.
+    setup : SceneSetup
+        The run's numbers.
     """
 
-    def __init__(self, stepping: Stepping, values: Array) -> None:
-        self._tape, self._names, self._values = stepping.stops, stepping.stop_names, values
+    def __init__(self, stepping: Stepping, setup: SceneSetup) -> None:
+        self._tapes, self._names, self._values = stepping.stops, stepping.stop_names, setup.values
+        self._tape = self._tapes.margins
+        assert setup.sizes is not None
+        unknowns = self._tape.n_variables - len(setup.sizes)
+        self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
         self._stays, self._counts = stepping.stop_counts
-        self._last = np.full((2, len(self._names)), np.nan)  # of the margins, as they were last
+        self._rounded = setup.rounded
+        # Which margins were zero at the end of the last step.
+        self._near = np.zeros(len(self._names), dtype=np.bool_)
 
     def unknown(self, state: Array) -> Array:
         """Return what is solved for where it is not known yet, before the first step."""
@@ -44,28 +45,27 @@ class StopConditions:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
         if not self._names:
             return None
-        margins = self._margins(np.concatenate([state, self.unknown(state)])[None], 0.0)
-        below = self._met(margins)[0]
+        rows = np.concatenate([state, self.unknown(state)])[None]
+        below = self._met(rows, self._margins(rows, 0.0), np.zeros(1))[0]
         return int(np.argmax(below)) if below.any() else None
 
     def met(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
         """Return (step, condition) of the first condition met, by the steps' ends."""
         if not self._names:
             return None
-        below = self._met(self._ends(chunk, start)[1])
+        below = self._met(*self._ends(chunk, start), chunk.ends(start))
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
         return k, int(np.argmax(below[k]))
 
-    def _met(self, margins: Array) -> Bools:
-        ends = np.abs(np.vstack([self._last, margins]))
-        before, begun, now = ends[:-2], ends[1:-1], ends[2:]
-        near = _ROUNDED * np.fmax(np.fmax(before, begun), now)
-        stands = self._stays & (begun <= near) & (now <= near) & (near < np.inf)
-        self._last = ends[-2:]
-        found: Bools = (margins < 0.0) | (self._counts & (margins == 0.0)) | stands
-        return found
+    def _met(self, rows: Array, margins: Array, times: Array) -> Bools:
+        # What rests moves at what steps leave of its speed.
+        zero = self._rounded * self._tapes.terms(rows, self._sizes, self._values, times)
+        ends = np.vstack([self._near, np.abs(margins) <= zero])
+        before, near, self._near = ends[:-1], ends[1:], ends[-1]
+        found: Bools = (margins < 0.0) & ~near
+        return found | (self._counts & (margins == 0.0)) | (self._stays & before & near)
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a condition has no value, and its name."""
@@ -114,30 +114,6 @@ class StopConditions:
     def _margins(self, rows: Array, times: Array | float) -> Array:
         times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()
         return self._tape.table(rows, self._values, times)
-
-
-def counting(scene: Scene) -> Bools:
-    """Return which stop conditions hold on their boundary, too, where their relation counts it.
-
-    Returns
-    -------
-    (2, s) array of bool
-        Those that do where they stay there for a step; and at once, of what jumps alone change,
-        so that no motion tells the way it goes.
-    """
-    flowing = {
-        variable
-        for name, region in scene.regions.items()
-        for _, state, _ in nested(region, name)
-        if isinstance(state, ControlState)
-        for variable in state.flows
-    }
-    kept = {variable for region in scene.regions.values() for variable in region.variables}
-    still = {*scene.parameters, *(kept - flowing)}
-    relations = [parse_relation(text) for text in scene.stop.conditions.values()]
-    stays = np.array([r.operator in ("<=", ">=") for r in relations], np.bool_)
-    jumps = np.array([{*r.left.names, *r.right.names} <= still for r in relations], np.bool_)
-    return np.stack([stays, stays & jumps])
 
 
 def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:

@@ -46,7 +46,7 @@ def stream(
         if changed:
             values |= changed
             setup = begun.change(values)
-            made.stops = StopConditions(stepping, setup.values)
+            made.stops = StopConditions(stepping, setup)
     yield from fresh()
     trace = made.trace()
     if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
