@@ -33,7 +33,7 @@ class Maker:
     """
 
     def __init__(self, kernel: jit.Kernel, arguments: tuple[Any, ...]) -> None:
-        self._kernel, self._asked, self._done = kernel, 0, 0
+        self._asked = self._done = 0
         self._late = [one for one in _below(kernel) if isinstance(one, jit.Late)]
         self._process: subprocess.Popen[bytes] | None = None
         # Where no process can be started the run compiles what it needs.

@@ -77,7 +77,8 @@ class Runner:
         What was measured of this model: engine and tolerance are chosen by it.
     once : bool
         Whether what is chosen is to be the cheapest for a single run, which loads and compiles
-        all that it needs, as those of the command line; else for many runs of this runner.
+        all that it needs, as those of the command line; else for many runs of this runner. Python
+        may take its steps of time while another process compiles what takes them.
     progress : bool
         Whether runs above about a second report to stderr.
 
