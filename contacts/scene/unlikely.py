@@ -19,8 +19,9 @@ _TURN = 2.0 * math.pi
 # A centre that is no farther in, beside how far it is from the line's first point, is on it.
 _ROUNDING = 1e-9
 # Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
-# seldom less than a hundredth; lengths in millimetres beside metres make a million of it.
-_LEAST, _MOST = 1e-5, 1e2
+# seldom less than a hundredth; lengths in millimetres beside metres make a million of it, and what
+# never turns is often given 1.
+_LEAST, _MOST = 1e-5, 1e4
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 

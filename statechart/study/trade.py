@@ -161,10 +161,10 @@ def trade(
 
 
 def _check(settings: object) -> None:
-    """Check that these are settings, of which there is one at least."""
+    """Check that these are settings; of none the reference alone is run."""
     several = settings if isinstance(settings, Sequence) else (settings,)
     wrong = next((one for one in several if not isinstance(one, Setting)), None)
-    if wrong is not None or several is not settings or not several:
+    if wrong is not None or several is not settings:
         raise DeclarationError(
             f"settings are a list of what to run, not {settings!r}",
             advice="such as [Setting(tolerance=1e-6)]; by default those that the model can have",

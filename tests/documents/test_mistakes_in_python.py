@@ -202,7 +202,6 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
             lambda result: trade(result.runner, settings=["x"]),
             "settings are a list of what to run, not ['x']; such as [Setting(tolerance=1e-6)]",
         ),
-        (lambda result: trade(result.runner, settings=[]), "settings are a list of what to run"),
         (
             lambda result: check(result.runner.model, examples="3"),
             "examples must be a whole number from 1 on, not '3'",
