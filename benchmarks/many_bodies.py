@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
-import resource
 import statistics
 import subprocess
 import sys
@@ -237,15 +236,20 @@ def heaps(count: int) -> None:
     )
 
 
+def _kilobytes(name: str) -> int:
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return int(status.split(f"{name}:")[1].split()[0])
+
+
 def memory(count: int, record: str) -> None:
     """Print how much more than after its imports a run takes at most, in this process."""
     runner = Runner("granular_column", record=record)
     # Loads what is compiled.
     runner.run({"n": 4}, until=STEP)
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    before = int(status.split("VmRSS:")[1].split()[0])
+    before = _kilobytes("VmRSS")
     trace = runner.run({"n": count}, until=_LONG, throw=False).trace
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # What `getrusage` tells is at least what the process that made this one took.
+    most = _kilobytes("VmHWM")
     print(
         f"{record:16}{count:6}{trace.counts['steps']:10} steps{(most - before) / 1024:10.0f} MB "
         f"above imports  {trace.outcome.name}",
