@@ -212,16 +212,9 @@ class BodyStepper(Stepper):
         ) -> SteppedHeap:
             around = Surroundings(self._bodies, self._paths, self._recall, known, values)
             return SteppedHeap(
-                self._names,
-                self._surfaces,
-                bodies,
-                around,
-                law,
-                allowed,
-                deepest,
-                forces,
+                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces,
                 start_depth,
-            )
+            )  # fmt: skip
 
         bodies, depth, remarks = self._started(setup, bodies, known, heap)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
@@ -242,18 +235,17 @@ class BodyStepper(Stepper):
         initial = np.concatenate([moved, remembered])
         places = np.tile([length, length, 1.0], len(bodies.sizes))
         sizes = np.concatenate([places, places * (speed / length)])
+        scales = Scales(length, speed, speed**2 / length, 1.0, sizes)
         return SceneSetup(
             values=values,
             initial=initial,
             tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
                         "force": 0.0, "plain": 0.0},
-            scales=Scales(length, speed, speed**2 / length, 1.0, sizes),
+            scales=scales,
             contacts=(),
             capture=0.0,
             bands={},
-            sizes=np.concatenate(
-                [sizes, np.where(remembered == 0.0, 1.0, np.abs(remembered))]
-            ),
+            sizes=scales.state(remembered),
             warnings=(
                 *self._unlikely,
                 *implied_remarks(self._scene, bodies.joints, moved),

@@ -11,7 +11,7 @@ from statechart.kernels.jit import late
 # half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
 _ROUNDING = 64.0 * 2.0**-52
 # Impulses that miss by a tenth of the fastest approach hold nothing apart.
-_LOOSEST = 0.1
+_HOLDS_NOTHING = 0.1
 
 
 @late
@@ -61,7 +61,7 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:
         return ()
     reached = ratio * _ROUNDING
-    looser = f", or a tolerance of {reached:.0e}" if reached < _LOOSEST else ""
+    looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
         f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "
         f"together, are 1 to {ratio:.2g}: rounding of the heavy one's impulses moves the light one "

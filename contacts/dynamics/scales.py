@@ -39,6 +39,11 @@ class Scales:
     force: float
     sizes: Array
 
+    def state(self, memory: Array) -> Array:
+        """Return the sizes of coordinates, rates and what controllers remember, at its start."""
+        # What begins at zero does not tell how large it gets.
+        return np.concatenate([self.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
+
     def solved(self, count: int) -> Array:
         """Return the sizes of so many unknowns: of accelerations, and forces behind them."""
         rates = self.sizes[len(self.sizes) // 2 :]

@@ -65,7 +65,8 @@ class SceneSetup(Setup):
         How deep bodies with shapes start in what they touch.
     rounded : float
         What steps leave of what rests, in parts of the size of each number: of impulses of points
-        their rounding, 1e-16 of the speeds, times what masses are apart.
+        their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
+        their impulses miss by.
     """
 
     scales: Scales
@@ -200,10 +201,7 @@ class SceneNumbers:
             tolerances=tolerances,
             short=SHORT,
             warnings=(*self._unlikely, *warnings, *implied),
-            # What begins at zero does not tell how large it gets.
-            sizes=np.concatenate([scales.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
-            if len(memory)
-            else scales.sizes,
+            sizes=scales.state(memory),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
