@@ -142,7 +142,7 @@ def solved(
         Its impulses are written, and where the next step starts to look for its own.
     count : int
         Contacts.
-    effort : (6,)
+    effort : (8,)
         See `Chunk.efforts`.
     """
     touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
@@ -221,6 +221,7 @@ def solved(
         effort[0] = max(effort[0], missed)
         effort[1] += done
         effort[3] = max(effort[3], 1.0 if softened else 0.0)
+        effort[7] += done * size
 
 
 @beside

@@ -170,7 +170,7 @@ class SteppedRun:
                 due = False
                 if self.control is not None:
                     chunk, due = self.control.cut(chunk, begin, self.recorder)
-                work = float(chunk.efforts[:, 1] @ chunk.efforts[:, 2])
+                work = float(chunk.efforts[:, 7].sum())
                 if due:
                     # Steps after a transition are taken in vain, and the next may be as far off.
                     most = max(1, len(chunk.codes))
