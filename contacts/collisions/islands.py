@@ -128,7 +128,8 @@ def push(
 ) -> None:
     """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place."""
     for side in range(2):
-        b = bodies[i, side]
+        b, k = bodies[i, side], 3 * side
         if b >= 0:
-            for k in range(3):
-                rates[b, k] += inverse[b, k] * rows[i, d, 3 * side + k] * amount
+            rates[b, 0] += inverse[b, 0] * rows[i, d, k] * amount
+            rates[b, 1] += inverse[b, 1] * rows[i, d, k + 1] * amount
+            rates[b, 2] += inverse[b, 2] * rows[i, d, k + 2] * amount

@@ -73,10 +73,11 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     """Return the velocity of contact i along d (0: normal, 1: tangential)."""
     total = 0.0
     for side in range(2):
-        b = bodies[i, side]
+        b, k = bodies[i, side], 3 * side
         if b >= 0:
-            for k in range(3):
-                total += rows[i, d, 3 * side + k] * rates[b, k]
+            total += rows[i, d, k] * rates[b, 0]
+            total += rows[i, d, k + 1] * rates[b, 1]
+            total += rows[i, d, k + 2] * rates[b, 2]
     return total
 
 

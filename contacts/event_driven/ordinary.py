@@ -35,7 +35,8 @@ from statechart.automaton.trace import Jump, Key, Roles
 from statechart.engines.whole_flow import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import is_cached, is_ready
+from statechart.kernels.jit import is_ready
+from statechart.kernels.kinds import is_cached
 
 
 class SceneInstants:

@@ -162,7 +162,7 @@ class _Whole:
         return dict(zip(hit.tolist(), zip(*found, strict=True), strict=True))
 
 
-class Maker:
+class ArcMaker:
     """Makes arcs and jumps, in order: it remembers all of the steps that it is at.
 
     Parameters

@@ -23,7 +23,7 @@ from contacts.states import (
     undetermined,
 )
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.pieces import Line, Maker, Steps, Stretch, Stroke
+from contacts.time_stepping.pieces import ArcMaker, Line, Steps, Stretch, Stroke
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.deferred import Recorded
@@ -105,7 +105,7 @@ class Recorder:
         self._open: list[Stretch] = []
         self._size = 0
         self._tail: _Tail | None = None
-        self._maker = Maker(self.regions, self.energy)
+        self._maker = ArcMaker(self.regions, self.energy)
         self._arcs: list[Line | Arc] = []
         self._jumps: list[Stroke | Jump] = []
         self.arcs, self.jumps = self.kept(kept=False)

@@ -1,6 +1,6 @@
 """Compiled numerics: data in, numbers out, one set of kernels for every model.
 
-`jit` says which functions are kernels, and runs them by Python as long as that is cheap;
+`jit` says which functions are kernels, of which `kinds`, that Python runs as long as it is cheap;
 `machine_code` compiles them with numba, by way of `compilation`, whose `lowering` leaves
 `aggregates` apart, and keeps it, of what runs seldom enter `later`; a `maker` does so beside a run;
 `copies` are loops that cost it little. `tapes` runs straight-line programs on floats, `rows` on

@@ -36,7 +36,7 @@ from numba.extending import intrinsic
 from statechart import compiling, interrupts
 from statechart.kernels.aggregates import Builder
 from statechart.kernels.compilation import Callee, KernelCompiler, PartCompiler
-from statechart.kernels.jit import Compiled, Kernel, Late
+from statechart.kernels.kinds import Compiled, Kernel, Late
 from statechart.kernels.later import Signature, plain, returned
 from statechart.kernels.lowering import Written
 

@@ -15,7 +15,8 @@ from threading import Thread
 from typing import Any
 
 from statechart import compiling
-from statechart.kernels import jit
+from statechart.kernels import kinds
+from statechart.kernels.jit import entry
 
 # What a person does meanwhile comes first.
 _NICENESS = 5
@@ -32,9 +33,9 @@ class Maker:
         Such as it is called with.
     """
 
-    def __init__(self, kernel: jit.Kernel, arguments: tuple[Any, ...]) -> None:
+    def __init__(self, kernel: kinds.Kernel, arguments: tuple[Any, ...]) -> None:
         self._asked = self._done = 0
-        self._late = [one for one in _below(kernel) if isinstance(one, jit.Late)]
+        self._late = [one for one in _below(kernel) if isinstance(one, kinds.Late)]
         self._process: subprocess.Popen[bytes] | None = None
         # Where no process can be started the run compiles what it needs.
         with suppress(OSError):
@@ -74,13 +75,13 @@ class Maker:
             self._done += 1
 
 
-def _below(kernel: jit.Kernel) -> list[jit.Kernel]:
+def _below(kernel: kinds.Kernel) -> list[kinds.Kernel]:
     """Return a kernel and all that it calls, and that these call."""
     found = {kernel.py_func: kernel}
     queue = [kernel]
     while queue:
         for one in queue.pop().below.values():
-            if isinstance(one, jit.Kernel) and one.py_func not in found:
+            if isinstance(one, kinds.Kernel) and one.py_func not in found:
                 found[one.py_func] = one
                 queue.append(one)
     return list(found.values())
@@ -91,7 +92,7 @@ def main() -> None:
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     kernel, arguments = pickle.load(sys.stdin.buffer)
-    jit.entry(kernel, *arguments)
+    entry(kernel, *arguments)
     from statechart.kernels import later
 
     with suppress(EOFError):

@@ -11,7 +11,7 @@ import pytest
 
 from contacts.event_driven import ordinary
 from statechart import Runner
-from statechart.kernels import jit
+from statechart.kernels import jit, kinds
 from statechart.kernels.jit import kernel, part, seldom
 from statechart.kernels.tapes import HYPOT, POW, SQRT, tape_values
 
@@ -38,7 +38,7 @@ def _root(values, result):
 def written(monkeypatch):
     """Let Python run all kernels that it may, and fail where one is compiled."""
 
-    call = jit.Seldom.__call__
+    call = kinds.Seldom.__call__
 
     def checked(kernel, *arguments):
         kernel._spent, kernel._settled = 0.0, False
@@ -47,8 +47,8 @@ def written(monkeypatch):
         return result
 
     for name in ("LOADING", "BRIEF"):
-        monkeypatch.setattr(jit, name, math.inf)
-    monkeypatch.setattr(jit.Seldom, "__call__", checked)
+        monkeypatch.setattr(kinds, name, math.inf)
+    monkeypatch.setattr(kinds.Seldom, "__call__", checked)
     monkeypatch.setattr(ordinary, "is_ready", lambda loop: False)
 
 
@@ -56,7 +56,7 @@ def written(monkeypatch):
 def compiled(monkeypatch):
     """Let Python run no kernel."""
     for name in ("LOADING", "BRIEF"):
-        monkeypatch.setattr(jit, name, -1.0)
+        monkeypatch.setattr(kinds, name, -1.0)
 
 
 def told(model, until, certify):
@@ -122,8 +122,8 @@ def test_what_is_no_number_to_compiled_code_alone_is_left_to_it(monkeypatch):
 def test_what_takes_long_is_compiled(monkeypatch):
     monkeypatch.setattr(_roots, "_settled", False, raising=False)
     monkeypatch.setattr(_roots, "_spent", 0.0, raising=False)
-    monkeypatch.setattr(jit, "LOADING", math.inf)
-    monkeypatch.setattr(jit, "BRIEF", 1e-9)
+    monkeypatch.setattr(kinds, "LOADING", math.inf)
+    monkeypatch.setattr(kinds, "BRIEF", 1e-9)
     result = np.zeros(1)
     assert _roots(np.array([16.0]), result) == (4.0, 1)
     assert result.tolist() == [4.0]
@@ -134,13 +134,13 @@ def test_a_look_that_fails_or_takes_long_by_python_is_compiled(monkeypatch):
     def look(number):
         return jit.by_python(lambda: _root(np.array([number]), np.zeros(1)))
 
-    monkeypatch.setattr(jit._Deadline, "patient", True)
+    monkeypatch.setattr(kinds.Deadline, "patient", True)
     assert type(look(4.0)) is float
     assert math.isnan(look(-1.0))
-    assert jit._Deadline.patient
-    monkeypatch.setattr(jit, "BRIEF", -1.0)
+    assert kinds.Deadline.patient
+    monkeypatch.setattr(kinds, "BRIEF", -1.0)
     assert look(4.0) == 2.0
-    assert not jit._Deadline.patient
+    assert not kinds.Deadline.patient
 
 
 @pytest.mark.parametrize(

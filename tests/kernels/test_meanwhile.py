@@ -15,7 +15,7 @@ from contacts.collisions.body_step import step_bodies
 from contacts.time_stepping.scene_step import step_scene
 from statechart import Runner
 from statechart.automaton.trace import Outcome
-from statechart.kernels import jit, maker
+from statechart.kernels import jit, kinds, maker
 from statechart.kernels.jit import late, stepwise
 
 STEPS = (step_bodies, step_scene)
@@ -52,9 +52,9 @@ def anew(monkeypatch):
     """Let no process have taken steps, and what lies on disk be of no use."""
     for steps in (*STEPS, _roots):
         for name in ("_spent", "_looked_at", "_many", "_settled", "_maker"):
-            monkeypatch.setattr(steps, name, getattr(jit.Stepwise, name), raising=False)
-    monkeypatch.setattr(jit, "is_cached", lambda kernel: False)
-    monkeypatch.setattr(jit, "BRIEF", 0.0)
+            monkeypatch.setattr(steps, name, getattr(kinds.Stepwise, name), raising=False)
+    monkeypatch.setattr(kinds, "is_cached", lambda kernel: False)
+    monkeypatch.setattr(kinds, "BRIEF", 0.0)
     monkeypatch.setattr(maker, "Maker", Waiting)
 
 
@@ -80,7 +80,7 @@ def told(model, until, once):
 def test_python_takes_the_same_steps(model, until, polls, anew, monkeypatch):
     monkeypatch.setattr(Waiting, "polls", polls)
     # Between all calls is looked whether there is something compiled by now.
-    monkeypatch.setattr(jit, "_TOGETHER", 0.0)
+    monkeypatch.setattr(kinds, "_TOGETHER", 0.0)
     meanwhile = told(model, until, once=True)
     assert all(steps._maker is None or steps._settled == (polls == 3) for steps in STEPS)
     assert meanwhile == told(model, until, once=False)
@@ -96,7 +96,7 @@ def test_a_signal_ends_steps_with_those_that_were_taken(model, step, anew, monke
             return False
 
     monkeypatch.setattr(maker, "Maker", Ended)
-    monkeypatch.setattr(jit, "_TOGETHER", 0.0)
+    monkeypatch.setattr(kinds, "_TOGETHER", 0.0)
     trace = Runner(model, once=True).run(until=500.0 * step).trace
     assert trace.outcome is Outcome.INTERRUPTED
     # It is asked twice for each step, from the second one on.
