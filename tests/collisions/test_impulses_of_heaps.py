@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from heaps import heap
 
+from contacts.collisions import stepped_heap
+from contacts.collisions.body_step import step_bodies
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.outlines import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
@@ -16,6 +18,26 @@ from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
 from statechart.testing.subject import Subject
+
+TWENTY = """
+kind: scene
+name: columns
+gravity: 9.81
+bodies:
+  disc:
+    copies: 600
+    mass: 1
+    inertia: 0.005
+    shape: {disc: 0.1}
+    start:
+      x: (index + 0.5)/30 - 0.5 - atan(tan(pi*((index + 0.5)/30 - 0.5)))/pi
+      y: 3.1 + 6.001/pi*atan(tan(pi*((index + 0.5)/30 - 0.5)))
+surfaces: {ground: {height: 0}}
+collisions: {all: {bodies: [disc], surfaces: [ground], friction: 0.5, restitution: 0.2}}
+stop: {time: 0.3}
+settings: {engine: impulse, step: 1e-3, record: nothing}
+"""
+"""Twenty columns of thirty discs, touching or nearly."""
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -75,6 +97,22 @@ def test_the_tolerance_trades_iterations_for_exactness():
         assert trace.counts["inexact_steps"] == 0
         iterations.append(trace.counts["iterations"])
     assert iterations[0] < 0.7 * iterations[1]
+
+
+def test_heaps_beside_each_other_take_as_many_steps_at_once_as_one(monkeypatch):
+    calls = []
+
+    class Counted:
+        together = staticmethod(step_bodies.together)
+
+        def __call__(self, *arguments):
+            calls.append(None)
+            return step_bodies(*arguments)
+
+    monkeypatch.setattr(stepped_heap, "step_bodies", Counted())
+    trace = Runner(interpret(read_text(TWENTY))).run().trace
+    assert trace.counts["most_contacts"] == 600
+    assert len(calls) < 12
 
 
 def test_what_misses_the_tolerance_is_told_and_ends_the_run_at_a_bound_only(capsys):
