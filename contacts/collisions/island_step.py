@@ -14,7 +14,8 @@ from contacts.detection.broad_phase import Grid
 from contacts.detection.look import Look
 from contacts.detection.touches import Touches
 from contacts.solvers.contact_rows import ContactRows, scale, scale_beside
-from contacts.solvers.island_impulses import island_impulses, solve_rows
+from contacts.solvers.contact_solver import solve_rows
+from contacts.solvers.island_impulses import island_impulses
 from contacts.time_stepping.chunk import LIVELY
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.solvers.contact_lcp import contact_problem, four_unknowns
 from contacts.solvers.contact_lcp_kernels import LOOSEST, problem, step_residual
-from contacts.solvers.island_impulses import dense_impulses
+from contacts.solvers.contact_solver import dense_impulses
 from contacts.solvers.lcp import solve_lcp
 from contacts.solvers.step_impulses import AS_ASKED, AS_GIVEN, SOFTENED
 from statechart import interrupts

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rows import contact_rows
 
-from contacts.solvers.island_impulses import solve_rows
+from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.proximal_newton import by_proximal_points
 from statechart.kernels.jit import kernel
 
