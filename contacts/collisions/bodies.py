@@ -235,7 +235,9 @@ class BodyStepper(Stepper):
         initial = np.concatenate([moved, remembered])
         places = np.tile([length, length, 1.0], len(bodies.sizes))
         sizes = np.concatenate([places, places * (speed / length)])
-        scales = Scales(length, speed, speed**2 / length, 1.0, sizes)
+        acceleration = speed**2 / length
+        force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
+        scales = Scales(length, speed, acceleration, force, sizes)
         return SceneSetup(
             values=values,
             initial=initial,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
@@ -181,3 +182,48 @@ regions:
     # Controllers act at the end of a step, here of the one behind 0.3, and conditions are seen
     # at the end of the next.
     assert trace.t_end == pytest.approx(end, abs=2.5e-3)
+
+
+@pytest.mark.parametrize("mass", [1.0, 1e-6, 1e-12])
+def test_a_guard_on_the_force_of_a_joint_is_met_whatever_the_masses(mass):
+    """Forces had the size of a newton: of a nanogram all of them were rounding."""
+    runner = Runner(
+        interpret(
+            read_text(
+                """
+kind: scene
+name: swing
+parameters: {m: 1}
+gravity: 9.81
+bodies:
+  disc: {mass: m, inertia: m*0.005, shape: {disc: 0.1}, start: {x: 0.5, y: 0}}
+joints: {hinge: {point: {body: disc, at: [-0.5, 0]}, to: [0, 0]}}
+surfaces: {ground: {height: -5}}
+collisions: {all: {bodies: [disc], surfaces: [ground], friction: 0.5, restitution: 0}}
+regions:
+  load:
+    initial: low
+    states: {low: {}, high: {}}
+    transitions: [{name: rises, from: low, to: high, guard: "hinge.Y > 1.5*m*9.81"}]
+stop: {time: 0.8}
+outputs: {risen: {value: time, at: first load.rises}}
+settings: {engine: impulse, step: 1e-3}
+"""
+            )
+        )
+    )
+    arm = 0.5**2 / (0.5**2 + 0.005)
+
+    # The pivot lifts with (1 - arm + 3 arm sin(t)^2) times the weight.
+    def lifts(_, y):
+        return 1.0 - arm + 3.0 * arm * math.sin(y[0]) ** 2 - 1.5
+
+    lifts.terminal = True
+    swing = solve_ivp(
+        lambda _, y: [y[1], 9.81 / 0.5 * arm * math.cos(y[0])],
+        (0.0, 0.8),
+        [0.0, 0.0],
+        events=lifts,
+        rtol=1e-10,
+    )
+    assert runner.run({"m": mass}).outputs["risen"] == pytest.approx(swing.t[-1], abs=1e-3)
