@@ -67,7 +67,20 @@ def followed(page: Path) -> bool:
     return any(block.typed or block.language == "console" for block in blocks(page))
 
 
-def follow(page: Path, folder: Path, change: Callable[[str], str] = str) -> None:
+def shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder as its reader does."""
+    return subprocess.run(
+        ["bash", "-c", command],
+        cwd=folder, capture_output=True, check=False, text=True, timeout=_PATIENCE,
+    )  # fmt: skip
+
+
+def follow(
+    page: Path,
+    folder: Path,
+    change: Callable[[str], str] = str,
+    run: Callable[[str, Path], subprocess.CompletedProcess[str]] = shell,
+) -> None:
     """Do in a folder what a page says.
 
     Parameters
@@ -78,6 +91,8 @@ def follow(page: Path, folder: Path, change: Callable[[str], str] = str) -> None
         Where its files go and its commands run.
     change : callable
         Makes of a command the one that is run, such as a shorter one of the same kind.
+    run : callable
+        Runs a command in a folder.
 
     Raises
     ------
@@ -91,7 +106,8 @@ def follow(page: Path, folder: Path, change: Callable[[str], str] = str) -> None
                 file.write(block.text)
         elif block.language == "console":
             for command, expected in _commands(block.text):
-                _do(change(command), expected, folder, f"{page.name}:{block.line}")
+                command = change(command)
+                _check(command, run(command, folder), expected, f"{page.name}:{block.line}")
 
 
 def _commands(text: str) -> Iterator[tuple[str, str]]:
@@ -100,11 +116,7 @@ def _commands(text: str) -> Iterator[tuple[str, str]]:
         yield command, expected
 
 
-def _do(command: str, expected: str, folder: Path, place: str) -> None:
-    done = subprocess.run(
-        ["bash", "-c", command],
-        cwd=folder, capture_output=True, check=False, text=True, timeout=_PATIENCE,
-    )  # fmt: skip
+def _check(command: str, done: subprocess.CompletedProcess[str], expected: str, place: str) -> None:
     told = f"{place}: $ {command}\n{done.stdout}{done.stderr}"
     if not expected.strip():
         assert done.returncode == 0, told

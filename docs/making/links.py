@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
-
-from bs4 import BeautifulSoup
 
 # Pages that need nothing else: what their script links is not there before it runs.
 _ALONE = "runs"
@@ -25,36 +24,38 @@ def dead_links(site: Path) -> Iterator[tuple[str, str]]:
         name = page.relative_to(site)
         if name.parts[0] == _ALONE:
             continue
-        for target in _targets(page):
+        for target in _read(page.resolve()).targets:
             address = urlsplit(target)
             if address.scheme or address.netloc:
                 continue
             file = page.parent / unquote(address.path) if address.path else page
             file = file / "index.html" if file.is_dir() else file
             place = unquote(address.fragment)
-            if not file.is_file() or (place and place not in _places(file.resolve())):
+            if not file.is_file() or (place and place not in _read(file.resolve()).places):
                 yield str(name), target
 
 
-def _targets(page: Path) -> Iterator[str]:
-    for element in _read(page).find_all(True):
-        for attribute in ("href", "src"):
-            if attribute in element.attrs:
-                yield str(element[attribute])
+class _Page(HTMLParser):
+    """What a page links, and the names in it that a link may lead to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.places: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note what an element says."""
+        for attribute, value in attrs:
+            if attribute in ("href", "src"):
+                self.targets.append(value or "")
+            elif attribute in ("id", "name"):
+                self.places.add(value or "")
 
 
 @cache
-def _places(page: Path) -> frozenset[str]:
-    """Return the names in a page that a link may lead to."""
-    if page.suffix != ".html":
-        return frozenset()
-    return frozenset(
-        str(element[key])
-        for element in _read(page).find_all(True)
-        for key in ("id", "name")
-        if key in element.attrs
-    )
-
-
-def _read(page: Path) -> BeautifulSoup:
-    return BeautifulSoup(page.read_text(encoding="utf-8"), "html.parser")
+def _read(page: Path) -> _Page:
+    read = _Page()
+    if page.suffix == ".html":
+        read.feed(page.read_text(encoding="utf-8"))
+        read.close()
+    return read

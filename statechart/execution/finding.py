@@ -47,7 +47,7 @@ def noise(
     times, terms = path.times[: where.step + 2], path.coefficients[: where.step + 1]
     middle = sample_states(terms, times, np.array([0.5 * where.time]))[0]
     margin = guards.values(middle, parameters, start + 0.5 * where.time).item(where.guard)
-    size = sizes_at(guards, middle, sizes, parameters, start + where.time)[where.guard]
+    (size,) = sizes_at(guards, (where.guard,), middle, sizes, parameters, start + where.time)
     wider = _NOISE * engine.tolerance * size
     # Twice as wide at least each time, so that this comes to an end.
     if margin > wider or not wider > 2.0 * tolerance:
@@ -102,14 +102,18 @@ def closing(
     margins = guards.values(state, parameters, time).tolist()
     sizes = np.abs(state) if flow.sizes is None else flow.sizes
     closed, tolerances = False, {**flow.tolerances}
-    terms: list[float] = []
+    wider = tuple(
+        place
+        for place, (name, kind) in enumerate(compiled.watched)
+        if kind == "plain" and name in tolerances
+    )
+    terms = dict(zip(wider, sizes_at(guards, wider, state, sizes, parameters, time), strict=True))
     for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
         if kind == "gap":
             closed |= margin <= AT_END * setup.tolerances[kind]
         elif kind == "speed":
             closed |= margin <= setup.tolerances[kind]
-        elif kind == "plain" and name in tolerances:
-            terms = terms or sizes_at(guards, state, sizes, parameters, time)
+        elif place in terms:
             tolerances[name] = max(tolerances[name], engine.tolerance * terms[place])
             closed |= margin <= tolerances[name]
     return closed, tolerances

@@ -60,7 +60,8 @@ class StandingStops:
         time, first = clock.high, len(mode.margins) - len(self._strict)
         values = guards.values(state, setup.values, time)[first:].tolist()
         sizes = _sizes(setup, flow, state)
-        terms = sizes_at(guards, state, sizes, setup.values, time)[first:]
+        places = tuple(range(first, len(mode.margins)))
+        terms = sizes_at(guards, places, state, sizes, setup.values, time)
         names = [margin.name for margin in mode.margins[first:]]
         tolerances: dict[str, float] = {}
         for name, value, term, strict in zip(names, values, terms, self._strict, strict=True):

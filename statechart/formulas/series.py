@@ -29,18 +29,25 @@ class Series(NamedTuple):
 
 
 def expand(
-    tape: Tape, variables: Sequence[Series], parameters: Sequence[float], time: float
+    tape: Tape,
+    variables: Sequence[Series],
+    parameters: Sequence[float],
+    time: float,
+    places: tuple[int, ...] | None = None,
 ) -> list[Series]:
     """Return the series of a tape's outputs, as long as those of its variables.
 
-    What has no series (a root at zero) has coefficients that are not numbers.
+    Of the outputs at some places, where these are given. What has no series (a root at zero) has
+    coefficients that are not numbers.
     """
     terms = len(variables[0].values) if variables else 1
+    places = tuple(range(len(tape.outputs))) if places is None else places
     clock = _constant(time, terms)
     clock.values[1:2] = [1.0][: terms - 1]
-    registers = [*variables, clock]
-    registers += [_constant(p, terms) for p in (*parameters, *tape.constants.tolist())]
-    for op, left, right in tape.code.tolist():
+    given = [*variables, clock]
+    given += [_constant(p, terms) for p in (*parameters, *tape.constants.tolist())]
+    registers = dict(enumerate(given))
+    for place, op, left, right in tape.needed(places):
         a, name = registers[left], _NAMES[op]
         try:
             if name in _BINARY:
@@ -49,15 +56,23 @@ def expand(
                 found = _power(a, right) if name == "powi" else _UNARY[name](a)
         except (ValueError, ZeroDivisionError, OverflowError):
             found = Series([math.nan] * terms, [math.nan] * terms)
-        registers.append(found)
-    return [registers[place] for place in tape.outputs.tolist()]
+        registers[place] = found
+    return [registers[tape.outputs.item(place)] for place in places]
 
 
-def sizes_at(tape: Tape, state: Array, sizes: Array, parameters: Array, time: float) -> list[float]:
-    """Return how large the terms of every output are, given those of the state."""
+def sizes_at(
+    tape: Tape,
+    places: tuple[int, ...],
+    state: Array,
+    sizes: Array,
+    parameters: Array,
+    time: float,
+) -> list[float]:
+    """Return how large the terms of outputs at these places are, given those of the state."""
     pairs = zip(state.tolist(), sizes.tolist(), strict=True)
     variables = [Series([x], [max(abs(x), size)]) for x, size in pairs]
-    return [found.sizes[0] for found in expand(tape, variables, parameters.tolist(), time)]
+    found = expand(tape, variables, parameters.tolist(), time, places)
+    return [one.sizes[0] for one in found]
 
 
 def _constant(value: float, terms: int) -> Series:

@@ -151,6 +151,23 @@ class Tape:
     def _apart(self) -> dict[int, tuple[Ints, Ints, Ints]]:
         return {}
 
+    def needed(self, places: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+        """Return the operations that outputs at these places need: result and code of each."""
+        if places not in self._needed:
+            base = self.n_variables + 1 + self.n_parameters + len(self.constants)
+            wanted, found = {self.outputs.item(place) for place in places}, []
+            for result in range(base + len(self.code) - 1, base - 1, -1):
+                if result in wanted:
+                    op, left, right = self.code[result - base].tolist()
+                    wanted |= {left, right} if op <= POW else {left}
+                    found.append((result, op, left, right))
+            self._needed[places] = found[::-1]
+        return self._needed[places]
+
+    @cached_property
+    def _needed(self) -> dict[tuple[int, ...], list[tuple[int, int, int, int]]]:
+        return {}
+
     def _read_by_outputs(self, variables: int) -> list[list[int]]:
         """Return the variables, of the first ones, that each output may change with."""
         base = self.n_variables + 1 + self.n_parameters + len(self.constants)

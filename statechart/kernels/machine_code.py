@@ -1,8 +1,9 @@
 """Kernels kept on disk, across several files, and the functions of numba that run them.
 
 numba's cache looks only at the file of the function that is called: where that calls kernels of
-another file, an edit there would silently run the old code. Here a kernel's cache is as old as the
-newest of all files whose kernels it can see, and of what says how kernels are compiled.
+another file, an edit there would silently run the old code. Here a kernel's cache is of the content
+of all files whose kernels it can see, and of what says how kernels are compiled; where these lie,
+and since when, does not matter.
 
 Of processes that begin together one compiles a kernel, and the others wait for what it leaves on
 disk: were each to compile it, what calls it would be of use only to the one that was the last.
@@ -20,7 +21,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +199,7 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        stamps: dict[str, tuple[float, int]] = {}
+        stamps: dict[str, bytes] = {}
         for one in (*_MAKERS, function):
             _collect(one, stamps)
         self._cache_file: Any = _DigestedFile(
@@ -247,6 +248,12 @@ event.register("numba:compile", _Told())
 
 def _digest(data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=_DIGEST).digest()
+
+
+@cache
+def _content(file: Path, changed: float, size: int) -> bytes:
+    """Return the digest of a file that was last changed then."""
+    return _digest(file.read_bytes())
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -333,12 +340,12 @@ def _missing(compiled: Any, found: dict[Any, None]) -> dict[Any, None]:
     return found
 
 
-def _collect(function: Callable[..., Any], stamps: dict[str, tuple[float, int]]) -> None:
-    file = function.__code__.co_filename
-    if file in stamps:
+def _collect(function: Callable[..., Any], stamps: dict[str, bytes]) -> None:
+    if function.__module__ in stamps:
         return
-    found = Path(file).stat()
-    stamps[file] = found.st_mtime, found.st_size
+    file = Path(function.__code__.co_filename)
+    found = file.stat()
+    stamps[function.__module__] = _content(file, found.st_mtime, found.st_size)
     for value in function.__globals__.values():
         if isinstance(value, Kernel):
             _collect(value.py_func, stamps)

@@ -8,6 +8,7 @@ its simulator, so that the next run finds its programs ready.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
@@ -70,15 +71,15 @@ class Observer:
         """The automaton whose observables formulas are over."""
         return self.simulator.automaton
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The observables that change along a run: variables first, no parameter, no time."""
         automaton = self.automaton
-        constant = {automaton.time, *automaton.parameters}
+        constant, variables = {automaton.time, *automaton.parameters}, {*automaton.names}
         others = [
             name
             for name, expression in automaton.observables.items()
-            if expression not in constant and name not in automaton.names
+            if expression not in constant and name not in variables
         ]
         return (*automaton.names, *others)
 

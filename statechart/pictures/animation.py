@@ -9,7 +9,6 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +17,10 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.documents.files import write_atomic
 from statechart.errors import DeclarationError, StatechartError
-from statechart.palette import FAINT, FRAME, INK, state_colours
+from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
 from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing
 from statechart.pictures.film import Film
+from statechart.pictures.gif import gif
 from statechart.pictures.scenery import BODY
 from statechart.pictures.snapshots import shaped
 from statechart.progress import counted
@@ -42,6 +42,8 @@ _NARROWEST, _WIDEST = 120, 1920
 # The last picture stays for so long before all begins anew.
 _STAYS = 1.0
 _DPI = 100
+# The clock: its letters and the paper around it in pixels, its place in parts of the picture.
+_LETTERS, _EDGE, _CORNER = 11, 2, (0.012, 0.025)
 # Lighter shades than this would be taken for the paper's.
 _FAINTEST = 240.0
 
@@ -163,6 +165,7 @@ def _clock(speed: float) -> str:
 
 
 def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterator[Image.Image]:
+    """Yield the pictures of a film; what does not move is drawn once for all of them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
@@ -171,29 +174,63 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
     even = [2 * round(side * _DPI / 2) / _DPI for side in (width, height)]
     figure = Figure(figsize=(even[0], even[1]), dpi=_DPI)
     canvas = FigureCanvasAgg(figure)
-    drawing = Drawing(figure.add_axes((0.0, 0.0, 1.0, 1.0)), film, trail=trail, clock=clock)
+    drawing = Drawing(figure.add_axes((0.0, 0.0, 1.0, 1.0)), film, trail=trail)
+    moving = drawing.moving()
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    still, renderer = canvas.copy_from_bbox(figure.bbox), canvas.get_renderer()
+    told = _Clock(clock)
     for instant in range(len(film.times)):
         drawing.show(instant)
-        canvas.draw()
+        canvas.restore_region(still)
+        for artist in moving:
+            artist.draw(renderer)
         drawn = canvas.buffer_rgba()
-        yield Image.frombuffer("RGBA", drawn.shape[1::-1], drawn).convert("RGB")
+        made = Image.frombuffer("RGBA", drawn.shape[1::-1], drawn).convert("RGB")
+        told.write(made, film.times[instant])
+        yield made
+
+
+class _Clock:
+    """The time in the corner of a picture, by Pillow: matplotlib took a third of a picture for it.
+
+    Parameters
+    ----------
+    speed : str
+        What stands behind the time.
+    """
+
+    def __init__(self, speed: str) -> None:
+        from matplotlib.font_manager import FontProperties, findfont
+        from PIL import ImageFont
+
+        self._speed = speed
+        self._font = ImageFont.truetype(findfont(FontProperties()), _LETTERS)
+
+    def write(self, picture: Image.Image, time: float) -> None:
+        """Write it into a picture, on paper."""
+        from PIL import ImageDraw
+
+        on, said = ImageDraw.Draw(picture), f"t = {time:.4g}{self._speed}"
+        place = (round(_CORNER[0] * picture.width), round(_CORNER[1] * picture.height))
+        left, top, right, bottom = on.textbbox(place, said, self._font)
+        on.rectangle((left - _EDGE, top - _EDGE, right + _EDGE, bottom + _EDGE), PAPER)
+        on.text(place, said, INK, self._font)
 
 
 def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
     from PIL import Image
 
     # One palette for all: what stands still stays the same, and takes no place in the file.
+    palette = _palette()
     shared = Image.new("P", (1, 1))
-    shared.putpalette(_palette())
+    shared.putpalette(palette)
     kept = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
     times = [round(100.0 * lasting * k) for k in range(len(kept))]
     lengths = [10 * max(2, b - a) for a, b in itertools.pairwise(times)]
     lengths.append(round(1000 * _STAYS))
-    stream = BytesIO()
-    kept[0].save(
-        stream, format="GIF", save_all=True, append_images=kept[1:], duration=lengths, loop=0
-    )
-    return stream.getvalue()
+    return gif(kept, lengths, palette)
 
 
 def _palette() -> list[int]:

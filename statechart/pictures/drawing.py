@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import dropwhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from statechart.pictures.names import write_names
 from statechart.pictures.scenery import Scenery, points_of, thinner
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 FORCE, TRAIL = LINES[1], LINES[0]
@@ -42,8 +44,6 @@ class Drawing:
         How far back in time trails reach; all the way by default, 0 for none.
     names : bool
         Whether bodies, contacts and surfaces are named.
-    clock : str or None
-        What stands behind the time in the corner; None for no time there.
     """
 
     def __init__(
@@ -53,11 +53,11 @@ class Drawing:
         *,
         trail: float | None = None,
         names: bool = False,
-        clock: str | None = "",
     ) -> None:
         self._ax, self._film, self._trail = ax, film, trail
         ax.set_aspect("equal", adjustable="box")
         ax.set_axis_off()
+        self._limits: tuple[tuple[float, float], ...] = ()
         self._look(0)
         self._scenery = Scenery(ax, film)
         paper = points_of(film.unit, ax)
@@ -68,11 +68,6 @@ class Drawing:
             for _ in film.trails
         ]
         self._contacts = [self._contact(touch) for touch in film.touches]
-        self._clock = clock
-        self._text = ax.text(
-            0.012, 0.975, "", transform=ax.transAxes, va="top", fontsize=8, color=INK, zorder=5,
-            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.5},
-        )  # fmt: skip
         self.show(0)
         if names:
             write_names(ax, film, self._size)
@@ -88,13 +83,26 @@ class Drawing:
             line.set_data(*film.poses[first : instant + 1, frame, :2].T)
         for touch, artists in zip(film.touches, self._contacts, strict=True):
             self._show(touch, artists, instant)
-        if self._clock is not None:
-            self._text.set_text(f"t = {film.times[instant]:.4g}{self._clock}")
+
+    def moving(self) -> list[Artist]:
+        """Return all that has to be drawn anew at another instant, from back to front.
+
+        That is what moves, and what is drawn upon it. What is seen by an eye that moves does, too.
+        """
+        drawn = {*self._ax.lines, *self._ax.patches, *self._ax.collections, *self._ax.texts}
+        ordered = [artist for artist in self._ax.get_children() if artist in drawn]
+        ordered.sort(key=lambda artist: artist.get_zorder())
+        stands = bool((self._film.centres == self._film.centres[0]).all())
+        still = set(self._scenery.still) if stands else set()
+        return [*dropwhile(lambda artist: artist in still, ordered)]
 
     def _look(self, instant: int) -> None:
         (x, y), (width, height) = self._film.centres[instant], self._film.half
-        self._ax.set_xlim(x - width, x + width)
-        self._ax.set_ylim(y - height, y + height)
+        limits = (x - width, x + width), (y - height, y + height)
+        # To set them, though they are the same, places everything anew.
+        if limits != self._limits:
+            self._limits = limits
+            self._ax.set(xlim=limits[0], ylim=limits[1])
 
     def _contact(self, touch: Touch) -> tuple[Any, Any, Any]:
         from matplotlib.patches import FancyArrowPatch, Polygon

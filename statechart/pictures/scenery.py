@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,13 @@ class Scenery:
                 self._bodies.append(_Bodies(ax, film, list(shapes)))
             else:
                 self._made += [(shape, self._artists(shape)) for shape in shapes]
+
+    @property
+    def still(self) -> Iterator[Artist]:
+        """What never moves."""
+        for shape, artists in self._made:
+            if shape.frame == WORLD and shape.kind not in BETWEEN:
+                yield from artists
 
     def show(self, instant: int) -> None:
         """Move everything to where it is at an instant."""

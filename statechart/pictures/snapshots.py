@@ -27,7 +27,7 @@ def picture(film: Film) -> Figure:
 
     size = shaped(film, _WIDTH, _HIGHEST)
     result = Figure(figsize=size)
-    Drawing(result.add_axes((0.0, 0.0, 1.0, 1.0)), film, names=True, clock=None)
+    Drawing(result.add_axes((0.0, 0.0, 1.0, 1.0)), film, names=True)
     return result
 
 
@@ -50,7 +50,7 @@ def strip(figure: Figure, film: Film, top: float) -> None:
     for place, instant in enumerate(chosen):
         left = (place + 0.5) / len(chosen) - own / 2.0
         ax = figure.add_axes((left, (top - _CLOCK) / height - high, own, high))
-        Drawing(ax, film, clock=None).show(instant)
+        Drawing(ax, film).show(instant)
         ax.set_title(f"t = {film.times[instant]:.4g}", loc="left", fontsize=8, y=1.0, pad=3.0)
 
 

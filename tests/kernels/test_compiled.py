@@ -171,7 +171,7 @@ def test_an_edit_in_another_file_is_seen(upper, decorator):
     assert not is_cached(first)
     assert first(1.0) == 22.0
     again = upper(decorator, "10.0")
-    assert not is_cached(again)  # written anew, so newer, though the text is the same
+    assert is_cached(again)  # written anew, and newer, but the text is the same
     edited = upper(decorator, "10.25")
     assert edited(1.0) == 22.5
 
