@@ -72,7 +72,7 @@ TOKENS: Mapping[str, str] = {
     "!=": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected, and once",
     ",": "decimals have a point: 9.81",
-    "/": "write a quotient as a/b, one rounded down as floor(a/b), and a comment after #",
+    "/": "write a quotient as a/b, and a comment after #; rounded down it is floor(a/b)",
     "(": "write a product as a*b",
     ")": "there is no ( before it that it could close",
     **dict.fromkeys(("and", "or", "not"), _CHARACTERS["&"]),
