@@ -150,7 +150,8 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
     """
     for name, body in scene.bodies.items():
         for place, shape in enumerate(body.shape):
-            _check_shape(scene, ("bodies", name, "shape", place), shape, values)
+            at = ("bodies", name, "shape", *((place,) if len(body.shape) > 1 else ()))
+            _check_shape(scene, at, shape, values)
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for key, most in (("friction", math.inf), ("restitution", 1.0)):

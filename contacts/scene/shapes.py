@@ -102,3 +102,16 @@ class Collision(Part):
         examples=[0.2],
         json_schema_extra=unit("1"),
     )
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for key, names in (("bodies", self.bodies), ("surfaces", self.surfaces)):
+            for place, name in enumerate(names):
+                if name in names[:place]:
+                    raise DeclarationProblem(
+                        f"{name!r} is listed twice",
+                        advice="list it once; bodies of one list, copies too, collide with each "
+                        "other anyway",
+                        loc=(key, place),
+                    )
+        return self

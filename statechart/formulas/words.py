@@ -138,4 +138,4 @@ def meant(
     for spelt in (bare, bare.lower(), other):
         if spelt != name and (spelt in functions or spelt in constants):
             return f"write {spelt}{'(...)' if spelt in functions else ''}"
-    return close_matches(name, names)
+    return close_matches(name, names) if names else "write a number"
