@@ -143,7 +143,8 @@ def _check_crowd(
     b = int(members[first])
     raise DeclarationProblem(
         f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
-        f"and at least {np.count_nonzero(deep)} of {len(members)} bodies start in others of their kind",
+        f"and at least {np.count_nonzero(deep)} of {len(members)} bodies start in others of their "
+        "kind",
         advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
         loc=("bodies", owners[b], "start"),
     )

@@ -148,8 +148,8 @@ def test_a_body_that_comes_where_a_height_has_no_value_is_told(surface, told):
     [
         (
             'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
-            "at least 118 of 120 bodies start in others of their kind; let where they start depend on "
-            'index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
+            "at least 118 of 120 bodies start in others of their kind; let where they start depend "
+            'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
         ),
         ("y: 1", "and 'grain1' start in one place; let where they start depend on index, such as"),
         ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start in one place"),
