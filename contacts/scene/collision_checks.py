@@ -171,8 +171,8 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
         for text, loc in places:
             _check_names(scene, text, *loc)
             _check_finite(text, values, loc)
-        if not parse(shape.disc).value(values) > 0.0:
-            raise DeclarationProblem("a radius is positive", loc=(*at, "disc"))
+        if not (radius := parse(shape.disc).value(values)) > 0.0:
+            raise DeclarationProblem(f"must be positive, not {radius:g}", loc=(*at, "disc"))
         return
     assert shape.polygon is not None
     for place, corner in enumerate(shape.polygon):

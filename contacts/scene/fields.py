@@ -53,7 +53,7 @@ Gravity = Annotated[
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    OTHER_WORDS: ClassVar = {"g": "gravity"}
+    OTHER_WORDS: ClassVar = {"g": "gravity", "body": "bodies"}
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]

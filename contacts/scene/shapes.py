@@ -105,13 +105,13 @@ class Collision(Part):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        for key, names in (("bodies", self.bodies), ("surfaces", self.surfaces)):
+        others = "; bodies of one list, copies too, collide with each other anyway"
+        for key, names, also in (("bodies", self.bodies, others), ("surfaces", self.surfaces, "")):
             for place, name in enumerate(names):
                 if name in names[:place]:
                     raise DeclarationProblem(
                         f"{name!r} is listed twice",
-                        advice="list it once; bodies of one list, copies too, collide with each "
-                        "other anyway",
+                        advice=f"list it once{also}",
                         loc=(key, place),
                     )
         return self

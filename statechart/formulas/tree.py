@@ -105,7 +105,9 @@ def _floor(x: Any) -> Any:
 
 
 def _mod(x: Any, y: Any) -> Any:
-    return x - y * _floor(x / y)
+    import sympy
+
+    return sympy.nan if y.is_zero else x - y * _floor(x / y)
 
 
 _SAME_IN_MATH_AND_SYMPY = (

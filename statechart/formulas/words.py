@@ -71,7 +71,7 @@ TOKENS: Mapping[str, str] = {
     "==": "compare with <=, <, >= or >",
     "!=": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected, and once",
-    ",": "decimals have a point: 9.81",
+    ",": "decimals have a point: 9.81; a list stands in brackets",
     "/": "write a quotient as a/b, and a comment after #; rounded down it is floor(a/b)",
     "(": "write a product as a*b",
     ")": "there is no ( before it that it could close",

@@ -41,6 +41,10 @@ BRIEF = 0.25
 _TOGETHER = 0.1
 """Seconds that Python takes for steps at once: between them is looked whether it still has to."""
 
+_LONGEST = 5.0
+"""Seconds that Python may take for steps before they are given up: it takes a hundred times as long
+as machine code, and impulses that are hard to find are sought in thousands of tries."""
+
 # Python's own is rounded better than that of the C library, which compiled code calls.
 _MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
 
@@ -224,17 +228,19 @@ class Stepwise(Kernel):
             self._maker = Maker(self, arguments)
         before = [(array, array.copy()) for array in _arrays(arguments)]
         began = thread_time()
+        _Deadline.at = began + _LONGEST
         try:
             with np.errstate(all="ignore"):
                 return _plain(self.as_written(*arguments))
         except Exception:
-            # An infinity or no number to compiled code alone.
+            # It took too long, or it is an infinity or no number to compiled code alone.
             self._settled = True
             for array, content in before:
                 if array.flags.writeable:
                     array[...] = content
             return self.made(*arguments)
         finally:
+            _Deadline.at = math.inf
             took = thread_time() - began
             self._spent += took
             self._many = max(1, 2 * self._many if 4.0 * took < _TOGETHER else self._many // 2)
