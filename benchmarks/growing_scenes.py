@@ -60,8 +60,8 @@ bodies:
     inertia: 5e-7
     shape: {{disc: 0.01}}
     start:
-      x: 0.022*(1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4))) + 0.001*sin(index)
-      y: 0.012 + 0.022*(index - (1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4))))/4
+      x: 0.022*mod(index, 4) + 0.001*sin(index)
+      y: 0.012 + 0.022*floor(index/4)
 surfaces:
   ground: {{height: 0}}
   wall: {{line: [[-0.015, 1], [-0.015, 0]]}}

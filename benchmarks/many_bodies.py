@@ -76,14 +76,13 @@ bodies:
     inertia: m*r**2/2
     shape: {disc: r}
     start:
-      x: 0.8*COLUMN + gap*(1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4)))
-        + 0.09*r*sin(index - 100*COLUMN)
-      y: 1.01*r + gap*(index - 100*COLUMN - (1.5 + 4/pi*atan(tan(pi*(index - 1.5)/4))))/4
+      x: 0.8*floor(index/100) + gap*mod(index, 4) + 0.09*r*sin(mod(index, 100))
+      y: 1.01*r + gap*floor(mod(index, 100)/4)
 surfaces: {ground: {height: 0}}
 collisions: {all: {bodies: [grain], surfaces: [ground], friction: 0.5, restitution: 0.2}}
 stop: {time: 0.6}
 settings: {engine: impulse, step: 1e-3, record: nothing}
-""".replace("COLUMN", "((index - 49.5 - 100/pi*atan(tan(pi*(index - 49.5)/100)))/100)")
+"""
 """As many columns of a hundred discs as there are discs for, beside each other: of a higher column
 more and more discs touch nothing."""
 

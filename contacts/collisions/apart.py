@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -19,6 +20,8 @@ _LEFT = 0.1
 _SAME = 1e-9
 # So many bodies, and moves of each, are tried.
 _MOVES = 20
+# From so many on copies stand in rows.
+_CROWD = 20
 # Of so many that are deep, one is what the other is in.
 _PAIR = 2
 _NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
@@ -58,6 +61,7 @@ def check_apart(
         If one is.
     """
     _check_places(numbers, names, owners, initial)
+    _check_crowd(numbers, names, owners, initial)
     trial = tried(numbers, initial)
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
@@ -104,10 +108,56 @@ def _check_places(
         if numbers.laws[kind, kind] >= 0:
             raise DeclarationProblem(
                 f"bodies {names[firsts[b]]!r} and {names[b]!r} start in one place",
-                advice="let where they start depend on index, such as x: "
-                f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}*index",
+                advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
                 loc=("bodies", owners[b], "start"),
             )
+
+
+def _check_crowd(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that not most bodies are in others of their kind, which no move of one would change.
+
+    To look at all who are near whom, and where they touch, would take many times as long. Two
+    whose inner circles have their centres in one cell of this size are too deep in each other.
+    """
+    pieces = numbers.pieces
+    members = np.flatnonzero(np.diff(pieces.begins))
+    if len(members) < _CROWD or len(numbers.joints.bodies):
+        return
+    one = pieces.begins[:-1][members]
+    x, y, angle = initial[: 3 * len(names)].reshape(-1, 3)[members].T
+    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
+    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
+    cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
+    kinds = numbers.kinds[members]
+    _, which, many = np.unique(
+        np.column_stack([kinds, cells]), axis=0, return_inverse=True, return_counts=True
+    )
+    which = which.reshape(-1)
+    deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
+    if 2 * np.count_nonzero(deep) <= len(members):
+        return
+    first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
+    depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
+    b = int(members[first])
+    raise DeclarationProblem(
+        f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
+        f"and at least {np.count_nonzero(deep)} of {len(members)} bodies start in others of their "
+        "kind",
+        advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
+        loc=("bodies", owners[b], "start"),
+    )
+
+
+def _in_rows(numbers: BodyNumbers, b: int) -> str:
+    """Return where copies of a body could start, beside each other."""
+    count = int(np.count_nonzero(numbers.kinds == numbers.kinds[b]))
+    apart = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
+    if count < _CROWD:
+        return f"such as x: {apart}*index"
+    row = math.isqrt(count)
+    return f'such as x: "{apart}*mod(index, {row})" and y: {apart}*floor(index/{row})'
 
 
 def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: float) -> str:

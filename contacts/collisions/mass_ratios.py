@@ -60,7 +60,7 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     # Beside bodies of one mass it is the tolerance that is below rounding.
     if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:
         return ()
-    reached = ratio * _ROUNDING
+    reached = max(ratio * _ROUNDING, missed)
     looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
         f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from contacts.scene.elsewhere import check_elsewhere
 from contacts.scene.fields import SceneFields
 from contacts.scene.polygons import check_polygon
 from contacts.scene.shapes import INDEX, Shape
@@ -149,12 +150,13 @@ def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
     """
     for name, body in scene.bodies.items():
         for place, shape in enumerate(body.shape):
-            _check_shape(scene, ("bodies", name, "shape", place), shape, values)
+            at = ("bodies", name, "shape", *((place,) if len(body.shape) > 1 else ()))
+            _check_shape(scene, at, shape, values)
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for key, most in (("friction", math.inf), ("restitution", 1.0)):
             text = getattr(collision, key)
-            check_names(parse(text), scene.parameters, *at, key)
+            _check_names(scene, text, *at, key)
             value = value_of(text, values, *at, key)
             if not 0.0 <= value <= most:
                 raise DeclarationProblem(
@@ -167,22 +169,27 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
         places: list[tuple[FormulaText, Loc]] = [(shape.disc, (*at, "disc"))]
         places += [(text, (*at, "at", axis)) for axis, text in enumerate(shape.at)]
         for text, loc in places:
-            check_names(parse(text), scene.parameters, *loc)
+            _check_names(scene, text, *loc)
             _check_finite(text, values, loc)
-        if not parse(shape.disc).value(values) > 0.0:
-            raise DeclarationProblem("a radius is positive", loc=(*at, "disc"))
+        if not (radius := parse(shape.disc).value(values)) > 0.0:
+            raise DeclarationProblem(f"must be positive, not {radius:g}", loc=(*at, "disc"))
         return
     assert shape.polygon is not None
     for place, corner in enumerate(shape.polygon):
         for axis, text in enumerate(corner):
             loc = (*at, "polygon", place, axis)
-            check_names(parse(text), scene.parameters, *loc)
+            _check_names(scene, text, *loc)
             _check_finite(text, values, loc)
     try:
         check_polygon([(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon])
     except DeclarationProblem as problem:
         problem.loc = (*at, "polygon", *problem.loc)
         raise
+
+
+def _check_names(scene: SceneFields, text: FormulaText, *loc: str | int) -> None:
+    check_elsewhere(scene, parse(text), scene.parameters, *loc)
+    check_names(parse(text), scene.parameters, *loc)
 
 
 def _check_finite(text: FormulaText, values: Mapping[str, float], loc: Loc) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -29,8 +29,8 @@ from statechart.documents.fields import FiniteText, FormulaText, NameText, unit,
 from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
-from statechart.formulas.formula import Formula, parse
-from statechart.formulas.tree import Name, names_in
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import Name
 
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
 _OF_CONTACTS: Mapping[str, Dimension] = {
@@ -53,7 +53,7 @@ Gravity = Annotated[
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    OTHER_WORDS: ClassVar = {"g": "gravity"}
+    OTHER_WORDS: ClassVar = {"g": "gravity", "body": "bodies"}
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]
@@ -325,36 +325,6 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
         return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
-
-    def check_elsewhere(self, formula: Formula, known: Collection[str], *loc: str | int) -> None:
-        """Refuse names that a formula cannot use where it stands, with what stands in for them.
-
-        Raises
-        ------
-        DeclarationProblem
-            At a control, what a controller remembers, or the number of a copy.
-        """
-        led = loc[0] in ("surfaces", "joints")
-        for node in names_in(formula.root):
-            name, advice = node.name, ""
-            if name in known:
-                continue
-            if led and name in self.controls and self.collisions:
-                what = "a control changes at an instant, and moves nothing"
-                advice = "let a variable of a region flow, and write that"
-            elif led and name in {*self.controls, *self.controlled.memory}:
-                what = "controllers move no surface, and no joint, of what touches by points"
-                advice = f"write a formula of {TIME}, or give bodies shapes, and collisions"
-            elif name == INDEX and loc[-2:-1] == ("start",):
-                what = "it is the number of a copy"
-                advice = "say how many there are, beside start: copies: N"
-            elif name == INDEX and any(body.copies is not None for body in self.bodies.values()):
-                what = "copies are alike but for their start"
-                advice = "declare bodies that differ in more one by one"
-            if advice:
-                raise DeclarationProblem(
-                    f"{name!r}: {what}", advice=advice, loc=loc, offset=node.offset
-                )
 
 
 def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:

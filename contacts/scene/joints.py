@@ -40,6 +40,15 @@ class Force(Part):
         json_schema_extra=unit("force length"),
     )
 
+    @model_validator(mode="after")
+    def _does_something(self) -> Self:
+        if not self.model_fields_set & {"force", "moment"}:
+            raise DeclarationProblem(
+                "neither force nor moment is given",
+                advice="write force: [fx, fy], or moment: m",
+            )
+        return self
+
 
 class Path(Part):
     """A place in the world, or one component of it, as formulas of time."""

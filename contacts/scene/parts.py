@@ -9,7 +9,14 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
-from statechart.documents.fields import FiniteText, FormulaText, Part, RelationText, unit
+from statechart.documents.fields import (
+    FiniteConstantText,
+    FiniteText,
+    FormulaText,
+    Part,
+    RelationText,
+    unit,
+)
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
@@ -43,13 +50,13 @@ _DeclaredMode = Annotated[
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
 
-    start: FiniteText = Field(
+    start: FiniteConstantText = Field(
         default=0,
         description="Value at the start.",
         examples=["pi/6"],
         json_schema_extra=unit("length, or rad"),
     )
-    rate: FiniteText = Field(
+    rate: FiniteConstantText = Field(
         default=0,
         description="Its rate at the start.",
         examples=[-0.5],
@@ -88,7 +95,7 @@ class Body(Part):
         examples=["theta"],
         json_schema_extra=unit("rad"),
     )
-    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteText] = Field(
+    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteConstantText] = Field(
         default={},
         description="Initial position and velocity of a free body; 0 where not given.",
         examples=[{"y": "h", "angle": 0.3, "dx": 1}],
@@ -103,10 +110,10 @@ class Body(Part):
             [{"disc": "r", "at": ["-L/2", 0]}, {"disc": "r", "at": ["L/2", 0]}],
         ],
     )
-    copies: FiniteText | None = Field(
+    copies: FiniteConstantText | None = Field(
         default=None,
         description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "
-        "index, which counts them from 0.",
+        "index, which counts them from 0: in rows of 20, mod(index, 20) and floor(index/20).",
         examples=[100],
         json_schema_extra=unit("1"),
     )

@@ -10,6 +10,7 @@ from pydantic import model_validator
 
 from contacts.scene.checks import check_finite, check_kinks, check_physical, check_rim
 from contacts.scene.collision_checks import check_carrier, check_collisions, check_copies
+from contacts.scene.elsewhere import check_elsewhere
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
 from contacts.scene.other_laws import replaced
@@ -281,6 +282,8 @@ class Scene(SceneFields):
             text = getattr(contact, key)
             with found:
                 if text is not None:
+                    controls = {*parameters, *self.controls}
+                    check_elsewhere(self, parse(text), controls, *at, key)
                     self.controlled.check_coefficient(text, parameters, *at, key)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         for place, text in enumerate(contact.enabled):
@@ -366,7 +369,7 @@ class Scene(SceneFields):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             with found:
                 formula = parse(text)
-                self.check_elsewhere(formula, known, *where)
+                check_elsewhere(self, formula, known, *where)
                 check_names(formula, known, *where)
 
 

@@ -102,3 +102,16 @@ class Collision(Part):
         examples=[0.2],
         json_schema_extra=unit("1"),
     )
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        others = "; bodies of one list, copies too, collide with each other anyway"
+        for key, names, also in (("bodies", self.bodies, others), ("surfaces", self.surfaces, "")):
+            for place, name in enumerate(names):
+                if name in names[:place]:
+                    raise DeclarationProblem(
+                        f"{name!r} is listed twice",
+                        advice=f"list it once{also}",
+                        loc=(key, place),
+                    )
+        return self

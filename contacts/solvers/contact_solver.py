@@ -1,9 +1,9 @@
 """The contact solver: the best impulses that are found for contacts that feel each other.
 
 What rests is solved by its last impulses, once they are verified. Up to eight contacts are solved
-by their status (Newton), to rounding, or by sweeps where little is asked for; more by some sweeps and then proximal points, from the last
-impulses or from nothing; what no bodies share by sweeps, their status and Lemke's algorithm in
-turn.
+by their status (Newton), to rounding, or by sweeps where little is asked for; more by some sweeps
+and then proximal points, from the last impulses or from nothing; what no bodies share by sweeps,
+their status and Lemke's algorithm in turn.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from typing import NoReturn
 
 from statechart.errors import close_matches
 
@@ -23,7 +24,7 @@ Exit code: 0 done, 1 the run or the check failed, 2 the input is wrong.
 
 def parser() -> argparse.ArgumentParser:
     """Return the grammar of the command line: verbs in the order in which --help shows them."""
-    whole = argparse.ArgumentParser(
+    whole = _Parser(
         prog="statechart",
         description="Statecharts of rigid bodies in contact: declare, draw, run, check.",
         epilog=_EPILOG,
@@ -235,6 +236,13 @@ def _engine(parser: argparse.ArgumentParser) -> None:
         "auto chooses",
     )  # fmt: skip
     parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, which the list of all options would hide."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}\n{self.prog} --help has what there is\n")
 
 
 class _Version(argparse.Action):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from statechart.automaton.hierarchy import hierarchical_edges
 from statechart.automaton.nesting import HierarchicalEdge
 from statechart.automaton.regions import Region
-from statechart.diagram.model import named, printable
+from statechart.diagram.model import named, printable, signs_spelled
 from statechart.errors import FormulaError
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.tree import Call, Constant, Node, nodes
@@ -143,7 +143,7 @@ class Written:
             event = f"{what}.{ids[choice.target]}" if several else what
             element = ET.SubElement(parent, "transition", {"event": event})
             if edge.events:
-                element.set("event", " ".join(edge.events))
+                element.set("event", " ".join(map(signs_spelled, edge.events)))
             elif self._relation(edge.guard):
                 element.set("cond", edge.guard)
             else:

@@ -281,6 +281,11 @@ def identifiers(diagram: Diagram) -> dict[str, str]:
     return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
 
+def signs_spelled(name: str) -> str:
+    """Return a name of a state with its sign, that of sliding, in letters."""
+    return name.replace("+", "_plus").replace("-", "_minus")
+
+
 def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Return name -> identifier as `identifiers` gives them.
 
@@ -293,8 +298,7 @@ def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """
 
     def claim(name: str) -> str:
-        spelled = name.replace("+", "_plus").replace("-", "_minus")
-        stem = re.sub(r"\W+", "_", spelled, flags=re.ASCII).strip("_")
+        stem = re.sub(r"\W+", "_", signs_spelled(name), flags=re.ASCII).strip("_")
         if not stem or stem[0].isdigit() or stem.lower() in _RESERVED:
             stem = f"s_{stem}"
         identifier, count = stem, 1

@@ -32,6 +32,8 @@ class Built:
         value: Any = self._data
         found: list[str | int] = []
         for part in loc:
+            if isinstance(value, tuple) and len(value) == 1 and isinstance(part, str):
+                value = value[0]
             names: Sequence[str | int] = (part,)
             if isinstance(value, BaseModel):
                 fields = type(value).model_fields.items()

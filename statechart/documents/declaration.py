@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from statechart.documents.dimensions import Fact, fields_of, inferred
 from statechart.documents.fields import (
+    ConstantText,
     FormulaText,
     Label,
     NameText,
@@ -87,7 +88,7 @@ class Declaration(Part):
         description="What the model is, in a line.",
         examples=["A stick balanced on its tip topples and may slip."],
     )
-    parameters: dict[NameText, FormulaText] = Field(
+    parameters: dict[NameText, ConstantText] = Field(
         default={},
         description="Constants: name to a number, or to a formula of others.",
         examples=[{"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3}],

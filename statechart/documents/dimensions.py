@@ -33,7 +33,7 @@ Known = dict[str, Powers]
 Fact = tuple[Node, Node | Powers]
 """A formula, and what it measures or another that measures the same."""
 
-_ALIKE = frozenset({"abs", "min", "max", "hypot"})
+_ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
 # Every pass tells one more name at least; chains of formulas are short.

@@ -61,9 +61,12 @@ class Document:
         return ()
 
     def existing(self, loc: Loc) -> Loc:
-        """Return the parts of `loc` that lead down the data."""
+        """Return the parts of `loc` that lead down the data; of a list of one it may say none."""
         at: Loc = ()
         for part in loc:
+            alone = (*at, 0, part)
             if (*at, part) in self._values:
                 at = (*at, part)
+            elif isinstance(part, str) and alone in self._values and (*at, 1) not in self._values:
+                at = alone
         return at

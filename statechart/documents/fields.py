@@ -14,7 +14,7 @@ from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import check_derived
 from statechart.formulas.formula import Formula, Relation, parse, parse_relation
 from statechart.formulas.syntax import NAME
-from statechart.formulas.tree import RESERVED, Binary
+from statechart.formulas.tree import JUMPS, RESERVED, Binary, Call, nodes
 from statechart.formulas.words import no_name
 
 
@@ -31,7 +31,7 @@ def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
     return DeclarationProblem(error.message, advice=error.advice, loc=loc, offset=error.offset)
 
 
-def _formula(value: Any) -> Any:
+def _constant(value: Any) -> Any:
     if getattr(value, "ndim", None) == 0:  # of NumPy: a number as any other
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, str | int | float):
@@ -42,6 +42,26 @@ def _formula(value: Any) -> Any:
         raise problem(error) from None
     # Infinity has one spelling, so that a model equals what is read back from its own text.
     return str(value) if isinstance(value, float) and math.isinf(value) else value
+
+
+def _formula(value: Any) -> Any:
+    value = _constant(value)
+    _check_jumps(parse(value))
+    return value
+
+
+def _check_jumps(*formulas: Formula) -> None:
+    """Check that what is computed along a run has no function that jumps."""
+    for formula in formulas:
+        for node in nodes(formula.root):
+            if isinstance(node, Call) and node.function in JUMPS:
+                raise DeclarationProblem(
+                    f"formula {formula.text!r}: {node.function} jumps, and is for what is "
+                    "computed once",
+                    advice="where it is of numbers, let a parameter be it: it stands in "
+                    "parameters, starts and copies; along a run, write a state for each piece",
+                    offset=node.offset,
+                )
 
 
 def check_named_infinity(text: str | int | float, *loc: str | int) -> None:
@@ -65,6 +85,7 @@ def _relation(value: str) -> str:
         relation = parse_relation(value)
     except FormulaError as error:
         raise problem(error) from None
+    _check_jumps(relation.left, relation.right)
     # Which way a margin goes on its boundary is told by its derivatives, whatever it is of.
     check_derived(Binary("-", relation.left.root, relation.right.root), relation.names)
     if relation.left.names_infinity or relation.right.names_infinity:
@@ -86,6 +107,12 @@ def _name(value: str) -> str:
 
 FormulaText = Annotated[str | int | float, BeforeValidator(_formula)]
 """A number or a formula that can be read; kept as written (infinity as the text `inf`)."""
+
+ConstantText = Annotated[str | int | float, BeforeValidator(_constant)]
+"""A formula that is computed once, before a run: it may have `floor` and `mod`, which jump."""
+
+FiniteConstantText = Annotated[ConstantText, AfterValidator(_without_infinity)]
+"""One that does not name infinity."""
 
 FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
 """A formula that does not name infinity: it is computed with, not compared."""

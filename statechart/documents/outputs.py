@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, mode
 from statechart.documents.fields import FiniteText, Part, unit
 from statechart.errors import DeclarationProblem, close_matches
 
-_EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*)", re.ASCII)
+_EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*[+-]?)", re.ASCII)
 _NUMBER = re.compile(r"([0-9]{1,9})\s+")
 
 

@@ -15,6 +15,7 @@ from typing import NoReturn
 from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
+    RESERVED,
     Binary,
     Call,
     Constant,
@@ -177,7 +178,7 @@ class Reader:
                 return self._call(token)
             if token.text in CONSTANTS:
                 return self._checked(Constant(token.text, token.offset))
-            if token.text in FUNCTIONS:
+            if token.text in RESERVED:
                 self.source.fail(
                     f"{token.text!r} is a function", token.offset, f"write {token.text}(...)"
                 )

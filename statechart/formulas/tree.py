@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from statechart.errors import FormulaError
 from statechart.formulas.words import meant
+from statechart.kernels.whole import whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,18 @@ def _hypot(x: Any, y: Any) -> Any:
     return sympy.sqrt(x**2 + y**2)
 
 
+def _floor(x: Any) -> Any:
+    from statechart.formulas.jumps import Whole
+
+    return Whole(x)
+
+
+def _mod(x: Any, y: Any) -> Any:
+    import sympy
+
+    return sympy.nan if y.is_zero else x - y * _floor(x / y)
+
+
 _SAME_IN_MATH_AND_SYMPY = (
     *("sqrt", "exp", "log", "sin", "cos", "tan"),
     *("asin", "acos", "atan", "sinh", "cosh", "tanh"),
@@ -110,11 +123,16 @@ FUNCTIONS: Mapping[str, Function] = {
     "max": Function(2, None, max, _sympy("Max")),
     "hypot": Function(2, 2, math.hypot, _hypot),
     "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
+    "floor": Function(1, 1, whole, _floor),
+    "mod": Function(2, 2, lambda x, y: x - y * whole(x / y), _mod),
 }
 
 CONSTANTS: Mapping[str, float] = {"pi": math.pi, "inf": math.inf}
 
-RESERVED = frozenset(FUNCTIONS) | frozenset(CONSTANTS)
+JUMPS = frozenset({"floor", "mod"})
+"""Functions for what is computed once, before a run; what is called so may be declared, too."""
+
+RESERVED = frozenset(FUNCTIONS) - JUMPS | frozenset(CONSTANTS)
 """Names that mean something in every formula and so cannot be declared."""
 
 

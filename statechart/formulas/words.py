@@ -17,7 +17,7 @@ _CHARACTERS: Mapping[str, str] = {
     "π": "write pi",
     "∞": "write inf",
     "°": "angles are in radians: 30*pi/180",
-    "%": "write a part as a number: 0.5; copies in rows are a body with copies for each row",
+    "%": "write a part as a number: 0.5, a remainder as mod(a, b)",
     "[": "parentheses are round",
     "{": "parentheses are round",
     "|": "write abs(...)",
@@ -71,8 +71,8 @@ TOKENS: Mapping[str, str] = {
     "==": "compare with <=, <, >= or >",
     "!=": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected, and once",
-    ",": "decimals have a point: 9.81",
-    "/": "write a quotient as a/b, and a comment after #",
+    ",": "decimals have a point: 9.81; a list stands in brackets",
+    "/": "write a quotient as a/b, and a comment after #; rounded down it is floor(a/b)",
     "(": "write a product as a*b",
     ")": "there is no ( before it that it could close",
     **dict.fromkeys(("and", "or", "not"), _CHARACTERS["&"]),
@@ -92,10 +92,13 @@ _PARTS: Mapping[str, str] = {
     "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
 # Of these each piece is a formula, or a state with one.
-_PIECEWISE = frozenset(
-    {"if", "where", "piecewise", "heaviside", "step", "floor", "ceil", "round", "mod", "fmod"}
-)
-_ROWS = frozenset({"floor", "ceil", "round", "mod", "fmod"})
+_PIECEWISE = frozenset({"if", "where", "piecewise", "heaviside", "step"})
+# Of numbers that are known before a run.
+_WHOLE: Mapping[str, str] = {
+    **dict.fromkeys(("ceil", "ceiling"), "-floor(-x)"), "round": "floor(x + 1/2)",
+    **dict.fromkeys(("int", "trunc"), "floor(x)"),
+    **dict.fromkeys(("fmod", "remainder"), "mod(x, y)"),
+}  # fmt: skip
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _ROOMS = ("math.", "np.", "numpy.")
 
@@ -119,10 +122,9 @@ def meant(
     if bare.lower() in _CONVERTED:
         return TOKENS["deg"]
     if bare.lower() in _PIECEWISE:
-        rows = "; copies in rows are a body with copies for each row"
-        return "where it switches, a state of a region ends: write a state for each piece" + (
-            rows if bare.lower() in _ROWS else ""
-        )
+        return "where it switches, a state of a region ends: write a state for each piece"
+    if bare.lower() in _WHOLE:
+        return f"write {_WHOLE[bare.lower()]}"
     if bare.lower() == "nan":
         return "nothing follows from what is not a number; write one"
     if bare in ("pow", "power"):
@@ -136,4 +138,4 @@ def meant(
     for spelt in (bare, bare.lower(), other):
         if spelt != name and (spelt in functions or spelt in constants):
             return f"write {spelt}{'(...)' if spelt in functions else ''}"
-    return close_matches(name, names)
+    return close_matches(name, names) if names else "write a number"

@@ -11,6 +11,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.errors import StatechartError
+from statechart.formulas.jumps import Whole
 from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES, tape_values
 
@@ -28,6 +29,7 @@ _UNARY: dict[type[sp.Basic], str] = {
     sp.tanh: "tanh",
     sp.Abs: "abs",
     sp.sign: "sign",
+    Whole: "floor",
 }
 # SymPy makes these of its own accord, tan(x + pi/2) for one, and formulas the last.
 _RECIPROCAL: dict[type[sp.Basic], str] = {

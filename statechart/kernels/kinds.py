@@ -29,6 +29,10 @@ BRIEF = 0.25
 _TOGETHER = 0.1
 """Seconds that Python takes for steps at once: between them is looked whether it still has to."""
 
+_LONGEST = 5.0
+"""Seconds that Python may take for steps before they are given up: it takes a hundred times as long
+as machine code, and impulses that are hard to find are sought in thousands of tries."""
+
 # Python's own is rounded better than that of the C library, which compiled code calls.
 _MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
 
@@ -70,7 +74,15 @@ class Compiled:
 
 
 class Kernel(Compiled):
-    """A kernel, or a part of kernels."""
+    """A kernel, or a part of kernels.
+
+    Attributes
+    ----------
+    entered : bool
+        Whether Python has run it as it is written; known of those that are late.
+    """
+
+    entered = False
 
     @cached_property
     def below(self) -> dict[str, Kernel | Native]:
@@ -86,33 +98,28 @@ class Kernel(Compiled):
 
         From `Deadline.at` on, those that call others are given up when they are called.
         """
-        return self._linked("as_written")
+        return self._linked("as_written", asks=bool(self.below) or isinstance(self, Late))
 
     @cached_property
-    def unhurried(self) -> Callable[..., Any]:
-        """The same, never given up: that takes a twentieth less."""
-        return self._linked("unhurried")
+    def in_steps(self) -> Callable[..., Any]:
+        """The same, of which parts are not given up: to ask them takes a twentieth of a step."""
+        return self._linked("in_steps", asks=self._how != "part")
 
-    def _linked(self, how: str) -> Callable[..., Any]:
+    def _linked(self, how: str, *, asks: bool) -> Callable[..., Any]:
         space = {**self.py_func.__globals__, "math": _MATH}
-        code, below = self.py_func.__code__, self.below
-        function = FunctionType(code, space, argdefs=self.py_func.__defaults__)
-        # Known before those below it are looked for, of which it may be one.
-        found = self.__dict__[how] = self._told(function, hurried=how == "as_written")
-        space.update((name, getattr(one, how)) for name, one in below.items())
-        return found
-
-    def _told(self, function: Callable[..., Any], *, hurried: bool) -> Callable[..., Any]:
-        if not (hurried and self.below):
-            return function
+        function = FunctionType(self.py_func.__code__, space, argdefs=self.py_func.__defaults__)
 
         def run(*arguments: Any) -> Any:
+            self.entered = True
             # To ask the clock takes as long as a small kernel.
             if Deadline.at < math.inf and thread_time() > Deadline.at:
                 raise TimeoutError
             return function(*arguments)
 
-        return run
+        # Known before those below it are looked for, of which it may be one.
+        found = self.__dict__[how] = run if asks else function
+        space.update((name, getattr(one, how)) for name, one in self.below.items())
+        return found
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the function, compiled, or as it is written where all are."""
@@ -216,17 +223,19 @@ class Stepwise(Kernel):
             self._maker = Maker(self, arguments)
         before = [(array, array.copy()) for array in _arrays(arguments)]
         began = thread_time()
+        Deadline.at = began + _LONGEST
         try:
             with np.errstate(all="ignore"):
-                return _plain(self.unhurried(*arguments))
+                return _plain(self.in_steps(*arguments))
         except Exception:
-            # An infinity or no number to compiled code alone.
+            # It took too long, or it is an infinity or no number to compiled code alone.
             self._settled = True
             for array, content in before:
                 if array.flags.writeable:
                     array[...] = content
             return self.made(*arguments)
         finally:
+            Deadline.at = math.inf
             took = thread_time() - began
             self._spent += took
             self._many = max(1, 2 * self._many if 4.0 * took < _TOGETHER else self._many // 2)
@@ -247,25 +256,7 @@ class Inner(Kernel):
 
 
 class Late(Inner):
-    """A kernel that is compiled when a run enters it, also where another kernel calls it.
-
-    Attributes
-    ----------
-    entered : bool
-        Whether Python has run it as it is written, `unhurried`.
-    """
-
-    entered = False
-
-    def _told(self, function: Callable[..., Any], *, hurried: bool) -> Callable[..., Any]:
-        if hurried:
-            return super()._told(function, hurried=hurried)
-
-        def run(*arguments: Any) -> Any:
-            self.entered = True
-            return function(*arguments)
-
-        return run
+    """A kernel that is compiled when a run enters it, also where another kernel calls it."""
 
     @cached_property
     def called(self) -> Any:
@@ -288,7 +279,7 @@ class Native(Compiled):
 
     def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
         super().__init__(function, "native")
-        self.as_written = self.unhurried = as_written
+        self.as_written = self.in_steps = as_written
 
 
 def is_cached(compiled: Any) -> bool:

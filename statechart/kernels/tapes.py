@@ -8,18 +8,21 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.jit import part, seldom
+from statechart.kernels.whole import whole
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
-SINH, COSH, TANH, ABS, SIGN = range(21, 26)
+SINH, COSH, TANH, ABS, SIGN, FLOOR = range(21, 27)
 
 _BINARY = ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
 _USUAL = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
-_OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign")
+_OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign", "floor")
 OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *_USUAL, *_OTHERS])}
 
 SKIP = -1
 """In the place of an operation that is not to be run."""
+
+_whole = part(whole)
 
 BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
 
@@ -53,6 +56,8 @@ def _one(op: int, a: float, exponent: int) -> float:
         return math.tanh(a)
     if op == ABS:
         return abs(a)
+    if op == FLOOR:
+        return _whole(a)
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
 
 

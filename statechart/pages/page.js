@@ -15,6 +15,7 @@ else {
   const least = 0.77 * byId("diagram").firstElementChild.width.baseVal.value;
   if (least > byId("diagram").clientWidth) seen.classList.add("wide");
   byId("diagram").style.flex = `1 1 ${least}px`;
+  byId("diagram").style.setProperty("--least", `${least}px`);
 }
 let lit = -1;
 moving.push((k) => {

@@ -325,7 +325,7 @@ def test_a_compound_hangs_on_a_joint_as_a_pendulum():
             "[{disc: 1}, {polygon: [[0, 0], [1, 0], [0.2, 0.2], [0, 1]]}]",
             "corner 3, at (0.2, 0.2), points inwards; split it from there to corner 1",
         ),
-        ("[{disc: 1}, {disc: 0}]", "a radius is positive"),
+        ("[{disc: 1}, {disc: 0}]", "must be positive, not 0"),
         ("[{disc: 1}, {}]", "a shape is a polygon or a disc"),
         ("{polygon: [[0, 0], [1, 0], [0, 1]], at: [1, 0]}", "the corners of a polygon say"),
         ("{disc: 1, at: [k, 0]}", "unknown name 'k'"),

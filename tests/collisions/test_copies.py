@@ -38,6 +38,23 @@ def grains(text: str = GRAINS) -> Runner:
     return Runner(read_text(text, "grains.yaml"))
 
 
+@pytest.mark.parametrize("row", ["row", "49"])
+def test_copies_stand_in_rows(row):
+    """Their place in it and its number are those of whole numbers, however quotients round."""
+    text = GRAINS.replace("n: 4,", "n: 4000, row: 2,").replace(
+        'x: "3*r*index", y: "2 + sin(index)"', f'x: "mod(index, {row})", y: floor(index/{row})'
+    )
+    at = grains(text).setup({"row": 49.0}).initial.reshape(2, -1, 3)[0, 1:]
+    assert at[:, :2].tolist() == [[k % 49, k // 49] for k in range(4000)]
+
+
+def test_how_many_copies_fit_is_computed_once():
+    text = GRAINS.replace("n: 4,", "W: 1.2, n: floor(W/(4*r)),").replace("0.1, m", "0.1, m")
+    assert [grains(text).run({"W": w}).trace.regions[1:] for w in (1.2, 0.8)] == [
+        ("grain0", "grain1", "grain2"), ("grain0", "grain1")
+    ]  # fmt: skip
+
+
 def test_a_copy_starts_where_the_formulas_are_at_its_number():
     setup = grains().setup({"v": 4})
     at, rates = setup.initial.reshape(2, 5, 3)

@@ -141,3 +141,32 @@ def test_a_body_that_comes_where_a_height_has_no_value_is_told(surface, told):
         text = text.replace("time: 0.7", "time: 0.9")
     warnings = [w for w in read_and_run(text).trace.warnings if "no ground" in w]
     assert [told in warning for warning in warnings] == [True] * bool(told), warnings
+
+
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        (
+            'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
+            "at least 118 of 120 bodies start in others of their kind; let where they start depend "
+            'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
+        ),
+        ("y: 1", "and 'grain1' start in one place; let where they start depend on index, such as"),
+        ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start in one place"),
+        ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
+    ],
+)
+def test_a_crowd_is_told_how_many_it_is_and_to_stand_in_rows(start, told):
+    text = SCENE.replace("x: 0.3*index, y: r", start).replace("n: 3", "n: 120")
+    if not told:
+        Runner(read_text(text)).start()
+        return
+    with pytest.raises(DeclarationError) as caught:
+        Runner(read_text(text)).start()
+    assert told in str(caught.value)
+
+
+def test_how_deep_a_crowd_is_at_least_is_told():
+    text = SCENE.replace("x: 0.3*index", "x: 0.08*index").replace("n: 3", "n: 20")
+    with pytest.raises(DeclarationError, match=r"'grain0' .* at least 0\.12 deep in body 'grain1'"):
+        Runner(read_text(text)).start()

@@ -133,8 +133,24 @@ outputs:
         ("mass: 1", "mass: 1 + @index", "'index': copies are alike but for their start"),
         ("copies: n, ", "", "'index': it is the number of a copy; say how many"),
         ("height: 0", "height: 0, displacement: [0, @lift]", "'lift': a control changes at"),
-        ("0.3*index", "0.3*(index @% 2)", "copies in rows are a body with copies for each row"),
-        ("0.3*index", "@floor(index/2)", "copies in rows are a body with copies for each row"),
+        ("0.3*index", "0.3*(index @% 2)", "a remainder as mod(a, b)"),
+        ("0.3*index", "0.3*(index/@/2)", "rounded down it is floor(a/b)"),
+        ("0.3*index", "@ceil(index/2)", "unknown function 'ceil'; write -floor(-x)"),
+        ("mass: 1", "mass: 1 + @floor(n/3)", "let a parameter be it: it stands in parameters"),
+        ("disc: r", "disc: r*(1 + @index)", "'index': copies are alike but for their start"),
+        ("disc: r", "disc: r*@time", "'time': it changes along a run, and this does not"),
+        ("friction: 0.5", "friction: @grain1.dx", "and this does not; write a formula of param"),
+        ("height: 0", "line: [[0, @time], [1, 0]]", "a surface that moves has a displacement"),
+        ("height: 0", "height: @floor(x)", "floor jumps, and is for what is computed once"),
+        ("{disc: r}", "[{disc: @-r}]", "bodies.grain.shape.0.disc: must be positive, not -0.1"),
+        ("[grain]", "[grain, @grain]", "'grain' is listed twice; list it once; bodies of one list"),
+        ("[floor]", "[floor, @floor]", "'floor' is listed twice; list it once"),
+        ("0.3*index", '"mod(index, 0)"', "it has no real value"),
+        (
+            "controls:",
+            "forces: {f: @{body: grain}}\ncontrols:",
+            "neither force nor moment is given",
+        ),
         ("mass: 1", "mass: @nan", "not a number; write one"),
         ("{disc: r}", "@[" + "{disc: r}, " * 17 + "]", "must have at most 16 items, not 17"),
     ],
@@ -295,7 +311,7 @@ collisions: {all: {bodies: [one, two], friction: 0, restitution: 0}}
 stop: {time: 1}
 """
     runner = Runner(read_text(text))
-    with pytest.raises(DeclarationError, match=r"7:58: bodies\.two\.shape\.1\.disc: a radius"):
+    with pytest.raises(DeclarationError, match=r"7:58: bodies\.two\.shape\.1\.disc: must be pos"):
         runner.run({"R": 0})
     told = r"6:47: bodies\.one\.shape\.polygon: all corners lie on the line"
     with pytest.raises(DeclarationError, match=told):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Slide, Surface
+from contacts import Body, Contact, Joint, Path, Pin, Point, Scene, Shape, Slide, Surface
 from statechart import Result, Stop, Value, check, equations, graph, load, run, sweep, trade
 from statechart.charts.transitions import Transition
 from statechart.errors import DeclarationError
@@ -42,6 +42,14 @@ def scene(**changes: object) -> Scene:
         (
             lambda: Contact(point=Point(body="a"), surface="b", friction=1, modes=(Slide, Pin)),
             "Contact: modes.0: must be built, not the class Slide; write Slide()",
+        ),
+        (
+            lambda: scene(
+                bodies={
+                    "rod": Body(mass=1, inertia=1, shape=Shape(polygon=((0, 0), (0, 1), (1, 0))))
+                }
+            ),
+            "Scene('thrown'): bodies.rod.shape.polygon: a polygon is convex",
         ),
         (lambda: Body(mass=1, velocity=1), "Body: unknown key 'velocity'; write start: {dx: ..., "),
         (

@@ -12,6 +12,7 @@ from runs import engine, run
 from contacts.scene.scene import Scene
 from contacts.testing.scene_properties import properties
 from contacts.testing.violations import violations
+from statechart.diagram.scxml import scxml
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import EventLoop
 from statechart.execution.simulator import Simulator
@@ -19,6 +20,7 @@ from statechart.loading.load import interpret
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.figure import figure
+from statechart.running.drawing import drawn
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.testing.properties import generic
@@ -324,3 +326,35 @@ def test_events_that_a_tolerance_merges_are_told() -> None:
         tight = merged(accuracy)
         assert not any("taken for true" in text for text in tight.warnings)
         assert tight.outputs["vy"] == pytest.approx(exact, rel=accuracy)
+
+
+OSCILLATOR = """\
+kind: scene
+name: oscillator
+parameters: {mu: 0.1, k: 5, v: 3, g: 10}
+gravity: g
+bodies: {block: {mass: 1, start: {dx: v}}}
+surfaces: {floor: {height: 0}}
+contacts: {base: {point: {body: block}, surface: floor, modes: [slide, pin], friction: mu}}
+controls: {push: 0}
+forces: {spring: {body: block, force: [push - k*block.x, 0]}}
+regions:
+  hand:
+    initial: away
+    states: {away: {}, there: {sets: {push: 1}}}
+    transitions: [{name: begin, from: away, to: there, on: base.slide-}]
+stop: {time: 1}
+outputs:
+  back: {value: time, at: first base.slide-}
+  begun: {value: time, at: first begin}
+"""
+
+
+@both
+def test_a_controller_hears_which_way_a_contact_slides(name: str) -> None:
+    runner = Runner(read_text(OSCILLATOR), engine=name)
+    outputs = runner.run().outputs
+    # m x'' = -k x - mu m g, until the speed is 0.
+    back = math.atan2(3 * math.sqrt(5), 0.1 * 10) / math.sqrt(5)
+    assert outputs == pytest.approx({"back": back, "begun": back}, rel=1e-9)
+    assert '<transition event="base.slide_minus" target="hand_there"' in scxml(drawn(runner)[0])

@@ -51,6 +51,7 @@ def place(text: str, token: str, after: str) -> str:
         ("guard: cart.dx <= 0", "on: weel.touchdown", "weel", "no region 'weel'; did you mean"),
         ("guard: cart.dx <= 0", "on: wheel.stop", "wheel", "no cause or state 'stop'"),
         ("guard: cart.dx <= 0", "on: driver.far", "driver", "waits for an event of its own"),
+        ("guard: cart.dx <= 0", "on: wheel.slide-", "wheel", "no cause or state 'slide-'"),
         ("guard: cart.dx <= 0", "on: a.b.c", "a.b.c", "'a.b.c' is not an event"),
         ("guard: cart.dx <= 0", "on: 3", "3", "must be text"),
         ("guard: cart.dx <= 0", "guard: cart.dx <= 0, updates: {x: 0}", "x: 0", "no variable 'x'"),
@@ -91,6 +92,9 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
         assert old in ICE
         error = refused(ICE.replace(old, new))
         assert words in error, error
+    curve = refused(ICE.replace("friction: 2*grip", "friction: 2/(1 + abs(base.slip))"))
+    assert "friction: 'base.slip': it changes along a run" in curve, curve
+    assert "write a control, which states of a region set, with transitions where it" in curve
     two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
     assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)
 

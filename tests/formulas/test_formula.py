@@ -38,6 +38,11 @@ CASES = {
     "-inf": -math.inf,
     "max(1, inf)": math.inf,
     " x \n + \t y ": 7.3,
+    "floor(-y/2) + floor(x)": -4.0,
+    "floor(x/0.1)": 3.0,
+    "floor(3 - 1e-9)": 2.0,
+    "mod(-y, 3)": 2.0,
+    "mod(y, -3)": -2.0,
 }
 VALUES = {"x": 0.3, "y": 7.0, "tip.V": 11.0}
 

@@ -146,3 +146,13 @@ def test_where_no_process_can_be_started_the_run_compiles(anew, monkeypatch):
 
     monkeypatch.setattr(subprocess, "Popen", refused)
     assert maker.Maker(_roots, ()).is_done()
+
+
+def test_steps_that_python_takes_too_long_for_are_given_up(anew, monkeypatch):
+    monkeypatch.setattr(jit, "_LONGEST", -1.0)
+    values, result = np.array([4.0, 9.0]), (np.array([5.0, 5.0]), 1.0)
+    with jit.meanwhile():
+        assert _roots(values, result) == (2, 0)
+    assert _roots._settled
+    assert result[0].tolist() == [2.0, 3.0]
+    assert kinds.Deadline.at == math.inf

@@ -1,0 +1,22 @@
+"""Whole numbers at or below others."""
+
+from __future__ import annotations
+
+import math
+
+_ROUNDED = 1e-12
+"""What is so near to a whole number, in parts of it, is one: quotients are rounded, 0.3/0.1 is a
+little less than 3. Numbers of copies and rows are far below its inverse."""
+
+_ALL_WHOLE = 2.0**53
+"""From here on every float is a whole number."""
+
+
+def whole(a: float) -> float:
+    """Return the largest whole number that is not above `a`, but for rounding."""
+    if not abs(a) < _ALL_WHOLE:
+        return a
+    near = float(math.floor(a + 0.5))
+    if abs(a - near) <= _ROUNDED * max(1.0, abs(a)):
+        return near
+    return float(math.floor(a))
