@@ -149,7 +149,7 @@ def test_where_no_process_can_be_started_the_run_compiles(anew, monkeypatch):
 
 
 def test_steps_that_python_takes_too_long_for_are_given_up(anew, monkeypatch):
-    monkeypatch.setattr(jit, "_LONGEST", -1.0)
+    monkeypatch.setattr(kinds, "_LONGEST", -1.0)
     values, result = np.array([4.0, 9.0]), (np.array([5.0, 5.0]), 1.0)
     with jit.meanwhile():
         assert _roots(values, result) == (2, 0)
