@@ -2,5 +2,5 @@
 
 `film` is the picture as plain values, and `stage` what a kind of document offers to make it of;
 `scenery` and `drawing` draw it, `names` says what is what, `snapshots` puts some in a row,
-`animation` writes GIF, by `gif`, and MP4.
+`animation` writes GIF and MP4.
 """

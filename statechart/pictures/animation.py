@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,6 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
 from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing
 from statechart.pictures.film import Film
-from statechart.pictures.gif import gif
 from statechart.pictures.scenery import BODY
 from statechart.pictures.snapshots import shaped
 from statechart.progress import counted
@@ -223,14 +223,17 @@ def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
     from PIL import Image
 
     # One palette for all: what stands still stays the same, and takes no place in the file.
-    palette = _palette()
     shared = Image.new("P", (1, 1))
-    shared.putpalette(palette)
+    shared.putpalette(_palette())
     kept = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
     times = [round(100.0 * lasting * k) for k in range(len(kept))]
     lengths = [10 * max(2, b - a) for a, b in itertools.pairwise(times)]
     lengths.append(round(1000 * _STAYS))
-    return gif(kept, lengths, palette)
+    stream = BytesIO()
+    kept[0].save(
+        stream, format="GIF", save_all=True, append_images=kept[1:], duration=lengths, loop=0
+    )
+    return stream.getvalue()
 
 
 def _palette() -> list[int]:
