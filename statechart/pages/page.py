@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.files import write_atomic
-from statechart.errors import StatechartError
+from statechart.errors import DeclarationError, StatechartError
 
 _HERE = Path(__file__).parent
 # In this order: the moving scene, then all that moves along.
@@ -42,11 +42,13 @@ def write(shown: Mapping[str, Any], path: Path) -> None:
 
     Raises
     ------
+    DeclarationError
+        If the suffix is not .html.
     StatechartError
-        If the suffix is not .html, or the file cannot be written.
+        If the file cannot be written.
     """
     if path.suffix.lower() not in (".html", ".htm"):
-        raise StatechartError(f"a page is .html, not {path.suffix or path.name!r}")
+        raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
     try:
         write_atomic(path, html(shown).encode())
     except OSError as error:

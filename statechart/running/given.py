@@ -99,4 +99,4 @@ def overridden(parameters: Mapping[str, float] | None) -> dict[str, float]:
 
 def real(value: object) -> bool:
     """Whether it is a number: Python's types are not asked for while a program runs."""
-    return isinstance(value, Real)
+    return isinstance(value, Real) and not isinstance(value, bool)

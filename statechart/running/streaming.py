@@ -66,6 +66,11 @@ def sampled(
             f"every must be a finite time above 0, not {f'{every:g}' if real(every) else every!r}",
             advice="say after which time the run is looked at: every=0.01",
         )
+    if control is not None and not callable(control):
+        raise DeclarationError(
+            f"control must be a function, not {control!r}",
+            advice="it takes a sample, and returns parameters and their values, or None",
+        )
     if end + every == end > 0.0:
         raise DeclarationError(
             f"every must be above the resolution of time at {end:g}, not {every:g}",

@@ -64,6 +64,14 @@ def scene(**changes: object) -> Scene:
         (lambda: run(scene(), until="1"), "the end must be a finite time from 0 on, not '1'"),
         (lambda: run(scene(), tolerance="1e-9"), "tolerance must be a number, not '1e-9'"),
         (
+            lambda: Runner(scene()).stream(every=0.5, control=3),
+            "control must be a function, not 3; it takes a sample",
+        ),
+        (
+            lambda: run("toppling_stick", parameters={"mu": True}),
+            "parameter 'mu' must be a number, not True",
+        ),
+        (
             lambda: [*Runner(scene()).stream(every=0.5, control=lambda _: 3)],
             "control must return parameters and their values, or None, not 3; such as {'mu': 0.3}",
         ),

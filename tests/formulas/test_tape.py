@@ -138,7 +138,11 @@ def test_wrong_shapes_are_refused():
         tape.table([[1.0, 2.0]], [1.0], [0.0, 1.0])
 
 
-def test_another_model_and_other_kinds_of_arrays_compile_nothing():
+def test_another_model_and_other_kinds_of_arrays_compile_nothing(monkeypatch):
+    # Those that Python runs at first are compiled, too.
+    for kernel in (tape_values, tape_table):
+        monkeypatch.setattr(kernel, "_settled", True)
+
     def compiled():
         found = [tape_values, tape_table, search]
         return [len(kernel.made.signatures) for kernel in found]
