@@ -162,12 +162,17 @@ def _kept_joints(
     """
     holds, at, touches, look = numbers.joints.holds, 3 * len(numbers.sizes), room.touches, room.look
     for b in range(len(numbers.sizes)):
-        for d in range(3):
-            chunk.gained[k] -= (
-                0.125 * (look.loose[b, d] - look.old[b, d]) ** 2 / (numbers.inverse[b, d])
-            )
+        room.local[b] = 0
     for j in range(len(holds)):
         i = first + j
+        for side in range(2):
+            b = touches.bodies[i, side]
+            if b < 0 or room.local[b] == 1:
+                continue
+            room.local[b] = 1
+            for d in range(3):
+                pulled = look.loose[b, d] - look.old[b, d]
+                chunk.gained[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
         memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
         for d in range(2):
             both = touches.before[i, d] + touches.free[i, d]
@@ -177,6 +182,8 @@ def _kept_joints(
         memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
         for d in range(2):
             memory.contacts[i, 2 + d] = room.pressed[i, d]
+            memory.contacts[i, 4 + d] = touches.closing[i, 0, d]
+            memory.contacts[i, 6 + d] = touches.closing[i, 1, d]
             if d == 0 or holds[j] == BOTH:
                 chunk.solved[k, at] = room.steady[i, d] / chunk.h
                 at += 1
@@ -263,9 +270,9 @@ def step_bodies(
     room : Room
     bounds : (float, float)
         Residual of impulses that are good enough; a step that closes a larger gap, or in which
-        bodies pass or sink into each other or turn by more than half a turn, is not taken: the
-        status is `COARSE`. Nor is the step before it, of whose second half that tells. Infinite:
-        all are taken.
+        bodies pass or sink into each other or turn by more than half a turn, or which leaves
+        joints open, is not taken: the status is `COARSE`. Nor is the step before it, of whose
+        second half that tells. Infinite: all are taken.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
         forces of joints.
@@ -313,6 +320,7 @@ def step_bodies(
         lands = _may_land(touches, law, seen.contacts)
         if lands:
             _without_impacts(numbers, touches, loose, count, early)
+        room.apart[1] = 1.0 if deepest < math.inf else 0.0
         solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
         put_rows(loose, rates)
         put_rows(loose, forced)
@@ -328,7 +336,8 @@ def step_bodies(
                         touches.bodies, touches.rows, numbers.inverse, forced, i, d,
                         room.steady[i, d],
                     )  # fmt: skip
-        if deepest < math.inf and h * fastest_turn(rates) > math.pi:
+        open_joints = joins and room.apart[0] > 0.0
+        if deepest < math.inf and (open_joints or h * fastest_turn(rates) > math.pi):
             return k, COARSE
         if forces:
             _shown(rates, old, forced)

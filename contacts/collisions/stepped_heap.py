@@ -28,8 +28,8 @@ from statechart.tabular import several
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
 # Joints may add this part of the most energy of motion: a bridge that a load jerks taut gets up to
-# 0.7 for a moment, which what lands takes again.
-_ADDED = 1.0
+# 0.25 for a moment, which they take again.
+_ADDED = 0.5
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64, 256)
 # So many moves out of what overlaps are tried; a look takes this part of a step.
@@ -229,9 +229,9 @@ class SteppedHeap:
         if self._parted:
             found += (
                 f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
-                "through each other or sink into each other, or turn by more than half a turn: "
-                f"they were taken in up to {self._most_parts} parts; with a step of "
-                f"{self._length / self._most_parts:.1g} none needs that",
+                "through each other or sink into each other, or turn by more than half a turn, or "
+                f"joints would not close: they were taken in up to {self._most_parts} parts; with "
+                f"a step of {self._length / self._most_parts:.1g} none needs that",
             )
         return found
 

@@ -19,12 +19,21 @@ from statechart.kernels.jit import late, part
 
 # Of where the ends of a joint are: what that is known to.
 _ROUNDING = 2.0**-50
+# A step is shorter than the one before where it is so beyond rounding.
+_SHORTER = 1.0 - 1e-9
+
+
+@part
+def _bent(x: float, y: float, across: bool, turn: float) -> float:
+    """Return how far the end of an arm goes in a step beyond what the rate of its turning says."""
+    c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
+    return s * x + c * y if across else c * x - s * y
 
 
 @part
 def _joint_rows(
     joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
-    rows: Array, before: Array, free: Array, wanted: Array,
+    past: float, rows: Array, before: Array, free: Array, wanted: Array, closing: Array,
 ) -> float:  # fmt: skip
     """Write the rows of a joint; return by how much the path of its place bends in a step.
 
@@ -35,13 +44,16 @@ def _joint_rows(
         Where bodies are at this look, their rates before it, and after it without impulses.
     paths : (3, j, 2)
         Where the places of all joints in the world were at the last look, are, and are next.
-    h : float
+    h, past : float
+        Lengths of this step and of the one before.
     rows : (2, 6)
         Velocities per unit rates of the two bodies; to be filled, as is what follows.
     before, free : (2,)
         Velocities relative to the path, before the step and after it without impulses.
     wanted : (2,)
         What these may not differ from, negated.
+    closing : (2, 2)
+        How far it may be open at the next look, and by how much less with time; in place.
     """
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
@@ -63,21 +75,26 @@ def _joint_rows(
                 continue
             x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
             rx, ry = x - places[b, 0], y - places[b, 1]
-            # What an arm does in a step beyond what its rate says.
-            turn = h * old[b, 2]
-            c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
             at = 3 * side
             rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
             rows[d, at + 2] = sign * (rx * uy - ry * ux)
             for k in range(3):
                 before[d] += rows[d, at + k] * old[b, k]
                 free[d] += rows[d, at + k] * loose[b, k]
-            wanted[d] += sign * (ux * (c * rx - s * ry) + uy * (s * rx + c * ry)) / h
+            wanted[d] += sign * _bent(rx, ry, across, h * old[b, 2]) / h
             apart += sign * (ux * x + uy * y)
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
         # Joints that others imply cannot close what rounding opens.
-        if abs(apart) > _ROUNDING * size:
-            wanted[d] += apart / h
+        if not abs(apart) > _ROUNDING * size:
+            closing[0, d] = 0.0
+            continue
+        # Between looks arms are open by what they bend, as they are where a step is taken in parts:
+        # closed in the first of these, that would throw what they bear.
+        if h < _SHORTER * past:
+            closing[0, d], closing[1, d] = apart, apart / past
+        closed = h * closing[1, d]
+        closing[0, d] = closing[0, d] - closed if abs(closing[0, d]) > abs(closed) else 0.0
+        wanted[d] += (apart - closing[0, d]) / h
     bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
     bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
     return math.hypot(bend_x, bend_y) / h
@@ -101,24 +118,45 @@ def joined(
     """
     joints, pieces = numbers.joints, len(numbers.pieces.sizes)
     first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
+    past = memory.past[0]
     for j in range(len(joints.holds)):
         b = joints.bodies[j, 0]
         touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
-        bent = _joint_rows(
-            joints, j, look.places, look.old, look.loose, places, h, touches.rows[m],
-            touches.before[m], touches.free[m], touches.wanted[m],
-        )  # fmt: skip
-        look.pull[b] += bent
         touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
         touches.materials[m, 1] = touches.materials[m, 2] = 0.0
         touches.hit[m] = False
         while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
             at_old += 1
-        recalled(memory, at_old, first + j, 0, h, m, touches)
+        _, _, place = recalled(memory, at_old, first + j, 0, h, m, touches)
+        for d in range(2):
+            touches.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
+            touches.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
+        bent = _joint_rows(
+            joints, j, look.places, look.old, look.loose, places, h, past, touches.rows[m],
+            touches.before[m], touches.free[m], touches.wanted[m], touches.closing[m],
+        )  # fmt: skip
+        look.pull[b] += bent
         touches.keys[m, 0], touches.keys[m, 1] = first + j, 0
         touches.memory[m, 0] = touches.memory[m, 1] = 0.0
         m += 1
     return m
+
+
+@part
+def bent_on(
+    joints: JointNumbers, j: int, d: int, places: Array, side: int, turn: float, than: float
+) -> tuple[float, float]:
+    """Return how much farther the end of a joint's arm goes along its row d in a step.
+
+    Where its body turns by `turn` in that and not by `than`, beyond what the rate says; as the row
+    counts it. And how far it goes round.
+    """
+    b = joints.bodies[j, side]
+    x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+    rx, ry = x - places[b, 0], y - places[b, 1]
+    across = d == 1 or joints.holds[j] == ALONG_Y
+    further = _bent(rx, ry, across, turn) - _bent(rx, ry, across, than)
+    return (1.0 - 2.0 * side) * further, math.hypot(rx, ry) * abs(turn)
 
 
 @part

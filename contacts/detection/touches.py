@@ -38,6 +38,8 @@ class Touches(NamedTuple):
         Impulses of the step before.
     hit : (c,) array of bool
         Who is struck.
+    closing : (c, 2, 2)
+        How far joints are left open in both directions, and by how much less with time.
     """
 
     bodies: Ints
@@ -50,6 +52,7 @@ class Touches(NamedTuple):
     wanted: Array
     pushes: Array
     hit: Bools
+    closing: Array
 
     @classmethod
     def room(cls, most: int) -> Touches:
@@ -65,6 +68,7 @@ class Touches(NamedTuple):
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.bool_),
+            np.empty((most, 2, 2)),
         )
 
 

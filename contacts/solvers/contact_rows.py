@@ -171,6 +171,19 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
             add(contacts, i, impulses[i, 0], impulses[i, 1], rates)
 
 
+@late
+def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
+    """Return the work of joints in a step, if they do any: what they took, as their arms turn."""
+    rates, work = rates_of(contacts, 0), 0.0
+    moved(contacts, impulses, rates)
+    for i in range(len(impulses)):
+        if slope(contacts.cones[i]) < 0.0:
+            for d in range(2):
+                both = before[i, d] + free[i, d] + along(contacts, i, d, rates)
+                work += 0.5 * impulses[i, d] * both
+    return max(work, 0.0)
+
+
 @part
 def law_of(own: Array, mu: float, law: Array) -> None:
     """Write what `one_contact` needs to solve a contact's law, whatever its velocity.

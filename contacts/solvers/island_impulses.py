@@ -15,6 +15,7 @@ from contacts.solvers.contact_rows import (
     LEAST,
     ContactRows,
     along,
+    joint_work,
     moved,
     rates_of,
     slope,
@@ -50,7 +51,7 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
 
 
 @part
-def _within(
+def worked(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
     """Return the part of impulses whose work is within a bound; see `part_within`."""
@@ -140,7 +141,7 @@ def _pushed_in_part(
         done += further
         if missed > allowed:
             break
-        within = _within(contacts, chosen, before, free, bound)
+        within = worked(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
             put_rows(chosen, impulses)
             return missed, done, soft
@@ -180,7 +181,8 @@ def island_impulses(
     allowed : float
         Residual.
     bound : float
-        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
+        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``; beside what joints
+        do as their arms turn.
     """
     count, pushed, joined = len(impulses), False, False
     fastest = slowest = 0.0
@@ -194,7 +196,9 @@ def island_impulses(
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
-    share = _within(contacts, impulses, before, free, bound)
+    if joined and left <= allowed:
+        bound += joint_work(contacts, impulses, before, free)
+    share = worked(contacts, impulses, before, free, bound)
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
@@ -212,7 +216,7 @@ def island_impulses(
                 done += further
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = _within(contacts, impulses, before, free, bound)
+            share = worked(contacts, impulses, before, free, bound)
     if joined and left > allowed:
         # What sticks or is stuck between joints and others can do nothing but rest: no joint is
         # brought back there, or follows its arm as that turns.
@@ -225,7 +229,7 @@ def island_impulses(
         if calm < left:
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = _within(contacts, impulses, before, free, bound)
+            share = worked(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):
             impulses[i, 0] *= share

@@ -82,12 +82,16 @@ def assert_depths(
 
 
 def _meeting(numbers: BodyNumbers) -> Iterator[tuple[int, int]]:
-    """Yield pieces, each with others, and with surfaces behind them, that they touch by a law."""
+    """Yield pieces, each with others, and with surfaces behind them, that they touch by a law.
+
+    What joints hold together does not touch.
+    """
     bodies, kinds = numbers.pieces.bodies, numbers.laws.shape[0]
+    held = {tuple(sorted(pair)) for pair in numbers.joints.bodies.tolist()}
     for p, b in enumerate(bodies.tolist()):
         laws = numbers.laws[numbers.kinds[b]]
         for q in np.flatnonzero(laws[numbers.kinds[bodies]] >= 0).tolist():
-            if bodies[q] > b:
+            if bodies[q] > b and (b, int(bodies[q])) not in held:
                 yield p, q
         for surface in np.flatnonzero(laws[kinds:] >= 0).tolist():
             yield p, len(bodies) + surface
@@ -165,7 +169,8 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
     """Check that gravity alone acts on a body that is free."""
     assert trace.step is not None
     count = len(numbers.sizes)
-    fall = np.array([*numbers.gravity, 0.0])
+    fall, arms = np.array([*numbers.gravity, 0.0]), np.ones((count, 3))
+    arms[:, 2] = numbers.sizes * numbers.inverse[:, 2] / numbers.inverse[:, 0]
     for arc in trace.arcs:
         assert arc.solved is not None  # steps have numbers
         free = np.array([state == "free" for state in arc.mode[:count]])
@@ -174,8 +179,8 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
         off = np.abs(arc.solved[whole, : 3 * count].reshape(-1, count, 3)[:, free] - fall)
         rates = arc.coefficients[whole, 3 * count : 6 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
-        # What presses less than that is told of nothing.
-        allowed = LEAST * np.abs(fall).max() + _ROUNDING * speeds / trace.step
+        # What presses less than that, at the end of its arm, is told of nothing.
+        allowed = LEAST * np.abs(fall).max() * arms[free] + _ROUNDING * speeds / trace.step
         if (off > allowed).any():
             b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
             raise AssertionError(

@@ -120,6 +120,32 @@ def test_what_is_deeper_than_a_step_takes_it_is_caught(heap):
         assert_depths(numbers, shallow)
 
 
+def test_what_a_joint_holds_together_may_overlap():
+    subject = Subject(
+        model("""
+kind: scene
+name: elbow
+gravity: 9.81
+bodies:
+  upper: {mass: 1, inertia: 0.02, shape: {polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1],
+    [-0.2, 0.1]]}}
+  lower: {mass: 1, inertia: 0.02, shape: {disc: 0.2}, start: {x: 0.25}}
+surfaces: {ground: {height: -0.5}}
+joints:
+  shoulder: {point: {body: upper, at: [-0.2, 0]}, to: [-0.2, 0]}
+  elbow: {point: {body: lower, at: [-0.1, 0]}, to: {body: upper, at: [0.15, 0]}}
+collisions: {all: {bodies: [upper, lower], surfaces: [ground], friction: 0.3, restitution: 0}}
+stop: {time: 0.3}
+settings: {engine: impulse, step: 1e-3}
+""")
+    )
+    trace, numbers = subject.case({}).trace, body_numbers(subject.model, subject.model.values())
+    assert_depths(numbers, trace)
+    apart = numbers._replace(joints=numbers.joints._replace(bodies=numbers.joints.bodies[:1]))
+    with pytest.raises(AssertionError, match=r"upper is 0\.18\d* deep in lower"):
+        assert_depths(apart, trace)
+
+
 def test_what_does_not_fall_is_caught(heap):
     _, trace, numbers = heap
     assert_free_fall(numbers, trace)
