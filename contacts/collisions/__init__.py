@@ -6,7 +6,7 @@ what they stand on, `declared_joints` what holds them, `starts` where they are, 
 and `apart` from each other.
 `surroundings` are known ahead of the steps: `paths` of surfaces, what controllers `recall`, and
 forces, which `stiff_forces` holds against the step. A `body_step` asks `contacts.detection` which
-bodies touch; `islands` of them are solved one by one in an `island_step`, where `order` says which
-impact is first, and `mass_ratios` where that cannot do. `no_ground` tells where surfaces have no
-height.
+bodies touch; `islands` of them are solved one by one in an `island_step`, in one `room`, where
+`order` says which impact is first, `joint_closing` how arms turn by what holds them, and
+`mass_ratios` where that cannot do. `no_ground` tells where surfaces have no height.
 """

@@ -11,9 +11,10 @@ import math
 
 import numpy as np
 
-from contacts.collisions.island_step import Room, solved
+from contacts.collisions.island_step import solved
 from contacts.collisions.islands import push
 from contacts.collisions.order import PLASTIC
+from contacts.collisions.room import Room
 from contacts.detection.applied import Ahead
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.detection.ground import Ground
