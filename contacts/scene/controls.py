@@ -308,15 +308,38 @@ class Controls:
                     check_names(parse(text), names, *loc)
 
     def check_coefficient(
-        self, text: FormulaText, parameters: Collection[str], *loc: str | int
+        self,
+        text: FormulaText,
+        parameters: Collection[str],
+        moving: Collection[str],
+        *loc: str | int,
     ) -> None:
         """Check that a coefficient of a contact is constant in every state of one region.
+
+        Parameters
+        ----------
+        text : str
+            What was written.
+        parameters, moving : collection of str
+            Names that are constant, and names that change as the scene moves.
+        *loc : str or int
+            Where it stands.
 
         Raises
         ------
         DeclarationProblem
             If it is not.
         """
+        changing = parse(text).names & {*moving} - {*parameters, *self.declared}
+        if changing:
+            raise DeclarationProblem(
+                f"depends on {', '.join(map(repr, sorted(changing)))}: a coefficient of a contact "
+                "is constant as long as a state lasts",
+                advice="name a control, and set it in the states of a region, to formulas of "
+                "parameters: one state for what sticks and one for what slips, or one for each "
+                "part of a curve",
+                loc=loc,
+            )
         check_names(parse(text), {*parameters, *self.declared}, *loc)
         used = [control for control in self.declared if control in parse(text).names]
         regions = list(dict.fromkeys(self.owners[control] for control in used))

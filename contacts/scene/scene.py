@@ -277,12 +277,13 @@ class Scene(SceneFields):
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
+        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+        moving = seen | {f"{c}.{q}" for c in self.contacts for q in ("V", "H")}
         for key in ("friction", "restitution"):
             text = getattr(contact, key)
             with found:
                 if text is not None:
-                    self.controlled.check_coefficient(text, parameters, *at, key)
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
+                    self.controlled.check_coefficient(text, parameters, moving, *at, key)
         for place, text in enumerate(contact.enabled):
             with found:
                 check_names(parse_relation(text), seen | {*self.controls}, *at, "enabled", place)

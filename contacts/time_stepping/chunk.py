@@ -74,11 +74,11 @@ class Chunk(NamedTuple):
         How long after the middle of the step its impacts are.
     gained : (k,) array
         What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
-    efforts : (k, 7) array
+    efforts : (k, 8) array
         What impulses took: their residual, iterations, contacts that took part, and 1 where none
         were found that make all contacts part as they should; 1 where a body is struck at
         several places that are `LIVELY`; the fastest approach that impacts in turn left; 1 where
-        the impulses that were taken are not the only ones.
+        the impulses that were taken are not the only ones; 1 + the number of a contact that jams.
     """
 
     h: float
@@ -115,7 +115,7 @@ class Chunk(NamedTuple):
             np.zeros(count),
             np.zeros(count),
             np.zeros(count),
-            np.zeros((count, 7)),
+            np.zeros((count, 8)),
         )
 
     def first(self, count: int) -> Chunk:

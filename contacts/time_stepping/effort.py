@@ -50,9 +50,9 @@ class Effort:
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        missed, _, _, _, ambiguous, left, choices = chunk.efforts.T
-        _, iterations, contacts, softened, struck, _, chosen = chunk.efforts.sum(axis=0).tolist()
-        most_missed, _, most, _, _, most_left, _ = chunk.efforts.max(axis=0).tolist()
+        missed, _, _, _, ambiguous, left, choices, _ = chunk.efforts.T
+        _, iterations, contacts, softened, struck, _, chosen, _ = chunk.efforts.sum(axis=0).tolist()
+        most_missed, _, most, _, _, most_left, _, _ = chunk.efforts.max(axis=0).tolist()
         self._iterations += int(iterations)
         self._contacts += int(contacts)
         self._most = max(self._most, int(most))

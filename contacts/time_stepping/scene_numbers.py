@@ -182,6 +182,8 @@ class Answer(NamedTuple):
         Impulses; those of them that are forces, and who slides under these.
     several : bool
         Whether another solution lets a contact come off that slides, or slide that comes off.
+    jammed : int
+        1 + the number of a contact that friction lets neither slide on nor come off; 0: none.
     """
 
     z: Array
@@ -191,3 +193,4 @@ class Answer(NamedTuple):
     steady: Array
     slides: Bools
     several: bool
+    jammed: int

@@ -191,7 +191,7 @@ def step_scene(
             if not good:
                 return k, HARD, problem.delassus, least, problem.cones
             answer = answered(scene, memory, problem, z, basis, least, pushes)
-            chunk.efforts[k, 6] = answer.several
+            chunk.efforts[k, 6], chunk.efforts[k, 7] = answer.several, answer.jammed
             blurred = _borne(
                 scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,

@@ -189,21 +189,22 @@ def answered(
     Where friction presses a sliding contact into its surface no finite force keeps one there that
     would go in; one that would come off may as well slide on.
     """
-    delassus, sudden, several = problem.delassus, problem.sudden, False
+    delassus, sudden, several, jammed = problem.delassus, problem.sudden, False, 0
     for a in range(len(problem.which)):
         i = problem.which[a]
         corner, slip = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2], problem.before[a, 1]
         # Where it stuck, its slip is rounding.
         if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
             paradox = pressing(corner, slip, problem.cones[a])
-            sudden[a] = sudden[a] or (paradox and least[a, 0] < 0.0)
+            if paradox and least[a, 0] < 0.0 and not sudden[a]:
+                sudden[a], jammed = True, i + 1
             clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # What others bear tells, too, where there are others.
             off = least[a, 0] > clear and memory.closed[i] and _alone(problem.groups, a)
             several = several or (paradox and off)
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
     relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
-    return Answer(z, basis, least, pushes, steady, slides, several)
+    return Answer(z, basis, least, pushes, steady, slides, several, jammed)
 
 
 @part
