@@ -66,7 +66,8 @@ class ContactMemory(NamedTuple):
     Attributes
     ----------
     level : (c,)
-        Gap at which a contact that lasts is kept: what its landing has left, never above 0.
+        Gap at which a contact that lasts is kept: what its landing has left, above 0 only where
+        that of one that faces it is as far below.
     closed, slid : (c,)
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int

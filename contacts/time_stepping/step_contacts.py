@@ -50,6 +50,10 @@ _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
 _SETTLING = 3
+# Directions are opposite to within this part of their size.
+_OPPOSITE = 1e-9
+# And by so much more than it is deep there, what faces a contact is apart: gaps bend.
+_BENT = 1.01
 
 
 @part
@@ -87,8 +91,11 @@ def taking_part(
                 free[d] += numbers[row + d * n + j] * change[j]
         nearing, slow = -before[0], SLOW * abs(free[0] - before[0])
         bias = 0.5 * h * numbers[row + 2 * n]
+        lasts = memory.closed[i]
+        if not lasts and gap > 0.0 and _faced(memory, tape, i, gap, scene.near):
+            lasts, level[i] = True, gap
         role, level[i], above = arriving(
-            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, h
+            gap, level[i], lasts, nearing, free[0] + bias, slow, BESIDE, h
         )
         met.active[i], met.hit[i] = role != APART, role == HIT
         if role == LASTING:
@@ -104,6 +111,33 @@ def taking_part(
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
     return True
+
+
+@part
+def _faced(memory: ContactMemory, tape: Tape, i: int, gap: float, near: float) -> bool:
+    """Whether contact `i` is apart by no more than one that lasts and faces it lies deep.
+
+    Between the two nothing has play. What the landing of one has left is none: as if it were, an
+    impact would push what they hold from one to the other, and they would be struck in turn, whose
+    outcome is another one however short the step.
+    """
+    n, row = tape.size, tape.first + tape.per * i
+    for other in range(len(memory.closed)):
+        if other == i or not memory.closed[other] or not memory.level[other] < 0.0:
+            continue
+        facing = tape.first + tape.per * other
+        most, its, apart = 0.0, 0.0, 0.0
+        for k in range(n):
+            most = max(most, abs(tape.numbers[row + k]))
+            its = max(its, abs(tape.numbers[facing + k]))
+        if its == 0.0 or gap > near - _BENT * most / its * tape.numbers[facing + 2 * n + 2]:
+            continue
+        for k in range(n):
+            gone = tape.numbers[row + k] + most / its * tape.numbers[facing + k]
+            apart = max(apart, abs(gone))
+        if apart <= _OPPOSITE * most:
+            return True
+    return False
 
 
 @part
