@@ -15,6 +15,7 @@ from contacts.solvers.step_impulses import AS_ASKED, solve_impacts
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BAD_INERTIA, DONE, HARD, NOT_FINITE, Chunk
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
+from contacts.time_stepping.facing import close_faced
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -31,6 +32,7 @@ from contacts.time_stepping.step_contacts import (
     guessed,
     mixed_with_impacts,
     nothing_borne,
+    switched,
     taking_part,
     told,
 )
@@ -176,8 +178,10 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros((c, 2)), np.zeros((c, 2)),
             np.zeros((c, 2)),
         )  # fmt: skip
-        if not taking_part(scene, memory, tape, change, k, met, chunk):
+        if not switched(scene, memory, tape, k, chunk):
             return k, NOT_FINITE, nothing, none, none
+        taking_part(scene, memory, tape, change, k, met, chunk)
+        close_faced(scene, memory, tape, h, met)
         which, total, lasting, blurred = indices(met.active), change, change.copy(), False
         chunk.efforts[k, 2] = len(which)
         nothing_borne(memory.off, forces, k, chunk)

@@ -50,30 +50,21 @@ _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
 _SETTLING = 3
-# Directions are opposite to within this part of their size.
-_OPPOSITE = 1e-9
-# And by so much more than it is deep there, what faces a contact is apart: gaps bend.
-_BENT = 1.01
 
 
 @part
-def taking_part(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
-    chunk: Chunk,
+def switched(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, k: int, chunk: Chunk
 ) -> bool:  # fmt: skip
-    """Write which contacts take part in step k; False where one is nowhere.
-
-    Without contacts the step changes the rates by `change`.
-    """
-    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    """Let conditions turn contacts off and on, write gaps; return False where one is nowhere."""
+    numbers, n, off = tape.numbers, tape.size, memory.off
     deepest = -scene.near
-    for i in range(len(scene.cones)):
+    for i in range(len(off)):
         # What lies on one surface comes to the next that goes on from it as deep as it lies.
-        deepest = min(deepest, level[i] - scene.near)
-    for i in range(len(scene.cones)):
+        deepest = min(deepest, memory.level[i] - scene.near)
+    for i in range(len(off)):
         row = tape.first + tape.per * i
-        gap = numbers[row + 2 * n + 2]
-        condition = numbers[row + 2 * n + 5]
+        gap, condition = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5]
         if off[i]:
             off[i] = not (condition > 0.0 and gap >= deepest)
         elif condition < 0.0:
@@ -81,6 +72,22 @@ def taking_part(
         if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
             return False
         chunk.gaps[k, i] = math.inf if off[i] else gap
+    return True
+
+
+@part
+def taking_part(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write which contacts take part in step k.
+
+    Without contacts the step changes the rates by `change`.
+    """
+    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    for i in range(len(scene.cones)):
+        row = tape.first + tape.per * i
+        gap = numbers[row + 2 * n + 2]
         if scene.held[i] > 0 or off[i]:
             level[i] = 0.0
             continue
@@ -91,11 +98,8 @@ def taking_part(
                 free[d] += numbers[row + d * n + j] * change[j]
         nearing, slow = -before[0], SLOW * abs(free[0] - before[0])
         bias = 0.5 * h * numbers[row + 2 * n]
-        lasts = memory.closed[i]
-        if not lasts and gap > 0.0 and _faced(memory, tape, i, gap, scene.near):
-            lasts, level[i] = True, gap
         role, level[i], above = arriving(
-            gap, level[i], lasts, nearing, free[0] + bias, slow, BESIDE, h
+            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, h
         )
         met.active[i], met.hit[i] = role != APART, role == HIT
         if role == LASTING:
@@ -110,34 +114,6 @@ def taking_part(
             met.wanted[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
-    return True
-
-
-@part
-def _faced(memory: ContactMemory, tape: Tape, i: int, gap: float, near: float) -> bool:
-    """Whether contact `i` is apart by no more than one that lasts and faces it lies deep.
-
-    Between the two nothing has play. What the landing of one has left is none: as if it were, an
-    impact would push what they hold from one to the other, and they would be struck in turn, whose
-    outcome is another one however short the step.
-    """
-    n, row = tape.size, tape.first + tape.per * i
-    for other in range(len(memory.closed)):
-        if other == i or not memory.closed[other] or not memory.level[other] < 0.0:
-            continue
-        facing = tape.first + tape.per * other
-        most, its, apart = 0.0, 0.0, 0.0
-        for k in range(n):
-            most = max(most, abs(tape.numbers[row + k]))
-            its = max(its, abs(tape.numbers[facing + k]))
-        if its == 0.0 or gap > near - _BENT * most / its * tape.numbers[facing + 2 * n + 2]:
-            continue
-        for k in range(n):
-            gone = tape.numbers[row + k] + most / its * tape.numbers[facing + k]
-            apart = max(apart, abs(gone))
-        if apart <= _OPPOSITE * most:
-            return True
-    return False
 
 
 @part
