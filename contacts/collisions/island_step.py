@@ -13,7 +13,16 @@ from contacts.detection.body_numbers import BodyNumbers
 from contacts.solvers.contact_rows import scale, scale_beside
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses
-from contacts.time_stepping.chunk import LIVELY
+from contacts.time_stepping.chunk import (
+    AMBIGUOUS,
+    CONTACTS,
+    ITERATIONS,
+    LIVELY,
+    RESIDUAL,
+    SOFTENED,
+    UNENDED,
+    WORK,
+)
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
 from statechart.kernels.jit import beside, part
@@ -63,7 +72,7 @@ def solved(
         Its impulses are written, and where the next step starts to look for its own.
     count : int
         Contacts.
-    effort : (8,)
+    effort : (e,)
         See `Chunk.efforts`.
     """
     touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
@@ -71,7 +80,7 @@ def solved(
     room.apart[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
-    effort[2] = count
+    effort[CONTACTS] = count
     grouped(bodies, count, room.parents, room.begins, order)
     for island in range(len(numbers.sizes)):
         members = order[room.begins[island] : room.begins[island + 1]]
@@ -135,8 +144,8 @@ def solved(
             and size > 1
             and is_ambiguous(numbers, touches, members, contacts, h, chosen, local)
         ):
-            effort[4] = 1.0
-        effort[5] = max(effort[5], left)
+            effort[AMBIGUOUS] = 1.0
+        effort[UNENDED] = max(effort[UNENDED], left)
         for a in range(size):
             i = members[a]
             room.known[i] = max(missed, allowed) * fast
@@ -147,10 +156,10 @@ def solved(
                 put(chosen[a], touches.pushes[i])
         if forces and quiet < size:
             _forces(numbers, room, members, quiet, allowed, fast)
-        effort[0] = max(effort[0], missed)
-        effort[1] += done
-        effort[3] = max(effort[3], 1.0 if softened else 0.0)
-        effort[7] += done * size
+        effort[RESIDUAL] = max(effort[RESIDUAL], missed)
+        effort[ITERATIONS] += done
+        effort[SOFTENED] = max(effort[SOFTENED], 1.0 if softened else 0.0)
+        effort[WORK] += done * size
 
 
 @beside

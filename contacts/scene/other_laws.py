@@ -25,6 +25,11 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
         found["simultaneous: sequential"] = (
             "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
         )
+    if scene.paradox == "stop" and scene.collisions:
+        found["paradox: stop"] = (
+            "bodies with shapes whose friction presses them in are stopped by an impact, as with "
+            "impact"
+        )
     others: dict[str, list[str]] = {}
     for name, contact in hit.items():
         if contact.impact != MOREAU and not _agrees(scene, contact, values):

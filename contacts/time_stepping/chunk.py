@@ -44,6 +44,15 @@ is given back has a quarter of its energy. Heaps of what rebounds less are seldo
 # Unknowns of a step solved outside its kernel.
 _MOST_GIVEN = 4096
 
+RESIDUAL, ITERATIONS, CONTACTS, SOFTENED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
+"""Columns of `Chunk.efforts`: the residual of impulses, iterations, and contacts that took part; 1
+where none were found that make all contacts part as they should; 1 where a body is struck at
+several places that are `LIVELY`; the fastest approach that impacts in turn left; 1 where the
+impulses that were taken are not the only ones; iterations times contacts, island by island; 1 + the
+number of a contact that jams."""
+
+_COLUMNS = JAMMED + 1
+
 
 class Chunk(NamedTuple):
     """Consecutive steps of one length.
@@ -74,12 +83,8 @@ class Chunk(NamedTuple):
         How long after the middle of the step its impacts are.
     gained : (k,) array
         What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
-    efforts : (k, 8) array
-        What impulses took: their residual, iterations, contacts that took part, and 1 where none
-        were found that make all contacts part as they should; 1 where a body is struck at
-        several places that are `LIVELY`; the fastest approach that impacts in turn left; 1 where
-        the impulses that were taken are not the only ones; iterations times contacts, island by
-        island.
+    efforts : (k, e) array
+        What impulses took, in the columns `RESIDUAL` to `JAMMED`.
     """
 
     h: float
@@ -116,7 +121,7 @@ class Chunk(NamedTuple):
             np.zeros(count),
             np.zeros(count),
             np.zeros(count),
-            np.zeros((count, 8)),
+            np.zeros((count, _COLUMNS)),
         )
 
     def first(self, count: int) -> Chunk:
@@ -210,8 +215,8 @@ def stepped(
     while done < count and not (done and interrupts.arrived()):
         taken, status, delassus, least, cones = step(chunk.after(done), done, given, how)
         if taken:
-            chunk.efforts[done, 0] = missed
-            chunk.efforts[done, 3] = how != AS_ASKED
+            chunk.efforts[done, RESIDUAL] = missed
+            chunk.efforts[done, SOFTENED] = how != AS_ASKED
             given, how, missed = np.zeros(0), AS_ASKED, 0.0
         done += taken
         if status == DONE:

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE
-from contacts.time_stepping.chunk import LIVELY, Chunk
+from contacts.time_stepping.chunk import (
+    AMBIGUOUS,
+    CHOSEN,
+    CONTACTS,
+    ITERATIONS,
+    LIVELY,
+    RESIDUAL,
+    SOFTENED,
+    UNENDED,
+    Chunk,
+)
 from statechart.automaton.time_stepper import Impulses
 from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
@@ -38,38 +48,38 @@ class Effort:
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose impulses miss by more than the bound, and why it ends."""
-        wrong = chunk.efforts[:, 0] > self._bound
+        wrong = chunk.efforts[:, RESIDUAL] > self._bound
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
         return k, UnsolvedImpulses(
-            f"the impulses of a step miss the contact laws by {chunk.efforts[k, 0]:.2g} of the "
+            f"the impulses of a step miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the "
             f"fastest approach, and {self._bound:g} is the bound; a shorter step may take the "
             "bodies past it"
         )
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        missed, _, _, _, ambiguous, left, choices, _ = chunk.efforts.T
-        _, iterations, contacts, softened, struck, _, chosen, _ = chunk.efforts.sum(axis=0).tolist()
-        most_missed, _, most, _, _, most_left, _, _ = chunk.efforts.max(axis=0).tolist()
-        self._iterations += int(iterations)
-        self._contacts += int(contacts)
-        self._most = max(self._most, int(most))
-        if most_missed > self._tolerance:
-            self._missed += int((missed > self._tolerance).sum())
-        self._softened += int(softened)
-        if struck and not self._ambiguous:
-            self._first = start + (int(np.argmax(ambiguous)) + 0.5) * chunk.h
-        self._ambiguous += int(struck)
-        if chosen and not self._several:
-            self._choice = start + int(np.argmax(choices)) * chunk.h
-        self._several += int(chosen)
-        if most_left > 0.0:
-            self._unended += int((left > 0.0).sum())
-        self._left = max(self._left, most_left)
-        if most_missed > self.residual:
-            self.residual, self._when = most_missed, start + int(np.argmax(missed)) * chunk.h
+        efforts, h = chunk.efforts, chunk.h
+        total, most = efforts.sum(axis=0), efforts.max(axis=0)
+        self._iterations += int(total[ITERATIONS])
+        self._contacts += int(total[CONTACTS])
+        self._most = max(self._most, int(most[CONTACTS]))
+        if most[RESIDUAL] > self._tolerance:
+            self._missed += int((efforts[:, RESIDUAL] > self._tolerance).sum())
+        self._softened += int(total[SOFTENED])
+        if total[AMBIGUOUS] and not self._ambiguous:
+            self._first = start + (int(np.argmax(efforts[:, AMBIGUOUS])) + 0.5) * h
+        self._ambiguous += int(total[AMBIGUOUS])
+        if total[CHOSEN] and not self._several:
+            self._choice = start + int(np.argmax(efforts[:, CHOSEN])) * h
+        self._several += int(total[CHOSEN])
+        if most[UNENDED] > 0.0:
+            self._unended += int((efforts[:, UNENDED] > 0.0).sum())
+        self._left = max(self._left, float(most[UNENDED]))
+        if most[RESIDUAL] > self.residual:
+            self.residual = float(most[RESIDUAL])
+            self._when = start + int(np.argmax(efforts[:, RESIDUAL])) * h
 
     @property
     def counts(self) -> dict[str, int]:

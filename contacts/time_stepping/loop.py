@@ -36,7 +36,7 @@ from functools import cached_property
 import numpy as np
 
 from contacts.time_stepping.begun import Begun, Span, Stepping
-from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.chunk import WORK, Chunk
 from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.polynomials import TERMS
 from contacts.time_stepping.recorder import Recorder
@@ -170,7 +170,7 @@ class SteppedRun:
                 due = False
                 if self.control is not None:
                     chunk, due = self.control.cut(chunk, begin, self.recorder)
-                work = float(chunk.efforts[:, 7].sum())
+                work = float(chunk.efforts[:, WORK].sum())
                 if due:
                     # Steps after a transition are taken in vain, and the next may be as far off.
                     most = max(1, len(chunk.codes))

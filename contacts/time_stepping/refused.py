@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.states import OFF_CODE
-from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.chunk import RESIDUAL, Chunk
 from contacts.time_stepping.energy import MOST_ADDED
 from statechart.arrays import Array, Ints
 from statechart.errors import StepTooLarge, UnsolvedImpulses
@@ -133,7 +133,7 @@ class Squeezed:
         left : callable
             See `contacts.time_stepping.stepped.Stepped.depth_left`.
         """
-        helpless = chunk.efforts[:, 0] > _HELPLESS
+        helpless = chunk.efforts[:, RESIDUAL] > _HELPLESS
         if not helpless.any():
             return None
         depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)
@@ -144,7 +144,7 @@ class Squeezed:
             name = self._name(chunk, k)
             return Refused(k, UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
-                f"they miss the contact laws by {chunk.efforts[k, 0]:.2g} of the fastest approach; "
+                f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach; "
                 "what is led or held leaves it no room, or the masses are too far apart"
             ), name)  # fmt: skip
         stuck = np.flatnonzero(helpless)

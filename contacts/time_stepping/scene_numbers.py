@@ -66,7 +66,8 @@ class ContactMemory(NamedTuple):
     Attributes
     ----------
     level : (c,)
-        Gap at which a contact that lasts is kept: what its landing has left, never above 0.
+        Gap at which a contact that lasts is kept: what its landing has left, above 0 only where
+        that of one that faces it is as far below.
     closed, slid : (c,)
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
@@ -182,6 +183,8 @@ class Answer(NamedTuple):
         Impulses; those of them that are forces, and who slides under these.
     several : bool
         Whether another solution lets a contact come off that slides, or slide that comes off.
+    jammed : int
+        1 + the number of a contact that friction lets neither slide on nor come off; 0: none.
     """
 
     z: Array
@@ -191,3 +194,4 @@ class Answer(NamedTuple):
     steady: Array
     slides: Bools
     several: bool
+    jammed: int

@@ -13,8 +13,18 @@ import numpy as np
 
 from contacts.solvers.step_impulses import AS_ASKED, solve_impacts
 from contacts.states import FREE, PIN, SLIDE
-from contacts.time_stepping.chunk import BAD_INERTIA, DONE, HARD, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import (
+    BAD_INERTIA,
+    CHOSEN,
+    CONTACTS,
+    DONE,
+    HARD,
+    JAMMED,
+    NOT_FINITE,
+    Chunk,
+)
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
+from contacts.time_stepping.facing import close_faced
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -31,6 +41,7 @@ from contacts.time_stepping.step_contacts import (
     guessed,
     mixed_with_impacts,
     nothing_borne,
+    switched,
     taking_part,
     told,
 )
@@ -176,10 +187,12 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros((c, 2)), np.zeros((c, 2)),
             np.zeros((c, 2)),
         )  # fmt: skip
-        if not taking_part(scene, memory, tape, change, k, met, chunk):
+        if not switched(scene, memory, tape, k, chunk):
             return k, NOT_FINITE, nothing, none, none
+        taking_part(scene, memory, tape, change, k, met, chunk)
+        close_faced(scene, memory, tape, h, met)
         which, total, lasting, blurred = indices(met.active), change, change.copy(), False
-        chunk.efforts[k, 2] = len(which)
+        chunk.efforts[k, CONTACTS] = len(which)
         nothing_borne(memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, tape, factors, order, which, met)
@@ -191,7 +204,7 @@ def step_scene(
             if not good:
                 return k, HARD, problem.delassus, least, problem.cones
             answer = answered(scene, memory, problem, z, basis, least, pushes)
-            chunk.efforts[k, 6] = answer.several
+            chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
             blurred = _borne(
                 scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,

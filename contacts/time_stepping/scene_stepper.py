@@ -17,7 +17,7 @@ from contacts.dynamics.starting import check_joints, check_start
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.begun import Begun
-from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.chunk import CHOSEN, Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
 from contacts.time_stepping.effort import INDETERMINATE
 from contacts.time_stepping.scene_steps import SteppedScene
@@ -143,7 +143,7 @@ class SceneStepper(Stepper):
         resting = first.struck[0] & slow
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
-        if sliding.any() and by_python(lambda: tried(sliding))[1].efforts[0, 6]:
+        if sliding.any() and by_python(lambda: tried(sliding))[1].efforts[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:
             warnings.append(

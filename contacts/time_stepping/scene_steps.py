@@ -11,7 +11,7 @@ from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.setup import SceneSetup
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.time_stepping.chunk import BAD_INERTIA, Chunk, stepped
+from contacts.time_stepping.chunk import BAD_INERTIA, JAMMED, Chunk, stepped
 from contacts.time_stepping.limits import Swings, check_swing, remarks
 from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
@@ -158,7 +158,12 @@ class SteppedScene:
             return step_scene(scene, memory, start, done, given, how, some)
 
         done = stepped(step, _failure, chunk, self._allowed)
-        chunk = chunk.first(self._declared(chunk.codes[:done], start, h))
+        followed = self._followed(chunk.first(done), start)
+        if followed < done:
+            # What is remembered is to be that of the steps that are taken.
+            self.forget()
+            return self.steps(start, h, state, followed)
+        chunk = chunk.first(done)
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes)
         self._look_between(chunk, start)
@@ -239,14 +244,15 @@ class SteppedScene:
                 chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
                 break
 
-    def _declared(self, codes: Ints, start: float, h: float) -> int:
-        """Return how many steps take declared modes; replace a stick that only passes.
+    def _followed(self, chunk: Chunk, start: float) -> int:
+        """Return how many steps take modes that are allowed; replace a stick that only passes.
 
         Raises
         ------
         NoConsistentMode
             If not even the first does.
         """
+        codes, h = chunk.codes, chunk.h
         before = np.vstack([self._memory.codes, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         # A slip that turns round in a step is at rest at its end; without friction it may stay so.
@@ -254,17 +260,31 @@ class SteppedScene:
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._memory.codes = codes[-1] if len(codes) else self._memory.codes
         wrong = self._undeclared[np.arange(codes.shape[1]), codes]
+        if not self._source.may_jam:
+            for k in np.flatnonzero(chunk.efforts[:, JAMMED]).tolist():
+                i = int(chunk.efforts[k, JAMMED]) - 1
+                wrong[k, i] |= codes[k, i] != before[k, i]
         if not wrong.any():
             return len(codes)
         k = int(np.argmax(wrong.any(axis=1)))
+        i = int(np.argmax(wrong[k]))
         if k == 0:
-            i = int(np.argmax(wrong[0]))
-            state = STATES[int(codes[0, i])]
-            raise NoConsistentMode(
-                f"contact {self._source.names[i]!r} would be {state} by t = {start + h:.9g}, and "
-                f"{state.rstrip('+-')} is not among its modes; add it, or end the run before"
-            )
+            raise self._refusal(i, int(codes[0, i]), start + h)
         return k
+
+    def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
+        """Return why a contact does not take a mode in a step that ends then."""
+        name, state = self._source.names[contact], STATES[code]
+        if not self._undeclared[contact, code]:
+            return NoConsistentMode(
+                f"contact {name!r} can neither slide on nor come off, as friction presses it into "
+                "its surface (Painleve: inconsistent); paradox: impact takes that for an impact "
+                "without collision, and goes on"
+            )
+        return NoConsistentMode(
+            f"contact {name!r} would be {state} by t = {end:.9g}, and {state.rstrip('+-')} is not "
+            "among its modes; add it, or end the run before"
+        )
 
     def _note(self, gaps: Array, forces: Array, codes: Ints) -> None:
         if not len(gaps):

@@ -108,6 +108,7 @@ class SteppedTape:
         )
         self.size = len(mechanics.q)
         self.plastic = mechanics.scene.simultaneous == "plastic"
+        self.may_jam = mechanics.scene.paradox == "impact"
 
     def rows(self, values: Array, state: Array, time: float) -> Rows:
         """Return what the tape says of a state."""

@@ -53,23 +53,18 @@ _SETTLING = 3
 
 
 @part
-def taking_part(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
-    chunk: Chunk,
+def switched(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, k: int, chunk: Chunk
 ) -> bool:  # fmt: skip
-    """Write which contacts take part in step k; False where one is nowhere.
-
-    Without contacts the step changes the rates by `change`.
-    """
-    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    """Let conditions turn contacts off and on, write gaps; return False where one is nowhere."""
+    numbers, n, off = tape.numbers, tape.size, memory.off
     deepest = -scene.near
-    for i in range(len(scene.cones)):
+    for i in range(len(off)):
         # What lies on one surface comes to the next that goes on from it as deep as it lies.
-        deepest = min(deepest, level[i] - scene.near)
-    for i in range(len(scene.cones)):
+        deepest = min(deepest, memory.level[i] - scene.near)
+    for i in range(len(off)):
         row = tape.first + tape.per * i
-        gap = numbers[row + 2 * n + 2]
-        condition = numbers[row + 2 * n + 5]
+        gap, condition = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5]
         if off[i]:
             off[i] = not (condition > 0.0 and gap >= deepest)
         elif condition < 0.0:
@@ -77,6 +72,22 @@ def taking_part(
         if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
             return False
         chunk.gaps[k, i] = math.inf if off[i] else gap
+    return True
+
+
+@part
+def taking_part(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write which contacts take part in step k.
+
+    Without contacts the step changes the rates by `change`.
+    """
+    numbers, n, off, level, h = tape.numbers, tape.size, memory.off, memory.level, chunk.h
+    for i in range(len(scene.cones)):
+        row = tape.first + tape.per * i
+        gap = numbers[row + 2 * n + 2]
         if scene.held[i] > 0 or off[i]:
             level[i] = 0.0
             continue
@@ -103,7 +114,6 @@ def taking_part(
             met.wanted[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
-    return True
 
 
 @part
@@ -189,21 +199,22 @@ def answered(
     Where friction presses a sliding contact into its surface no finite force keeps one there that
     would go in; one that would come off may as well slide on.
     """
-    delassus, sudden, several = problem.delassus, problem.sudden, False
+    delassus, sudden, several, jammed = problem.delassus, problem.sudden, False, 0
     for a in range(len(problem.which)):
         i = problem.which[a]
         corner, slip = delassus[2 * a : 2 * a + 2, 2 * a : 2 * a + 2], problem.before[a, 1]
         # Where it stuck, its slip is rounding.
         if scene.slips[i] > 0 and (memory.slid[i] or not memory.closed[i]):
             paradox = pressing(corner, slip, problem.cones[a])
-            sudden[a] = sudden[a] or (paradox and least[a, 0] < 0.0)
+            if paradox and least[a, 0] < 0.0 and not sudden[a]:
+                sudden[a], jammed = True, i + 1
             clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # What others bear tells, too, where there are others.
             off = least[a, 0] > clear and memory.closed[i] and _alone(problem.groups, a)
             several = several or (paradox and off)
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
     relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
-    return Answer(z, basis, least, pushes, steady, slides, several)
+    return Answer(z, basis, least, pushes, steady, slides, several, jammed)
 
 
 @part

@@ -88,6 +88,14 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
         ("smooth/2", "block.x", "'grip' depends on 'block.x': a coefficient of a contact is"),
         ("smooth/2", "-1", "must be zero or positive in state 'icy' of 'weather', not -2"),
         ("friction: 2*grip", "friction: 2*grap", "unknown name 'grap'"),
+        *(
+            (
+                "friction: 2*grip",
+                f"friction: 0.3*exp(-{name})",
+                f"'{name}': it changes along a run",
+            )
+            for name in ("base.slip", "base.V", "block.dx", "time")
+        ),
     ):
         assert old in ICE
         error = refused(ICE.replace(old, new))
