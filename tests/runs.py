@@ -23,8 +23,9 @@ from statechart.observation.outputs import Outputs
 
 # What these show is a run that cannot go on.
 PARADOXICAL = ("no_slip_pencil",)
+MODELS = {name: load(name) for name in models.names()}
 # Models that declare time stepping run on no engine with events.
-EVENT_BASED = tuple(n for n in models.names() if load(n).settings.engine != "impulse")
+EVENT_BASED = tuple(name for name, model in MODELS.items() if model.settings.engine != "impulse")
 SOUND = tuple(name for name in EVENT_BASED if name not in PARADOXICAL)
 ENGINES = ("taylor", "scipy")
 _GOLDEN = Path(__file__).parent / "golden"
@@ -52,7 +53,7 @@ def without_compilation(stderr: str) -> str:
 @functools.cache
 def automaton(model: str) -> Automaton:
     """Return the automaton of a shipped model."""
-    loaded = load(model)
+    loaded = MODELS[model]
     built = kind(loaded.kind).automaton(loaded)
     assert isinstance(built, Automaton)
     return built

@@ -71,7 +71,7 @@ def _page(folder: Path, name: str) -> str:
         draw_scene(runner, place / f"{name}_scene.png")
     result.report(files / "runs" / f"{name}.html")
     result.plot(place / f"{name}_run.png")
-    write_diagram(drawn(runner)[0], place / f"{name}_modes.svg")
+    write_diagram(drawn(runner, known=result.trace)[0], place / f"{name}_modes.svg")
     if kind(model.kind).stage is None:
         shutil.copy(place / f"{name}_modes.svg", files / "films" / f"{name}.svg")
     page = f"../../runs/{name}.html"

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import Declaration
-from statechart.loading.offered import load
+from statechart.loading.offered import entries, load
 
 if TYPE_CHECKING:
     from statechart.pictures.stage import Stage
@@ -54,21 +52,7 @@ class Kind:
 
 def kinds() -> Mapping[str, EntryPoint]:
     """Return the installed kinds by name, none of them imported."""
-    return {
-        entry.name: entry for entry in importlib.metadata.entry_points(group="statechart.kinds")
-    }
-
-
-@cache
-def entry(name: str) -> EntryPoint:
-    """Return one of `kinds`, looked for once: that takes 10 ms.
-
-    Raises
-    ------
-    KeyError
-        If there is none of this name.
-    """
-    return kinds()[name]
+    return {entry.name: entry for entry in entries("statechart.kinds")}
 
 
 def kind(name: str) -> Kind:
@@ -88,7 +72,7 @@ def kind(name: str) -> Kind:
     StatechartError
         If its package is hidden by another of its name.
     """
-    return loaded(entry(name))
+    return loaded(kinds()[name])
 
 
 def loaded(offered: EntryPoint) -> Kind:
@@ -107,5 +91,5 @@ def offered(group: str, name: str) -> Any:
     StatechartError
         If its package is hidden by another of its name.
     """
-    found = {entry.name: entry for entry in importlib.metadata.entry_points(group=group)}
+    found = {entry.name: entry for entry in entries(group)}
     return load(found[name]) if name in found else None

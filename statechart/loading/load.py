@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,8 +10,8 @@ from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import entry, kinds, loaded
-from statechart.loading.offered import module
+from statechart.loading.kind import kinds, loaded
+from statechart.loading.offered import entries, module
 
 
 def interpret(document: Document) -> Declaration:
@@ -29,10 +28,7 @@ def interpret(document: Document) -> Declaration:
         If it names no known kind, or is not a correct model of it.
     """
     name = document.data.get("kind")
-    try:
-        offered = entry(name) if isinstance(name, str) else None
-    except KeyError:
-        offered = None
+    offered = kinds().get(name) if isinstance(name, str) else None
     if offered is not None:
         return validate(document, loaded(offered).model)
     at = document.position(("kind",))
@@ -120,7 +116,7 @@ def find(path_or_name: str) -> Path:
         raise DeclarationError(f"not a path: {error}", source=repr(path_or_name)) from None
     if is_file:
         return path
-    for offered in importlib.metadata.entry_points(group="statechart.models"):
+    for offered in entries("statechart.models"):
         of_name: Callable[[str], Path | None] = getattr(module(offered), offered.attr)
         if (found := of_name(path_or_name)) is not None:
             return found
@@ -135,6 +131,6 @@ def find(path_or_name: str) -> Path:
 def shipped() -> list[str]:
     """Return the names of the models that installed packages offer."""
     names: list[str] = []
-    for offered in importlib.metadata.entry_points(group="statechart.models"):
+    for offered in entries("statechart.models"):
         names += getattr(module(offered), "names", list)()
     return names

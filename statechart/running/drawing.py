@@ -15,6 +15,7 @@ from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.keywords import checked
+from statechart.documents.setting import Record
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 
@@ -176,12 +177,18 @@ def graph(
     return part.graph()
 
 
-def drawn(runner: Runner, *, visited: bool = False) -> tuple[Diagram, Trace | None]:
-    """Return the diagram of a model, and the run that it shows where one is asked for or needed."""
+def drawn(
+    runner: Runner, *, visited: bool = False, known: Trace | None = None
+) -> tuple[Diagram, Trace | None]:
+    """Return the diagram of a model, and the run that it shows where one is asked for or needed.
+
+    That is made, unless one is known that kept its modes.
+    """
     start, _ = runner.start()
     trace = None
     if visited or needs_run(runner.automaton):
-        trace = runner.with_modes().run(throw=False).trace
+        kept = known is not None and known.record is Record.MODES
+        trace = known if kept else runner.with_modes().run(throw=False).trace
     setup = runner.setup()
     found = feasibility(runner.automaton, setup, setup.initial, 0.0)
     diagram = build(runner.automaton, start, trace, found, visited=visited)

@@ -18,9 +18,9 @@ from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import read, read_text
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
-from statechart.loading.kind import entry as installed
 from statechart.loading.kind import kind, kinds
 from statechart.loading.load import find, interpret, load
+from statechart.loading.offered import entries
 
 STARTER = CHART.starter.read_text(encoding="utf-8")
 
@@ -331,9 +331,9 @@ def test_models_are_immutable() -> None:
 @pytest.fixture
 def _anew() -> Iterator[None]:
     """Look for what is installed anew, and again afterwards."""
-    installed.cache_clear()
+    entries.cache_clear()
     yield
-    installed.cache_clear()
+    entries.cache_clear()
 
 
 @pytest.fixture

@@ -7,16 +7,15 @@ import math
 import numpy as np
 import pytest
 import xarray as xr
-from runs import automaton
+from runs import MODELS, automaton
 
-import models
 from contacts.time_stepping import recorder
 from statechart.automaton.trace import Arc, Outcome
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.kind import kind
-from statechart.loading.load import interpret, load
+from statechart.loading.load import interpret
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
 from statechart.reporting.run_store import write_store
@@ -26,7 +25,7 @@ KINDS = ("modes", "poses", "nothing")
 # All but charts, and controllers beside contacts that remember: steps do not carry what these do.
 STEPPED = [
     name
-    for name, model in ((name, load(name)) for name in models.names())
+    for name, model in MODELS.items()
     if model.kind == "scene"
     and (model.collisions or not any(region.variables for region in model.regions.values()))
 ]
@@ -120,7 +119,7 @@ def assert_alike(found):
 
 @pytest.mark.parametrize("name", STEPPED)
 def test_outputs_of_all_models_are_the_same_to_the_bit(name):
-    declared = load(name).settings
+    declared = MODELS[name].settings
     step = declared.step or 1e-3
     assert_alike(runs(automaton(name), step, STEPS * step, declared.impulse_tolerance))
 
