@@ -15,11 +15,11 @@ from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
+    CALMED,
     CONTACTS,
     ITERATIONS,
     LIVELY,
     RESIDUAL,
-    SOFTENED,
     UNENDED,
     WORK,
 )
@@ -158,7 +158,7 @@ def solved(
             _forces(numbers, room, members, quiet, allowed, fast)
         effort[RESIDUAL] = max(effort[RESIDUAL], missed)
         effort[ITERATIONS] += done
-        effort[SOFTENED] = max(effort[SOFTENED], 1.0 if softened else 0.0)
+        effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)
         effort[WORK] += done * size
 
 

@@ -278,8 +278,6 @@ class Scene(SceneFields):
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
-        seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
-        moving = seen | {f"{c}.{q}" for c in self.contacts for q in ("V", "H")}
         for key in ("friction", "restitution"):
             text = getattr(contact, key)
             with found:

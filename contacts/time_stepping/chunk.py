@@ -44,7 +44,7 @@ is given back has a quarter of its energy. Heaps of what rebounds less are seldo
 # Unknowns of a step solved outside its kernel.
 _MOST_GIVEN = 4096
 
-RESIDUAL, ITERATIONS, CONTACTS, SOFTENED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
+RESIDUAL, ITERATIONS, CONTACTS, CALMED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
 """Columns of `Chunk.efforts`: the residual of impulses, iterations, and contacts that took part; 1
 where none were found that make all contacts part as they should; 1 where a body is struck at
 several places that are `LIVELY`; the fastest approach that impacts in turn left; 1 where the
@@ -216,7 +216,7 @@ def stepped(
         taken, status, delassus, least, cones = step(chunk.after(done), done, given, how)
         if taken:
             chunk.efforts[done, RESIDUAL] = missed
-            chunk.efforts[done, SOFTENED] = how != AS_ASKED
+            chunk.efforts[done, CALMED] = how != AS_ASKED
             given, how, missed = np.zeros(0), AS_ASKED, 0.0
         done += taken
         if status == DONE:

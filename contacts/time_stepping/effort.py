@@ -7,12 +7,12 @@ import numpy as np
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
+    CALMED,
     CHOSEN,
     CONTACTS,
     ITERATIONS,
     LIVELY,
     RESIDUAL,
-    SOFTENED,
     UNENDED,
     Chunk,
 )
@@ -53,9 +53,9 @@ class Effort:
             return None
         k = int(np.argmax(wrong))
         return k, UnsolvedImpulses(
-            f"the impulses of a step miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the "
-            f"fastest approach, and {self._bound:g} is the bound; a shorter step may take the "
-            "bodies past it"
+            "the impulses of a step miss the contact laws by "
+            f"{chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach, and {self._bound:g} is the "
+            "bound; a shorter step may take the bodies past it"
         )
 
     def add(self, chunk: Chunk, start: float) -> None:
@@ -67,7 +67,7 @@ class Effort:
         self._most = max(self._most, int(most[CONTACTS]))
         if most[RESIDUAL] > self._tolerance:
             self._missed += int((efforts[:, RESIDUAL] > self._tolerance).sum())
-        self._softened += int(total[SOFTENED])
+        self._softened += int(total[CALMED])
         if total[AMBIGUOUS] and not self._ambiguous:
             self._first = start + (int(np.argmax(efforts[:, AMBIGUOUS])) + 0.5) * h
         self._ambiguous += int(total[AMBIGUOUS])

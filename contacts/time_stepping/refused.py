@@ -144,8 +144,8 @@ class Squeezed:
             name = self._name(chunk, k)
             return Refused(k, UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
-                f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach; "
-                "what is led or held leaves it no room, or the masses are too far apart"
+                f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest "
+                "approach; what is led or held leaves it no room, or the masses are too far apart"
             ), name)  # fmt: skip
         stuck = np.flatnonzero(helpless)
         k = int(stuck[np.argmax(depths[stuck])])
