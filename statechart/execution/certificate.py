@@ -27,6 +27,9 @@ _PROVED = 16.0
 _STEP = 1e-6
 # A displacement that becomes as large has met another event.
 _FAR = 1e3 * _STEP
+# By what part a guard's rate may change within what its event may be late by: where it turns, the
+# time of its event goes with the root of the error.
+_TURNS = 0.25
 # Where a step begins this close to where the last one ends, it goes on from there.
 _ROUNDED = 8.0 * float(np.finfo(float).eps)
 # Of the exponential of a matrix whose norm is up to 1/2: what follows is below 1e-18.
@@ -69,14 +72,15 @@ class Certificate:
         self._linear = True
         self._before: tuple[Arc, CompiledMode] | None = None
         # Where an event is under way: the state and those displaced from it, one for every
-        # variable; and how much later the event is for a variable that is larger.
+        # variable and one along the flow; how much later the event is for a variable that is
+        # larger; how much too early it was taken, as its guard was rounded; and the largest rate.
         self._states: list[Array] = []
-        self._later = np.zeros(len(self._scale))
+        self._later, self._early, self._fastest = np.zeros(len(self._scale)), 0.0, 1.0
 
     def motion(self) -> Motion:
         """Return what was found, at the end of the run."""
         if self._states:
-            self._carry(self._through(self._states))
+            self._carry(self._through(self._states)[:, :-1])
         with np.errstate(invalid="ignore"):
             ends = np.abs(self._error) + np.sqrt(np.diag(self._unknown))
         # What counts as closed and as at rest follows from the tolerance.
@@ -172,11 +176,14 @@ class Certificate:
             return states
 
     def _arrived(self, instant: Instant) -> list[Array]:
-        """Return the state of an event and, of states displaced from it, where they meet it."""
+        """Return the state of an event and, of states displaced from it, where they meet it.
+
+        Behind them one that is displaced along the flow.
+        """
         before, size = instant.state, len(self._scale)
-        self._later = np.zeros(size)
+        self._later, self._early, flow = np.zeros(size), 0.0, np.zeros(size)
         if self._before is None:
-            return self._displaced(before, np.eye(size))
+            return self._displaced(before, np.eye(size, size + 1))
         (arc, compiled), time = self._before, instant.clock.high
         near = self._constrained(self._displaced(before, np.eye(size)), arc, time)
         self._error += (near[0] - before) / self._scale
@@ -185,23 +192,29 @@ class Certificate:
             guard = compiled.names.index(instant.fired[0])
             slope, rates, along = self._falling(compiled, guard, before, time)
             self._later = -(slope / along) @ tangents
+            margin = compiled.guards.values(before, self._setup.values, time)[guard]
+            flow, self._early = rates, -float(margin) / along
             spread = np.sqrt(self._later @ self._unknown @ self._later)
             late = abs(float(self._later @ self._error)) + float(spread)
+            late += abs(self._early)
             self._late = max(self._late, late / self._end)
-            # Within what the event may be late by, the guard has to fall on: one that turns there
-            # is met at a time that goes with the root of the error.
+            # Within what the event may be late by, the guard has to fall on.
             earlier = before - late * self._scale * rates
             _, _, there = self._falling(compiled, guard, earlier, time - late)
-            self._linear = self._linear and abs(there - along) <= 0.5 * abs(along)
+            self._linear = self._linear and abs(there - along) <= _TURNS * abs(along)
             tangents += np.outer(rates, self._later)
-        return self._displaced(near[0], tangents)
+        # As far as the others.
+        self._fastest = float(np.abs(flow).max(initial=0.0)) or 1.0
+        return self._displaced(near[0], np.column_stack([tangents, flow / self._fastest]))
 
     def _begin(self, arc: Arc, rates: Tape) -> None:
         """Carry the errors through an event to the flow that follows it."""
         start, time = arc.coefficients[0, :, 0], arc.start.high
         near = self._constrained(self._states, arc, time)
         flown = rates.values(start, self._setup.values, time) / self._scale
-        self._carry(self._through(near) - np.outer(flown, self._later))
+        through = self._through(near)
+        self._carry(through[:, :-1] - np.outer(flown, self._later))
+        self._error -= self._early * (self._fastest * through[:, -1] - flown)
         self._error += (start - near[0]) / self._scale
         self._states = []
 
