@@ -15,8 +15,16 @@ from contacts.detection.broad_phase import Grid
 from contacts.detection.joints import bent_on
 from contacts.detection.look import Look
 from contacts.detection.touches import Touches
-from contacts.solvers.contact_rows import HELD, ContactRows, add, moved, scale, scale_beside
-from contacts.solvers.island_impulses import island_impulses, solve_rows, worked
+from contacts.solvers.contact_rows import (
+    HELD,
+    ContactRows,
+    add,
+    joint_work,
+    moved,
+    scale,
+    scale_beside,
+)
+from contacts.solvers.island_impulses import island_impulses, solve_rows
 from contacts.time_stepping.chunk import LIVELY
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
@@ -26,7 +34,8 @@ from statechart.kernels.jit import beside, late, part
 _NEAR = 1e-2
 # So often impulses are found that close joints as their arms turn by them, as long as the work that
 # they leave falls by this part in so many; where that is this part of the energy of motion they do
-# not close.
+# not close. Nor do they by impulses of joints whose work is that part.
+_MOST_WORK = 0.1
 _TRIALS, _SHRINKS, _IDLE, _OPEN = 24, 0.9, 4, 1e-2
 
 
@@ -154,7 +163,7 @@ def _followed(
     -------
     (float, float, float, float)
         How fast joints part at most, and arms go round; the work of joints on what parts, and the
-        energy of motion.
+        energy of motion before the step.
     """
     touches, look, joints = room.touches, room.look, numbers.joints
     pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
@@ -174,7 +183,7 @@ def _followed(
                 continue
             for d in range(3):
                 rate = look.loose[b, d] + changes[3 * contacts.bodies[a, side] + d]
-                energy += 0.5 * rate * rate / numbers.inverse[b, d]
+                energy += 0.5 * look.old[b, d] ** 2 / numbers.inverse[b, d]
                 turns[1, b] = h * rate
     for a in range(len(members)):
         i = members[a]
@@ -223,6 +232,7 @@ def _closed(
     size, done, least, energy, idle = len(members), 0, math.inf, 0.0, 0
     start, unforced, asked = room.island[0, :size], room.island[1, :size], room.island[2, :size]
     chosen, turns = room.island[3, :size], np.empty((2, len(numbers.sizes)))
+    touches = room.touches
     best, first, good, soft = np.empty((size, 2)), asked.copy(), missed, softened
     for b in range(len(numbers.sizes)):
         turns[0, b] = h * room.look.old[b, 2]
@@ -230,7 +240,11 @@ def _closed(
         left, fast, work, moving = _followed(
             numbers, room, members, contacts, h, chosen, sudden, in_turn, turns
         )
-        if left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
+        given = joint_work(contacts, chosen, start, unforced)
+        if given > bound + _MOST_WORK * moving:
+            # What wedges closes them, too, by all the work that it likes.
+            work = max(work, given)
+        elif left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
             return missed, done, softened
         idle += 1
         if work < least:
@@ -240,7 +254,7 @@ def _closed(
         if missed > near or idle == _IDLE:
             break
         missed, further, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         done += further
     put_rows(best, chosen)
@@ -250,14 +264,12 @@ def _closed(
     if room.apart[1] == 0.0:
         # What wedges presses without bound: arms turn as they did, and no work is done by that.
         put_rows(first, asked)
+        for a in range(size):
+            put(touches.pushes[members[a]], chosen[a])
         good, further, soft = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, False
         )
         done += further
-        share = worked(contacts, chosen, start, unforced, bound)
-        for a in range(size):
-            chosen[a, 0] *= share
-            chosen[a, 1] *= share
     return good, done, soft
 
 
@@ -331,7 +343,7 @@ def solved(
             slow = scale_beside(contacts, unforced, asked)
             in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         if joined:
             missed, further, softened = _closed(
