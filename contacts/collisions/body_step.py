@@ -188,6 +188,9 @@ def _kept_joints(
             if d == 0 or holds[j] == BOTH:
                 chunk.solved[k, at] = room.steady[i, d] / chunk.h
                 at += 1
+    if room.apart[0] > 0.0:
+        # The work of all impulses is within the bound: what wedges takes what joints add.
+        chunk.gained[k] = 0.0
     memory.many[0] = first + len(holds)
 
 

@@ -125,7 +125,7 @@ def solved(
             slow = scale_beside(contacts, unforced, asked)
             in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         if joined:
             missed, further, softened = close_joints(

@@ -9,16 +9,16 @@ import numpy as np
 from contacts.collisions.room import Room
 from contacts.detection.body_numbers import BodyNumbers
 from contacts.detection.joints import bent_on
-from contacts.solvers.contact_rows import HELD, ContactRows, add, moved, scale_beside
-from contacts.solvers.island_impulses import island_impulses, worked
+from contacts.solvers.contact_rows import HELD, ContactRows, add, joint_work, moved, scale_beside
+from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put_rows
+from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import late
 
 # So often impulses are found that close joints as their arms turn by them, as long as the work that
 # they leave falls by this part in so many; where that is this part of the energy of motion they do
-# not close.
-_TRIALS, _SHRINKS, _IDLE, _OPEN = 24, 0.9, 4, 1e-2
+# not close. Nor do they by impulses of joints whose work is that part.
+_TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
 
 
 @late
@@ -39,7 +39,7 @@ def _followed(
     -------
     (float, float, float, float)
         How fast joints part at most, and arms go round; the work of joints on what parts, and the
-        energy of motion.
+        energy of motion before the step.
     """
     touches, look, joints = room.touches, room.look, numbers.joints
     pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
@@ -59,7 +59,7 @@ def _followed(
                 continue
             for d in range(3):
                 rate = look.loose[b, d] + changes[3 * contacts.bodies[a, side] + d]
-                energy += 0.5 * rate * rate / numbers.inverse[b, d]
+                energy += 0.5 * look.old[b, d] ** 2 / numbers.inverse[b, d]
                 turns[1, b] = h * rate
     for a in range(len(members)):
         i = members[a]
@@ -108,6 +108,7 @@ def close_joints(
     size, done, least, energy, idle = len(members), 0, math.inf, 0.0, 0
     start, unforced, asked = room.island[0, :size], room.island[1, :size], room.island[2, :size]
     chosen, turns = room.island[3, :size], np.empty((2, len(numbers.sizes)))
+    touches = room.touches
     best, first, good, soft = np.empty((size, 2)), asked.copy(), missed, softened
     for b in range(len(numbers.sizes)):
         turns[0, b] = h * room.look.old[b, 2]
@@ -115,7 +116,11 @@ def close_joints(
         left, fast, work, moving = _followed(
             numbers, room, members, contacts, h, chosen, sudden, in_turn, turns
         )
-        if left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
+        given = joint_work(contacts, chosen, start, unforced)
+        if given > bound + _MOST_WORK * moving:
+            # What wedges closes them, too, by all the work that it likes.
+            work = max(work, given)
+        elif left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
             return missed, done, softened
         idle += 1
         if work < least:
@@ -125,7 +130,7 @@ def close_joints(
         if missed > near or idle == _IDLE:
             break
         missed, further, softened = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         done += further
     put_rows(best, chosen)
@@ -135,12 +140,10 @@ def close_joints(
     if room.apart[1] == 0.0:
         # What wedges presses without bound: arms turn as they did, and no work is done by that.
         put_rows(first, asked)
+        for a in range(size):
+            put(touches.pushes[members[a]], chosen[a])
         good, further, soft = island_impulses(
-            contacts, start, unforced, asked, rebounds, chosen, near, bound
+            contacts, start, unforced, asked, rebounds, chosen, near, bound, False
         )
         done += further
-        share = worked(contacts, chosen, start, unforced, bound)
-        for a in range(size):
-            chosen[a, 0] *= share
-            chosen[a, 1] *= share
     return good, done, soft

@@ -82,7 +82,15 @@ def _hit(
         if not joint and -now[i, 0] > slow[i] and restitution[i] > 0.0:
             wanted[a, 0], rebounds[a] = restitution[i] * now[i, 0], True
     left, done, _ = island_impulses(
-        _rows_of(contacts, chosen), before, before, wanted, rebounds, pushes, allowed, 0.0
+        _rows_of(contacts, chosen),
+        before,
+        before,
+        wanted,
+        rebounds,
+        pushes,
+        allowed,
+        0.0,
+        False,
     )
     for a in range(size):
         i = chosen[a]

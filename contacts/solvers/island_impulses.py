@@ -51,7 +51,7 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
 
 
 @part
-def worked(
+def _within(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
     """Return the part of impulses whose work is within a bound; see `part_within`."""
@@ -141,7 +141,7 @@ def _pushed_in_part(
         done += further
         if missed > allowed:
             break
-        within = worked(contacts, chosen, before, free, bound)
+        within = _within(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
             put_rows(chosen, impulses)
             return missed, done, soft
@@ -160,6 +160,7 @@ def island_impulses(
     impulses: Array,
     allowed: float,
     bound: float,
+    arms: bool,
 ) -> tuple[float, int, bool]:
     """Find the impulses of a step; return their residual, iterations, and whether none rebounds.
 
@@ -181,8 +182,9 @@ def island_impulses(
     allowed : float
         Residual.
     bound : float
-        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``; beside what joints
-        do as their arms turn.
+        The work that impulses may do on bodies in a step: ``h^2/8 f^T M^-1 f``.
+    arms : bool
+        Whether joints may do more, as their arms turn.
     """
     count, pushed, joined = len(impulses), False, False
     fastest = slowest = 0.0
@@ -196,9 +198,9 @@ def island_impulses(
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
-    if joined and left <= allowed:
+    if joined and arms and left <= allowed:
         bound += joint_work(contacts, impulses, before, free)
-    share = worked(contacts, impulses, before, free, bound)
+    share = _within(contacts, impulses, before, free, bound)
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
@@ -216,7 +218,7 @@ def island_impulses(
                 done += further
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = worked(contacts, impulses, before, free, bound)
+            share = _within(contacts, impulses, before, free, bound)
     if joined and left > allowed:
         # What sticks or is stuck between joints and others can do nothing but rest: no joint is
         # brought back there, or follows its arm as that turns.
@@ -229,7 +231,7 @@ def island_impulses(
         if calm < left:
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = worked(contacts, impulses, before, free, bound)
+            share = _within(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):
             impulses[i, 0] *= share

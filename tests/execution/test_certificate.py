@@ -126,8 +126,8 @@ def test_time_steps_cannot_be_certified():
 
 
 def test_an_estimate_grows_with_the_motion():
-    # A stick that is balanced falls the later the less it leans, and errors grow as it does, until it
-    # slips: from there on what it is late by, a tolerance of forces, is more.
+    # A stick that is balanced falls the later the less it leans, and errors grow as it does, until
+    # it slips: from there on what it is late by, a tolerance of forces, is more.
     wholes = [
         run("toppling_stick", parameters={"theta0": lean}, until=until, certify=True)
         .trace.motion.whole

@@ -15,7 +15,9 @@ from statechart.kernels.jit import kernel
 @kernel
 def found(contacts, before, free, wanted, rebounds, impulses, allowed, bound):
     """Call from Python what kernels alone call."""
-    return island_impulses(contacts, before, free, wanted, rebounds, impulses, allowed, bound)
+    return island_impulses(
+        contacts, before, free, wanted, rebounds, impulses, allowed, bound, False
+    )
 
 
 def pushed(mass, fall, back, bound):
