@@ -107,3 +107,19 @@ def test_with_impacts_it_goes_on():
     model = interpret(read_text(_ROD.replace("paradox: stop\n", "")))
     trace = statechart.run(model, engine="impulse", step=1e-3).trace
     assert [jump.cause for jump in trace.jumps][:2] == ["enters", "jam"]
+
+
+def test_of_bodies_with_shapes_it_is_told_that_nothing_ends():
+    text = """
+kind: scene
+name: disc
+gravity: 9.81
+bodies: {d: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.1, dx: 1}}}
+surfaces: {floor: {height: 0}}
+collisions: {all: {bodies: [d], surfaces: [floor], friction: 0.3, restitution: 0}}
+paradox: stop
+stop: {time: 0.01}
+"""
+    for said, wanted in ((text, 1), (text.replace("paradox: stop\n", ""), 0)):
+        warnings = statechart.run(interpret(read_text(said))).warnings
+        assert sum(line.startswith("paradox: stop: ") for line in warnings) == wanted
