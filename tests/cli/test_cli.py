@@ -96,7 +96,9 @@ def test_run_proves_the_motion_on_request(cli: Cli) -> None:
     assert code == 0
     assert report["certified"] is True
     assert report["motion"]["proved"] is True
-    assert 0.0 < report["motion"]["local"] <= report["motion"]["whole"] < 1e-12
+    # It slips where a force is below zero by a tolerance of 1e-12, so later by 7e-12 of a second.
+    assert 0.0 < report["motion"]["local"] < 1e-13
+    assert 1e-12 < report["motion"]["whole"] < 1e-11
     code, out, _ = cli("run", "toppling_stick", "--certify")
     assert "events and motion certified" in out
     assert "motion: interval enclosure: no step is off by more than" in out
