@@ -227,11 +227,12 @@ class SteppedHeap:
         found += ratio_remarks(self._room.worst, self._names, self._allowed)
         found += self._no_ground.remarks
         if self._parted:
+            open_too = ", or joints would not close" if len(self.numbers.joints.holds) else ""
             found += (
                 f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
-                "through each other or sink into each other, or turn by more than half a turn, or "
-                f"joints would not close: they were taken in up to {self._most_parts} parts; with "
-                f"a step of {self._length / self._most_parts:.1g} none needs that",
+                "through each other or sink into each other, or turn by more than half a turn"
+                f"{open_too}: they were taken in up to {self._most_parts} parts; with a step of "
+                f"{self._length / self._most_parts:.1g} none needs that",
             )
         return found
 
