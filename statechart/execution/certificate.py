@@ -214,7 +214,9 @@ class Certificate:
         flown = rates.values(start, self._setup.values, time) / self._scale
         through = self._through(near)
         self._carry(through[:, :-1] - np.outer(flown, self._later))
-        self._error -= self._early * (self._fastest * through[:, -1] - flown)
+        # From one event to the next they are as independent as rounding is.
+        missed = self._early * (self._fastest * through[:, -1] - flown)
+        self._unknown += np.outer(missed, missed)
         self._error += (start - near[0]) / self._scale
         self._states = []
 
