@@ -318,7 +318,8 @@ class Controls:
             If it is not.
         """
         check_names(parse(text), {*parameters, *self.declared}, *loc)
-        used = [control for control in self.declared if control in parse(text).names]
+        # A control that no state sets is refused by `check`.
+        used = [control for control in self.owners if control in parse(text).names]
         regions = list(dict.fromkeys(self.owners[control] for control in used))
         if len(regions) > 1:
             raise DeclarationProblem(

@@ -69,6 +69,45 @@ def test_what_is_wrong_with_controllers_is_said_with_its_place(
     assert words in error, error
 
 
+IDLE = """\
+kind: scene
+name: idle
+gravity: 9.81
+bodies: {b: {mass: 1, start: {y: 1, dx: 1}}}
+surfaces: {s: {height: 0}}
+controls: {mu: 0.5}
+contacts: {c: {point: {body: b}, surface: s, friction: 0.3, restitution: 0.2}}
+forces: {f: {body: b, force: [0, 0]}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("", ""),
+        ("friction: 0.3", "friction: mu"),
+        ("friction: 0.3", "friction: 2*mu + 0.1"),
+        ("restitution: 0.2", "restitution: mu"),
+        ("restitution: 0.2", 'restitution: 0.2, enabled: "time <= mu"'),
+        ("restitution: 0.2", "restitution: 0.2, radius: mu"),
+        ("mass: 1", "mass: mu"),
+        ("mass: 1", "mass: 1, inertia: mu"),
+        ("y: 1", "y: mu"),
+        ("gravity: 9.81", "gravity: 20*mu"),
+        ("height: 0", "height: mu*x"),
+        ("height: 0", "height: 0, displacement: [0, mu]"),
+        ("[0, 0]", "[mu, 0]"),
+        ("{mu: 0.5}", "{mu: 0.5, nu: 2*mu}"),
+        ("contacts:", "regions: {r: {initial: a, states: {a: {}}}}\ncontacts:"),
+        ("time: 1", "time: 1, conditions: {far: b.x >= mu}"),
+    ],
+)
+def test_a_control_that_no_state_sets_is_refused_wherever_it_is_used(old: str, new: str) -> None:
+    text = IDLE.replace(old, new, 1)
+    assert "f.yaml:6:12: controls.mu: no state sets 'mu'; set it in a state of" in refused(text)
+
+
 def test_a_transition_has_one_trigger() -> None:
     text = SPRINT.replace(", guard: cart.dx <= 0", "")
     error = refused(text)
