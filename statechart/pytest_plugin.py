@@ -48,9 +48,13 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ModelFile 
 
 def _is_model(path: Path) -> bool:
     """Whether a file says that it is a model: others in YAML are left alone."""
+    from statechart.documents.files import read_bounded
+    from statechart.documents.yaml_reader import MAX_BYTES
+    from statechart.errors import DeclarationError
+
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        lines = read_bounded(path, MAX_BYTES, "").decode().splitlines()
+    except (DeclarationError, UnicodeDecodeError):
         return False
     return any(line.startswith("kind:") for line in lines)
 

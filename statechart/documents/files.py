@@ -1,4 +1,4 @@
-"""Whole files or none: nothing half-written is ever left behind.
+"""Files read up to a bound, and whole files or none: nothing half-written is ever left behind.
 
 What a killed process leaves is removed by the next one that writes there. It is told from the work
 of a process that lives by a lock on it.
@@ -15,10 +15,44 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 
+from statechart.errors import DeclarationError
+
 _RANDOM = "[a-z0-9_]{8}"  # as `tempfile` writes it
 _PART = ".part"
 # Windows has none: what is left behind stays there.
 _LOCKS = find_spec("fcntl") is not None
+
+
+def read_bounded(path: Path, most: int, advice: str) -> bytes:
+    """Return the first `most` + 1 bytes of a regular file, or all where it is shorter.
+
+    Parameters
+    ----------
+    path : Path
+        The file. A device or a pipe may never end, so neither is read.
+    most : int
+        Length that a caller accepts: what it refuses beyond need not be read.
+    advice : str
+        Tells the user what to name instead of a folder or a device.
+
+    Raises
+    ------
+    DeclarationError
+        If it is missing, no regular file, or cannot be read.
+    """
+    source = str(path)
+    try:
+        if path.is_dir():
+            raise DeclarationError("this is a folder", advice=advice, source=source)
+        if path.exists() and not path.is_file():
+            raise DeclarationError("not a file", advice=advice, source=source)
+        with path.open("rb") as stream:
+            return stream.read(most + 1)
+    except FileNotFoundError:
+        raise DeclarationError("no such file", source=source) from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise DeclarationError(f"cannot be read: {why}", source=source) from None
 
 
 def write_atomic(path: Path, data: bytes) -> None:

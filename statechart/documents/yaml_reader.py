@@ -32,6 +32,7 @@ from ruamel.yaml.events import (
 from ruamel.yaml.reader import ReaderError
 
 from statechart.documents.document import Document, Loc
+from statechart.documents.files import read_bounded
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
 from statechart.formulas.words import character
@@ -67,18 +68,7 @@ def read(path: Path) -> Document:
         If it is missing, not a readable file, not UTF-8, or not an acceptable document.
     """
     source = str(path)
-    try:
-        if path.is_dir():
-            raise DeclarationError("this is a folder", advice="name a YAML file", source=source)
-        if path.exists() and not path.is_file():
-            raise DeclarationError("not a file", advice="name a YAML file", source=source)
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise DeclarationError("no such file", source=source) from None
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise DeclarationError(f"cannot be read: {why}", source=source) from None
+    raw = read_bounded(path, MAX_BYTES, "name a YAML file")
     for begin, what in _OTHERS.items():
         if raw.startswith(begin):
             raise DeclarationError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.documents.files import read_bounded
+from statechart.documents.yaml_reader import MAX_VALUES
 from statechart.errors import DeclarationError, FormulaError
 from statechart.formulas.formula import parse
 
@@ -21,6 +24,8 @@ _SPACINGS = ("lin", "log")
 _FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
 # Values of one parameter: what is more than anybody waits for would only take the memory.
 _MOST = 10_000_000
+# Of a table: so many numbers with all their digits, a sign, an exponent and a comma.
+_MOST_BYTES = 25 * _MOST
 # So that a sequence is the same wherever and whenever it is drawn.
 _SEED = 0
 
@@ -160,19 +165,28 @@ def read_table(path: Path | str) -> pd.DataFrame:
     Raises
     ------
     DeclarationError
-        If it cannot be read, or a cell is no number.
+        If it cannot be read or is too large, or a cell is no number.
     """
     import pandas as pd
 
+    raw = read_bounded(Path(path), _MOST_BYTES, "name a CSV file")
+    cells = raw.count(b",") + max(raw.count(b"\n"), raw.count(b"\r"))
+    if len(raw) > _MOST_BYTES or cells > _MOST:
+        raise DeclarationError(
+            f"{path}: more than {_MOST} numbers, or {_MOST_BYTES // 10**6} MB",
+            advice="sweep over one part of the table at a time",
+        )
+    if (columns := raw.partition(b"\n")[0].count(b",")) >= MAX_VALUES:
+        raise DeclarationError(
+            f"{path} is no table: its first line has {columns + 1} names, and no model has more "
+            f"than {MAX_VALUES} parameters",
+            advice="write a row for every run, a column for every parameter",
+        )
     try:
         # Without a header: pandas would name two columns of one name apart.
         found = pd.read_csv(
-            path, dtype=str, header=None, keep_default_na=False, skipinitialspace=True
+            io.BytesIO(raw), dtype=str, header=None, keep_default_na=False, skipinitialspace=True
         )
-    except OSError as error:
-        raise DeclarationError(
-            f"cannot read {path}: {error.strerror or error}", advice="name a CSV file"
-        ) from None
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise DeclarationError(
             f"{path} is no table: {str(error).strip()}",

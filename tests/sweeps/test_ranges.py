@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -125,8 +126,37 @@ def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, words: str)
 
 
 def test_a_table_that_is_missing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeclarationError, match="cannot read"):
+    with pytest.raises(DeclarationError, match="no such file"):
         read_table(tmp_path / "none.csv")
+
+
+def test_a_table_that_may_never_end_is_refused(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    for path in ("/dev/zero", pipe):
+        with pytest.raises(DeclarationError, match="not a file; name a CSV file"):
+            read_table(path)
+    with pytest.raises(DeclarationError, match="this is a folder; name a CSV file"):
+        read_table(tmp_path)
+
+
+def test_a_table_is_read_up_to_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    huge = tmp_path / "huge.csv"
+    with huge.open("wb") as stream:
+        stream.truncate(2**40)  # of holes: it takes no room
+    with pytest.raises(DeclarationError, match="more than 10000000 numbers, or 250 MB"):
+        read_table(huge)
+    wide = tmp_path / "wide.csv"
+    wide.write_text("," * 1_000_000)
+    with pytest.raises(DeclarationError, match="its first line has 1000001 names"):
+        read_table(wide)
+    monkeypatch.setattr("statechart.sweeps.ranges._MOST", 6)
+    table = tmp_path / "table.csv"
+    table.write_text("a,b\n" + "1,2\n" * 2)
+    assert read_table(table).shape == (2, 2)
+    table.write_text("a,b\n" + "1,2\n" * 3)
+    with pytest.raises(DeclarationError, match="more than 6 numbers"):
+        read_table(table)
 
 
 @pytest.mark.parametrize("given", [[], ["x"], [math.nan], [[1.0, 2.0]]])
