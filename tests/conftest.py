@@ -10,7 +10,8 @@ fifth of the collection, and half of what it takes later.
 from __future__ import annotations
 
 import gc
-from collections.abc import Generator
+import signal
+from collections.abc import Generator, Iterator
 
 import pytest
 from hypothesis import settings
@@ -19,6 +20,22 @@ EXPLORED = 1000
 
 settings.register_profile("repeat", derandomize=True, database=None, deadline=None)
 settings.register_profile("explore", max_examples=EXPLORED, database=None, deadline=None)
+
+
+@pytest.fixture
+def default_signals() -> Iterator[None]:
+    """Handle signals as a terminal's processes do: a shell's background jobs ignore SIGINT."""
+    handlers = {"SIGINT": signal.default_int_handler} | dict.fromkeys(
+        ("SIGTERM", "SIGHUP"), signal.SIG_DFL
+    )
+    before = {
+        number: signal.signal(number, handler)
+        for name, handler in handlers.items()
+        if (number := getattr(signal, name, None)) is not None
+    }
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def pytest_configure(config: pytest.Config) -> None:

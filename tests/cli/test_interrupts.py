@@ -24,7 +24,10 @@ from statechart.reporting.pieces import SOME, Pieces, rows
 from statechart.reporting.tables import write_run
 from statechart.running.runner import Runner, run
 
-pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX"),
+    pytest.mark.usefixtures("default_signals"),
+]
 
 
 def strike() -> None:
@@ -42,6 +45,13 @@ def striking(work: Callable[..., object], at: int) -> Callable[..., object]:
         return work(*arguments, **options)
 
     return struck
+
+
+def test_these_tests_pass_where_a_shell_ignores_signals_in_the_background() -> None:
+    one = f"{__file__}::test_a_signal_waits_until_it_is_looked_for"
+    command = f"trap '' INT TERM HUP; '{sys.executable}' -m pytest -q '{one}'"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 def test_a_signal_waits_until_it_is_looked_for() -> None:
@@ -194,12 +204,9 @@ class Process:
 
     def __init__(self, folder: Path, *arguments: str, options: tuple[str, ...] = ()) -> None:
         command = [sys.executable, *options, "-m", "statechart.cli.main", *arguments]
-        # What runs the tests may itself be told to outlive its terminal (nohup).
-        before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
         self._process = subprocess.Popen(
             command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        signal.signal(signal.SIGHUP, before)
 
     def signalled(self, number: int, line: str) -> tuple[int, str, str]:
         """Send a signal after a line of stderr that has `line`; return code, stdout, stderr.

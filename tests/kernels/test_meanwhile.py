@@ -86,6 +86,7 @@ def test_python_takes_the_same_steps(model, until, polls, anew, monkeypatch):
     assert meanwhile == told(model, until, once=False)
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("model", "step"), [("dice", 1e-3), ("woodpecker", 2e-5)])
 def test_a_signal_ends_steps_with_those_that_were_taken(model, step, anew, monkeypatch):
     class Ended(Waiting):

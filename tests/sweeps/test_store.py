@@ -29,6 +29,8 @@ from statechart.sweeps.block import Block, run_block
 from statechart.sweeps.claim import claimed
 from statechart.sweeps.plan import Task
 
+pytestmark = pytest.mark.usefixtures("default_signals")
+
 STICK = "toppling_stick"
 GRID = {"mu": np.geomspace(0.05, 50.0, 7), "I_G": np.array([0.0, 0.01, 1 / 3, 1.0])}
 LISTS = {"e": [0.3, 0.7], "k": [0.0, 8.0, 12.0]}
