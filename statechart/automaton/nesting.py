@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
+UNREACHED = "no transition leads there from the start"
+"""The reason why no run is in a state of `Nesting.unreached`."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -104,6 +107,8 @@ class Nesting:
         State -> updates when it is entered, or left.
     edges : tuple of HierarchicalEdge
         As declared, of flat regions too.
+    unreached : frozenset of str
+        States and superstates that no chain of transitions enters from the start.
     """
 
     names: tuple[str, ...] = ()
@@ -115,3 +120,4 @@ class Nesting:
     entries: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     edges: tuple[HierarchicalEdge, ...] = ()
+    unreached: frozenset[str] = frozenset()

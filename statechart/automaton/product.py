@@ -13,6 +13,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import MOST_MODES, Feasibility
 from statechart.automaton.laws import Setup
+from statechart.automaton.nesting import UNREACHED
 from statechart.automaton.regions import Edge, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import StatechartError
@@ -82,6 +83,7 @@ def explored(
     trace: Trace | None = None,
     found: Feasibility | None = None,
     directions: bool = True,
+    unreached: bool = False,
 ) -> Product:
     """Return the product automaton, or the part of it that is asked for; no other is built.
 
@@ -103,13 +105,19 @@ def explored(
         Which modes are possible.
     directions : bool
         Whether directions of sliding are told apart.
+    unreached : bool
+        Whether the declared states that no chain of transitions enters are there, too, as modes
+        that are not feasible.
 
     Raises
     ------
     StatechartError
         If there are more modes than `MOST_MODES`, or those given are not of this automaton.
     """
-    charts = tuple(drawn_region(region, directions=directions) for region in automaton.regions)
+    charts = tuple(
+        drawn_region(region, directions=directions, unreached=unreached)
+        for region in automaton.regions
+    )
     path = () if trace is None else visited(automaton, trace, directions=directions)
     begin = list(map(_naming(automaton, directions), around)) or path
     keys = _all(charts) if within is None else _near(charts, begin, within)
@@ -118,12 +126,18 @@ def explored(
     modes: dict[Key, dict[str, Any]] = {}
     for key in keys:
         modes[key] = {"label": automaton.label(key)}
-        if key in reasons:
-            modes[key] |= {"feasible": not reasons[key], "reason": reasons[key]}
+        entered = not unreached or all(map(_is_entered, charts, key))
+        if key in reasons or not entered:
+            reason = reasons.get(key, "") if entered else UNREACHED
+            modes[key] |= {"feasible": not reason, "reason": reason}
         if trace is not None:
             modes[key]["visits"] = entries[key]
     taken = None if trace is None else Counter(_jumps(automaton, trace, directions=directions))
     return Product(automaton.name, modes, charts, taken)
+
+
+def _is_entered(region: Region, state: str) -> bool:
+    return region.nesting.unreached.isdisjoint(region.active(state))
 
 
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
@@ -192,8 +206,11 @@ def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
     return shown
 
 
-def drawn_region(region: Region, *, directions: bool) -> Region:
-    """Return a region as the product shows it: edges that differ in their guards alone are one."""
+def drawn_region(region: Region, *, directions: bool, unreached: bool = False) -> Region:
+    """Return a region as the product shows it: edges that differ in their guards alone are one.
+
+    Where `unreached` is set it has the states that no chain of transitions enters, too.
+    """
     named = (lambda state: state) if directions else region.declared
     alike: dict[tuple[str, str, str], list[Edge]] = {}
     for edge in region.edges:
@@ -206,9 +223,25 @@ def drawn_region(region: Region, *, directions: bool) -> Region:
         )
         for ends, edges in alike.items()
     )
+    outside = region.outside if unreached else ()
+    states = (*map(named, region.states), *outside)
     return replace(
-        region, states=tuple(dict.fromkeys(map(named, region.states))), edges=tuple(edges)
+        region,
+        states=tuple(dict.fromkeys(states)),
+        edges=(*edges, *(edge for state in outside for edge in _declared(region, state))),
     )
+
+
+def _declared(region: Region, state: str) -> Iterator[Edge]:
+    """Yield the edges that a declaration has from a state that no run enters."""
+    nesting, active = region.nesting, region.active(state)
+    for edge in nesting.edges:
+        if edge.source in active and not edge.internal:
+            target = edge.target
+            while target in nesting.initial or target in nesting.histories:
+                history = nesting.histories.get(target)
+                target = nesting.initial[target] if history is None else history.initial
+            yield Edge(edge.cause, state, target, edge.guard, edge.reset)
 
 
 def _all(charts: Sequence[Region]) -> Iterable[Key]:

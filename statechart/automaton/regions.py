@@ -223,9 +223,17 @@ class Region:
 
     @property
     def innermost(self) -> tuple[str, ...]:
-        """The states that hold no others, as declared."""
+        """The states that hold no others, as declared; those that runs cannot enter come last."""
         configurations = self.nesting.configurations
-        return tuple(dict.fromkeys(n for s in self.states for n in configurations.get(s, (s,))))
+        entered = (n for s in self.states for n in configurations.get(s, (s,)))
+        return tuple(dict.fromkeys((*entered, *self.outside)))
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """The declared states that hold no others and are in none of `states`: none is entered."""
+        holding = {*self.superstates.values()}
+        left = self.nesting.unreached.difference(holding, self.states)
+        return tuple(name for name in self.nesting.names if name in left)
 
     def within(self, name: str) -> tuple[str, ...]:
         """Return the states in which a state or superstate is active."""

@@ -8,7 +8,7 @@ follows in brackets where it differs from what would be entered anyway: ``rest[m
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import chain, product
 from math import prod
 
@@ -120,7 +120,7 @@ class _Flattening:
                 for node in nodes
                 if node.parent > ROOT and node.sort not in HISTORIES
             },
-            self._nesting(ordered),
+            self._nesting(initial, ordered),
             found,
             self._named,
             {places[i]: place for place, i in enumerate(order)},
@@ -223,14 +223,21 @@ class _Flattening:
     def _joined(self, nodes: Iterable[int]) -> str:
         return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
 
-    def _nesting(self, transitions: Iterable[FlatTransition]) -> Nesting:
+    def _nesting(self, initial: str, transitions: Sequence[FlatTransition]) -> Nesting:
         nodes = self._tree.nodes
         states = {n.name: n.declared for n in nodes if isinstance(n.declared, BaseState)}
         names = tuple(n.name for n in nodes[1:] if n.sort not in HISTORIES)
+        unreached = frozenset(names) - self._entered_names(initial, transitions)
         entries = {name: state.entry for name, state in states.items() if state.entry}
         exits = {name: state.exit for name, state in states.items() if state.exit}
         if self._tree.flat:
-            return Nesting(names, entries=entries, exits=exits, edges=tuple(self._drawn()))
+            return Nesting(
+                names,
+                entries=entries,
+                exits=exits,
+                edges=tuple(self._drawn()),
+                unreached=unreached,
+            )
         return Nesting(
             names,
             {
@@ -256,7 +263,19 @@ class _Flattening:
             entries,
             exits,
             tuple(self._drawn()),
+            unreached,
         )
+
+    def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:
+        """Return the names of the states that some chain of transitions enters."""
+        targets: dict[str, list[str]] = {}
+        for transition in transitions:
+            targets.setdefault(transition.source, []).append(transition.target)
+        found = [initial]
+        for configuration in found:
+            found += (t for t in dict.fromkeys(targets.get(configuration, ())) if t not in found)
+        nodes = self._tree.nodes
+        return {nodes[node].name for name in found for node in self._named[name][0]}
 
     def _drawn(self) -> Iterable[HierarchicalEdge]:
         for arrow in self._tree.arrows:

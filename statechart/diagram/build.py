@@ -43,7 +43,8 @@ def build(
     """Return the diagram of an automaton, and the graph that it shows.
 
     One region is drawn as its own chart, two as the grid of their product, without the directions
-    of sliding. Of more, what a run visited is drawn, and the chart of every region.
+    of sliding; two with regions or histories in them as their charts. Of more, what a run visited
+    is drawn, and the chart of every region.
 
     Parameters
     ----------
@@ -70,31 +71,46 @@ def build(
     notes = _notes(automaton)
     if not moving:
         notes = (*notes, "one mode: no contacts, no regions")
-    if len(moving) < 2:
-        modes = explored(automaton, found=found)
+    if len(moving) < 2 or any(map(_is_composed, moving)):
+        modes = explored(automaton, found=found, unreached=True)
         charts = _charts(automaton, start)
         if len(automaton.regions) == 1:
             reasons = {key[0]: data.get("reason") for key, data in modes.modes.items()}
             charts = tuple(_judged(chart, reasons) for chart in charts)
         return Diagram(automaton.name, charts, notes, modes.graph)
-    modes = explored(automaton, found=found, directions=False)
+    modes = explored(automaton, found=found, directions=False, unreached=True)
     total = f"{automaton.modes_total} with the directions of sliding"
     if automaton.modes_total != automaton.modes_declared:
         notes = (*notes, f"{several(automaton.modes_declared, 'mode')}, {total}")
-    return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes.graph)
+    charts = (_grid(automaton, start, modes), *_charts(automaton, start, _still(automaton)))
+    return Diagram(automaton.name, charts, notes, modes.graph)
 
 
 def _moving(automaton: Automaton) -> list[Region]:
     """Return the regions that have a choice; all, if none has."""
-    return [r for r in automaton.regions if len(r.states) > 1] or list(automaton.regions)
+    several = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1]
+    return several or list(automaton.regions)
 
 
-def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
-    """Return the chart of every region, those alike once."""
+def _still(automaton: Automaton) -> list[Region]:
+    """Return the declared regions of one state, where others have a choice."""
+    moving = _moving(automaton)
+    return [r for r in automaton.regions if r.nesting.names and r not in moving]
+
+
+def _is_composed(region: Region) -> bool:
+    """Whether states are active side by side or remembered, which are no rows of a grid."""
+    return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
+
+
+def _charts(
+    automaton: Automaton, start: Key | None, shown: Sequence[Region] | None = None
+) -> tuple[Chart, ...]:
+    """Return the chart of every region, or of those `shown`, those alike once."""
     charts = []
     states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
     moving = _moving(automaton)
-    for regions in alike(moving):
+    for regions in alike([*moving, *_still(automaton)] if shown is None else shown):
         region = regions[0]
         title = ", ".join(cut([r.name for r in regions]))
         if any(other.edges != region.edges for other in regions):
@@ -103,7 +119,7 @@ def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
             region_chart(
                 automaton,
                 region,
-                prefix="" if len(moving) == 1 else f"{region.name}:",
+                prefix="" if [region] == moving else f"{region.name}:",
                 title=title,
                 start=states.get(region.name),
             )
@@ -132,7 +148,9 @@ def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
 
 def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
     """Return a chart with why states are impossible."""
-    nodes = (replace(node, infeasible=reasons.get(node.name) or None) for node in chart.nodes)
+    nodes = (
+        replace(node, infeasible=reasons.get(node.name) or node.infeasible) for node in chart.nodes
+    )
     return replace(chart, nodes=tuple(nodes))
 
 
@@ -154,7 +172,7 @@ def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
         )
         for key, data in modes.modes.items()
     )
-    plain = [drawn_region(region, directions=False) for region in regions]
+    plain = [drawn_region(region, directions=False, unreached=True) for region in regions]
     first, second = (
         _of(
             regions[k],

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from statechart.automaton.hierarchy import hierarchical_edges
-from statechart.automaton.nesting import HierarchicalEdge
+from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
 from statechart.automaton.regions import Region
 from statechart.diagram.model import named, printable, signs_spelled
 from statechart.errors import FormulaError
@@ -119,6 +119,8 @@ class Written:
         parallel = name in nesting.parallel
         element = ET.SubElement(parent, "parallel" if parallel else "state", {"id": ids[name]})
         element.set("diagram:name", printable(name))
+        if name in nesting.unreached:
+            element.set("diagram:infeasible", UNREACHED)
         if inside and not parallel:
             element.set("initial", ids[nesting.initial.get(name, inside[0])])
         for tag, blocks in (("onentry", nesting.entries), ("onexit", nesting.exits)):

@@ -57,7 +57,8 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
         name = _fresh("legend", states)
         lines.append(f'    state "{_escape(diagram.title)}" as {name}')
         lines += [f"    {name} : {_escape(note)}" for note in notes]
-    lines += _classes([node for piece in pieces for node in piece.leaves], states)
+    coloured = [n for p in pieces for n in (*p.leaves, *p.frames) if n.colours or n.infeasible]
+    lines += _classes(coloured, states)
     return "\n".join(lines) + "\n"
 
 

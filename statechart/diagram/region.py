@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.hierarchy import hierarchical_edges
-from statechart.automaton.nesting import HierarchicalEdge
+from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
 from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Role
 from statechart.diagram.model import Chart, Link, Node
@@ -44,8 +44,12 @@ def region_chart(
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
     holding = {n: _held(region, leaves, n) for n in _superstates(region) if n not in leaves}
-    # A frame round a single state would repeat what its label says.
-    frames = {name for name, held in holding.items() if len(held) > 1 or name in linked - {*held}}
+    # A frame round a single direction of sliding would repeat what its label says.
+    frames = {
+        name
+        for name, held in holding.items()
+        if region.nesting.names or len(held) > 1 or name in linked - {*held}
+    }
     colours = automaton.colours[region.name]
     begun = region.nesting.configurations.get(start or "", (start,))[0]
 
@@ -58,6 +62,7 @@ def region_chart(
             None if inside is None else prefix + inside,
             _conditions(automaton, region, name) if leaf else (),
             initial=name == begun,
+            infeasible=UNREACHED if name in region.nesting.unreached else None,
             colours=(colours[name],) if leaf else (),
         )
 
@@ -65,7 +70,9 @@ def region_chart(
         """Return a history as Harel draws it."""
         history = region.nesting.histories[name]
         inside = prefix + history.parent if history.parent in frames else None
-        return Node(prefix + name, "H*" if history.depth == "deep" else "H", inside)
+        refused = UNREACHED if history.parent in region.nesting.unreached else None
+        label = "H*" if history.depth == "deep" else "H"
+        return Node(prefix + name, label, inside, infeasible=refused)
 
     # What holds a state comes before it, outer first.
     names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
@@ -111,7 +118,7 @@ def alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
             (e.cause, e.source, e.target, _NUMBER.sub("#", e.guard), _NUMBER.sub("#", e.reset))
             for e in region.edges
         )
-        found.setdefault((region.states, tuple(edges)), []).append(region)
+        found.setdefault((region.innermost, tuple(edges)), []).append(region)
     return found.values()
 
 
@@ -175,7 +182,7 @@ def _together(region: Region, states: list[str]) -> list[str]:
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
     """Return what holds while a state is active; of one without direction, what holds in both."""
-    if automaton.laws is None or region.nesting.edges:
+    if automaton.laws is None or region.nesting.edges or region.nesting.configurations:
         return ()
     leaves = [state] if state not in region.superstates.values() else _directions(region, state)
     told = [_condition(automaton, region, leaf) for leaf in leaves]

@@ -33,6 +33,7 @@ from statechart.diagram.layout.markup import (
 from statechart.diagram.layout.start import begun
 from statechart.diagram.legend import drawn_once
 from statechart.diagram.model import Chart, Link
+from statechart.palette import FAINT
 
 if TYPE_CHECKING:
     import graphviz
@@ -155,13 +156,15 @@ def _read(
     """Return what dot made of a chart."""
     laid = json.loads(render(_source(chart, style, prefix, looks, way, gap), "json"))
     left, low, right, high = map(float, laid["bb"].split(","))
+    refused = {style.names[node.name] for node in chart.frames if node.infeasible is not None}
     frames, boxes = [], []
     for item in laid["objects"]:
         name = item["name"]
         if "bb" in item:
             name = name.removeprefix("cluster_")
             x0, y0, x1, y1 = map(float, item["bb"].split(","))
-            frames.append(Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), FRAMES))
+            look = {**FRAMES, "color": FAINT} if name in refused else FRAMES
+            frames.append(Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look))
             title, size = f"{prefix}in_{name}", (item["lwidth"], item["lheight"])
             boxes.append(Box(title, _point(item["lp"]), _inches(*size), looks[title]))
         else:

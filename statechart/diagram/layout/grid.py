@@ -19,7 +19,7 @@ from statechart.diagram.layout.start import begun
 from statechart.diagram.model import Chart, Node
 from statechart.palette import FAINT, FRAME
 
-_BAND = {"shape": "box", "style": "rounded,dashed", "label": "", "color": FRAME}
+_BAND = {"shape": "box", "style": "rounded,dashed", "label": ""}
 
 
 def grid(chart: Chart, style: Style, prefix: str) -> Block:
@@ -95,21 +95,22 @@ class _Draft:
     def bands(self) -> Iterator[Box]:
         """Yield the frames through the grid, and their names outside them."""
         width, height = self.rooms.size
-        for k, (_, span, deep) in enumerate(self.along.frames):
+        for k, (node, span, deep) in enumerate(self.along.frames):
             left = self._side(self.along, span[0], -1, deep)
             right = self._side(self.along, span[1], 1, deep)
             top = -self.rooms.rows[0] + self.rooms.reach[1] + MARGIN * deep
             name, size = f"hin{k}", self.rooms.words[f"hin{k}"]
             low = -height - MARGIN * deep
-            yield _between(f"{self.prefix}h_{k}", (left, low), (right, top))
+            yield _between(f"{self.prefix}h_{k}", (left, low), (right, top), node)
             place = left + size[0] / 2, top + size[1] / 2 + 1.0
             yield Box(self.prefix + name, place, size, self.looks[name])
-        for k, (_, span, deep) in enumerate(self.down.frames):
+        for k, (node, span, deep) in enumerate(self.down.frames):
             top = self._side(self.down, span[0], -1, deep)
             low = self._side(self.down, span[1], 1, deep)
             left = self.rooms.columns[0] - self.rooms.reach[0] - MARGIN * deep
             name, size = f"vin{k}", self.rooms.words[f"vin{k}"]
-            yield _between(f"{self.prefix}v_{k}", (left, low), (width + MARGIN * deep, top))
+            corner = width + MARGIN * deep, top
+            yield _between(f"{self.prefix}v_{k}", (left, low), corner, node)
             place = left - size[0] / 2 - 1.0, top - size[1] / 2
             yield Box(self.prefix + name, place, size, self.looks[name])
 
@@ -221,7 +222,8 @@ class _Draft:
         return polyline(points)
 
 
-def _between(name: str, low: Point, high: Point) -> Box:
-    """Return the frame between two corners."""
+def _between(name: str, low: Point, high: Point, node: Node) -> Box:
+    """Return the frame of a node between two corners."""
+    colour = FRAME if node.infeasible is None else FAINT
     centre = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
-    return Box(name, centre, (high[0] - low[0], high[1] - low[1]), _BAND)
+    return Box(name, centre, (high[0] - low[0], high[1] - low[1]), {**_BAND, "color": colour})

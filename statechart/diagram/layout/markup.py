@@ -115,7 +115,9 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
 
 def frame_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     """Return how the name of a state looks that holds others, with what is its own."""
-    rows = [text(node.label, bold=True, colour=FRAME)]
+    refused = node.infeasible is not None
+    words = node.label + mark(node, style.reasons)
+    rows = [text(words, bold=True, colour=FAINT if refused else FRAME)]
     if style.guards == "inline":
         rows += [text(line, size=SMALL) for line in node.invariants]
     rows += [text(f"↻ {line}") for line in _own(node, chart, style)]
