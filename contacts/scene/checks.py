@@ -271,8 +271,9 @@ def check_kinks(scene: SceneFields) -> None:
         At the first that has not.
     """
     for loc, text, variables in _differentiated(scene):
-        advice = _SURFACES if loc[-1] == "height" else _SMOOTH
-        check_smooth(text, variables, loc=loc, lacks="slope, or no curvature,", advice=advice)
+        ground = loc[-1] == "height"
+        advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
+        check_smooth(text, variables, loc=loc, lacks=lacks, advice=advice, roots=ground)
         check_derived(parse(text).root, variables, loc)
     changing, texts = _forces(scene)
     for loc, text in texts:

@@ -64,7 +64,8 @@ class Converter:
             symbol: hy.expression(f"v{i}") for i, symbol in enumerate(automaton.variables)
         }
         self.constants: list[sp.Expr] = []
-        self.singular: list[sp.Pow] = []  # powers without a series where their base is zero
+        # Base and exponent of powers without a series where their base is zero.
+        self.singular: list[tuple[sp.Expr, sp.Expr]] = []
         self.timed = False
         self._parameters = frozenset(automaton.parameters)
         self._time = automaton.time
@@ -126,9 +127,15 @@ class Converter:
             return self._joined(operator.mul, node, factors) * power if factors else power
         if node.is_Pow:
             return self._power(*node.args)
-        if node.func is sp.Abs and node.free_symbols <= self._parameters:
-            # The length of a line by its parameters: a number of the run.
-            return hy.sqrt(self(node.args[0]) ** 2.0)
+        if node.func is sp.Abs:
+            # No flow may be declared with it: SymPy makes it of the root of a square, which has a
+            # series wherever it is not zero.
+            return self._power(node.args[0] ** 2, sp.S.Half)
+        if node.func is sp.sign:
+            return self(node.args[0]) / self(sp.Abs(node.args[0]))
+        if node.func is sp.DiracDelta:
+            # The derivative of a sign is zero wherever there is one.
+            return hy.expression(0.0)
         function = _FUNCTIONS.get(node.func)
         if function is None:
             raise Unsupported(
@@ -152,7 +159,7 @@ class Converter:
             product = _product(self(base), abs(int(exponent)))
             return product if exponent > 0 else 1.0 / product
         if not base.is_number:
-            self.singular.append(sp.Pow(base, exponent))
+            self.singular.append((base, exponent))
         if exponent == sp.Rational(1, 2):
             return hy.sqrt(self(base))
         if exponent == sp.Rational(-1, 2):

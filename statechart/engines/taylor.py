@@ -159,8 +159,12 @@ class Taylor(Engine):
             series.shape,
             np.empty(0),
             np.empty(len(states)),
-            tuple(sp.sstr(power.xreplace(names))[:_SHOWN] for power in convert.singular),
-            automaton.tape([power.base for power in convert.singular], mode),
+            tuple(
+                # The root of a square would become an absolute value again.
+                sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
+                for base, exponent in convert.singular
+            ),
+            automaton.tape([base for base, _ in convert.singular], mode),
             rates,
         )
 

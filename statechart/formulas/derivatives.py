@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import sympy as sp
+
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Binary, Call, Name, Node, Unary, children, names_in, nodes
@@ -24,6 +26,7 @@ def check_smooth(
     loc: tuple[str | int, ...],
     lacks: str,
     advice: str,
+    roots: bool = False,
 ) -> None:
     """Check that a formula has no kink in any of `variables`.
 
@@ -37,6 +40,8 @@ def check_smooth(
         Where it stands.
     lacks, advice : str
         What the formula has not where it switches, and what to write instead.
+    roots : bool
+        Whether the root of a square, which is smooth on either side of zero, counts as a kink.
 
     Raises
     ------
@@ -52,6 +57,23 @@ def check_smooth(
                 advice=advice,
                 loc=loc,
             )
+    if roots and (switched := sorted(_under_roots(text).intersection(variables))):
+        raise DeclarationProblem(
+            f"the root of a square of {', '.join(switched)} has no {lacks} where it is zero",
+            advice=advice,
+            loc=loc,
+        )
+
+
+def _under_roots(text: str | int | float) -> set[str]:
+    """Return the names whose squares a formula takes the root of, cubes of these roots apart."""
+    formula = parse(text)
+    found = formula.to_sympy({name: sp.Symbol(name, real=True) for name in formula.names})
+    smooth = found.replace(
+        lambda node: node.is_Pow and isinstance(node.base, sp.Abs) and bool(node.exp > 2),
+        lambda node: node.base.args[0],
+    )
+    return {symbol.name for root in smooth.atoms(sp.Abs) for symbol in root.free_symbols}
 
 
 MAX_DERIVED = 7_000

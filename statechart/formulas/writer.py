@@ -143,6 +143,9 @@ class _Writer:
         if node.is_Pow:
             return self._power(node)
         kind = type(node)
+        if kind is sp.DiracDelta:
+            # The derivative of a sign is zero wherever there is one.
+            return self._constant(0.0)
         if kind in _UNARY:
             return self._emit(_UNARY[kind], self.register(node.args[0]))
         if kind in _RECIPROCAL:
