@@ -66,14 +66,10 @@ def check_smooth(
 
 
 def _under_roots(text: str | int | float) -> set[str]:
-    """Return the names whose squares a formula takes the root of, cubes of these roots apart."""
+    """Return the names whose squares a formula takes the root of."""
     formula = parse(text)
     found = formula.to_sympy({name: sp.Symbol(name, real=True) for name in formula.names})
-    smooth = found.replace(
-        lambda node: node.is_Pow and isinstance(node.base, sp.Abs) and bool(node.exp > 2),
-        lambda node: node.base.args[0],
-    )
-    return {symbol.name for root in smooth.atoms(sp.Abs) for symbol in root.free_symbols}
+    return {symbol.name for root in found.atoms(sp.Abs) for symbol in root.free_symbols}
 
 
 MAX_DERIVED = 7_000
