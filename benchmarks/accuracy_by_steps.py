@@ -199,7 +199,7 @@ def judge(result: Result, exact: Result) -> Judgement:
 
 def _error(result: Result, exact: Result) -> float:
     assert result.asked is not None
-    sizes = Outputs(exact.observer).sizes(exact.trace)
+    sizes = Outputs(exact.observer).scales(exact.trace).outputs
     left = {*result.asked.not_judged, *exact.endless}
     worst = 0.0
     for name, value in exact.outputs.items():

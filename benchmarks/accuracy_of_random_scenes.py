@@ -189,13 +189,13 @@ class Judges:
 
 
 def _apart(one: Result, other: Result) -> float:
-    sizes = Outputs(one.observer).sizes(one.trace)
+    scales = Outputs(one.observer).scales(one.trace)
     return compare(
         one.trace,
         other.trace,
         one.outputs,
         other.outputs,
-        sizes_of_outputs=sizes,
+        scales=scales,
         endless=one.endless | other.endless,
         brief=ACCURACY,
     ).largest

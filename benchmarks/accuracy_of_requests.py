@@ -87,9 +87,9 @@ def references(scene: str) -> tuple[Runner, Runner]:
 
 
 def apart(one: Result, other: Result, accuracy: float) -> float:
-    sizes = Outputs(one.observer).sizes(one.trace)
+    scales = Outputs(one.observer).scales(one.trace)
     return compare(
-        one.trace, other.trace, one.outputs, other.outputs, sizes_of_outputs=sizes,
+        one.trace, other.trace, one.outputs, other.outputs, scales=scales,
         endless=one.endless | other.endless, brief=accuracy,
     ).largest  # fmt: skip
 

@@ -213,7 +213,7 @@ def _numbers(result: Result) -> np.ndarray:
 
 def _sizes(result: Result) -> np.ndarray:
     """Return how large the outputs were on the way, speeds not below those of the whole motion."""
-    found = Outputs(result.observer).sizes(result.trace)
+    found = Outputs(result.observer).scales(result.trace).outputs
     return np.array([max(float(found[name]), 1e-3) for name in result.outputs])  # type: ignore[arg-type]
 
 

@@ -382,11 +382,15 @@ class Trace:
 
 def sizes(trace: Trace) -> Array:
     """Return the largest magnitude (n,) of every variable where steps begin or are half done."""
+    return np.abs(visited_states(trace)).max(axis=0)
+
+
+def visited_states(trace: Trace) -> Array:
+    """Return the states (m, n) at the ends of a run, after jumps, and as `sizes` looks at them."""
     states = [np.array([trace.initial, trace.final])]
     for arc in trace.arcs:
         half = 0.5 ** np.arange(arc.coefficients.shape[2])
         states += [arc.coefficients[:, :, 0], arc.coefficients @ half]
-    found = np.abs(np.concatenate(states)).max(axis=0)
-    for jump in trace.jumps:
-        found = np.maximum(found, np.abs(jump.after))
-    return found
+    if trace.jumps:
+        states.append(np.array([jump.after for jump in trace.jumps]))
+    return np.concatenate(states)

@@ -6,12 +6,13 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
+from statechart.observation.outputs import NO_SCALES, Scales
 from statechart.observation.outputs import OutputValue as Output
 from statechart.observation.sampling import at_times
 from statechart.observation.zeno_tails import without_summed
@@ -29,20 +30,48 @@ _BETWEEN = 16
 _ALONG, _LEAST = 512, 2
 
 
+class Compared(NamedTuple):
+    """A number of two runs.
+
+    Attributes
+    ----------
+    what : str
+        The quantity, such as `output lift`.
+    coarse, fine : float
+        Its values.
+    off : float
+        Their difference, relative to the scale of the quantity.
+    """
+
+    what: str
+    coarse: float
+    fine: float
+    off: float
+
+    def __str__(self) -> str:
+        one, other = f"{self.coarse:.7g}", f"{self.fine:.7g}"
+        if one == other:
+            one, other = f"{self.coarse:.17g}", f"{self.fine:.17g}"
+        return f"{self.what} ({one} and {other})"
+
+
+_NONE = Compared("", 0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class Difference:
-    """Where two runs of one model differ, each number relative to its own size.
+    """Where two runs of one model differ, each number relative to the scale of its kind.
 
     Attributes
     ----------
     state : float
-        Of the final state, relative to the largest value that a variable had; inf where the runs
-        ended for different reasons.
+        Of the final state; inf where the runs ended for different reasons.
     times : float
         Of the times of the events that both have and of the end, relative to the end.
     named : mapping of str to float
-        Of every output, relative to its size (see `statechart.observation.outputs.Outputs.sizes`);
-        of a list, of its length, too.
+        Of every output; of a list, of its length, too.
+    decides : Compared
+        The number with the largest of these differences.
     diverged : float or None
         When they first took different modes or ended for different reasons; None if they did
         not.
@@ -51,6 +80,7 @@ class Difference:
     state: float
     times: float
     named: Mapping[str, float]
+    decides: Compared
     diverged: float | None
 
     @property
@@ -70,7 +100,7 @@ def compare(
     coarse_outputs: Mapping[str, Output],
     fine_outputs: Mapping[str, Output],
     *,
-    sizes_of_outputs: Mapping[str, Output] = MappingProxyType({}),
+    scales: Scales = NO_SCALES,
     endless: Collection[str] = (),
     brief: float = 0.0,
     nothing: float = 0.0,
@@ -83,8 +113,8 @@ def compare(
         Two runs of one model from one start.
     coarse_outputs, fine_outputs : mapping
         Their outputs.
-    sizes_of_outputs : mapping
-        From `Outputs.sizes` of one of the runs; what it does not have is as large as itself.
+    scales : Scales
+        From `Outputs.scales` of one of the runs; what it does not have is as large as itself.
     endless : collection of str
         Outputs whose number of events has no limit: only those that both runs have are compared.
     brief : float
@@ -98,36 +128,43 @@ def compare(
         diverged = min(coarse.t_end, fine.t_end)
     largest = np.maximum(sizes(coarse), sizes(fine))
     nothing = max(nothing, _NOTHING * float(largest.max(initial=0.0)))
-    state = max(
-        (
-            _relative(a, b, scale, nothing)
-            for a, b, scale in zip(
-                coarse.final.tolist(), fine.final.tolist(), largest.tolist(), strict=True
-            )
-        ),
-        default=0.0,
+    if scales.variables is not None:
+        largest = np.maximum(largest, scales.variables)
+    zeros = np.maximum(np.broadcast_to(scales.zero_variables, largest.shape), nothing)
+    state = _worst(
+        Compared(f"the final {name}", a, b, _relative(a, b, scale, zero))
+        for name, a, b, scale, zero in zip(
+            fine.variables,
+            coarse.final.tolist(),
+            fine.final.tolist(),
+            largest.tolist(),
+            zeros.tolist(),
+            strict=True,
+        )
     )
     end = max(coarse.t_end, fine.t_end)
-    times = [(coarse.t_end, fine.t_end)] if same_end else []
-    times += [(one.t, other.t) for one, other in pairs]
-    named = {
-        name: max(
-            (
-                _relative(a, b, max(abs(a), abs(b), size), nothing)
-                for a, b, size in _numbers(
-                    one, fine_outputs[name], sizes_of_outputs.get(name, 0.0), name in endless
-                )
-            ),
-            default=0.0,
+    times = [("the end", coarse.t_end, fine.t_end)] if same_end else []
+    times += [(f"the time of {one.region}.{one.cause}", one.t, other.t) for one, other in pairs]
+    late = _worst(Compared(*time, _relative(time[1], time[2], end, 0.0)) for time in times)
+    outputs: dict[str, Compared] = {}
+    for name, one in coarse_outputs.items():
+        size = scales.outputs.get(name, 0.0)
+        zero = max(nothing, scales.zero_outputs.get(name, 0.0))
+        outputs[name] = _worst(
+            Compared(f"output {name}", a, b, _relative(a, b, max(abs(a), abs(b), size), zero))
+            for a, b, size in _numbers(one, fine_outputs[name], size, name in endless)
         )
-        for name, one in coarse_outputs.items()
-    }
     return Difference(
-        state if same_end else math.inf,
-        max((_relative(a, b, end, 0.0) for a, b in times), default=0.0),
-        named,
+        state.off if same_end else math.inf,
+        late.off,
+        {name: one.off for name, one in outputs.items()},
+        _worst((state, late, *outputs.values())),
         diverged,
     )
+
+
+def _worst(compared: Iterable[Compared]) -> Compared:
+    return max(compared, key=lambda one: one.off, default=_NONE)
 
 
 def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:

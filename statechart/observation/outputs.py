@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +18,36 @@ from statechart.execution.rows import Batch
 from statechart.observation.grouped import Grouped
 from statechart.observation.observer import Observer
 from statechart.observation.rows import RowOutputs
+from statechart.observation.run_scales import RunScales
 from statechart.observation.zeno_tails import last_resolved
 
 OutputValue = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""
+
+
+class Scales(NamedTuple):
+    """What errors of a run are relative to, and below what its numbers are round-off of zero.
+
+    Attributes
+    ----------
+    variables : (n,) array or None
+        Of the variables at the end; None where each is relative to its own largest value.
+    outputs : mapping
+        Of outputs, in their form; counts have none.
+    zero_variables : (n,) array or float
+        For the variables.
+    zero_outputs : mapping
+        For the outputs that have a kind.
+    """
+
+    variables: Array | None = None
+    outputs: Mapping[str, OutputValue] = MappingProxyType({})
+    zero_variables: Array | float = 0.0
+    zero_outputs: Mapping[str, float] = MappingProxyType({})
+
+
+NO_SCALES = Scales()
+"""Each number is relative to itself."""
 
 
 class Outputs(Grouped):
@@ -103,27 +132,38 @@ class Outputs(Grouped):
             if any(happened(regions, jump, event) for jump in summed for event in events)
         )
 
-    def sizes(self, trace: Trace) -> dict[str, OutputValue]:
-        """Return how large outputs are, in the form of `of`: what their errors are relative to.
+    def scales(self, trace: Trace) -> Scales:
+        """Return the scales of variables and outputs (see `RunScales`).
 
-        Of a value, the largest magnitude that its formula had where a step began, up to its
-        moment, and then: where a body comes back to zero, the value there is rounding. The
-        others are as large as themselves, and left out.
+        The outputs' are in the form of `of`. A value has been as large as the largest magnitude of
+        its formula where a step began, up to its moment: where a body comes back to zero, the value
+        there is rounding.
         """
-        found: dict[str, OutputValue] = {}
+        run, found = RunScales(self.observer, trace), dict[str, OutputValue]()
         for name, output, moment in self.at:
             largest = self._largest(trace, output.value)
             chosen = {jump.j for jump in self._chosen(trace, moment)}
             sizes = [
-                size
+                run.of(output.value, size)
                 for jump, size in zip(trace.jumps, largest[1:-1].tolist(), strict=True)
                 if jump.j in chosen
             ]
             found[name] = sizes if moment.several else sizes[0] if sizes else None
         for name, formula in self.end.items():
             last = abs(float(self.observer.final(trace, [formula])[0]))
-            found[name] = float(np.fmax(self._largest(trace, formula)[-1], last))
-        return found
+            found[name] = run.of(formula, float(np.fmax(self._largest(trace, formula)[-1], last)))
+        for name, formula, _ in self.extremes:
+            found[name] = run.of(formula, float(self._largest(trace, formula)[-1]))
+        for name, output in self.integrals.items():
+            largest = float(self._largest(trace, output.integral)[-1])
+            found[name] = trace.t_end * run.of(output.integral, largest)
+        formulas = {
+            **{name: output.value for name, output, _ in self.at},
+            **self.end,
+            **{name: formula for name, formula, _ in self.extremes},
+        }
+        zeros = {name: run.zero(formula) for name, formula in formulas.items()}
+        return Scales(run.variables, found, run.zeros, zeros)
 
     def _largest(self, trace: Trace, formula: str | int | float) -> NDArray[np.float64]:
         """Return the largest magnitude (m + 2,) of a formula at the start, up to jumps, in all."""

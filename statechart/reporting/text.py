@@ -67,7 +67,9 @@ def computed(report: Mapping[str, Any]) -> list[str]:
         f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built",
     ]
     if report["error_estimate"] is not None:
-        lines.append(f"estimated relative error {float(report['error_estimate']):.2g}")
+        decides = report["asked"] and report["asked"]["decides"]
+        words = f", that of {decides}" if decides else ""
+        lines.append(f"estimated relative error {float(report['error_estimate']):.2g}{words}")
     if report["asked"] is not None:
         cost = report["asked"]["cost"]
         lines.append(

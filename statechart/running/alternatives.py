@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from statechart.observation.difference import compare
+from statechart.observation.outputs import Outputs
 from statechart.reporting.report import json_safe
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any
             other.trace,
             result.outputs,
             other.outputs,
+            scales=Outputs(result.observer).scales(result.trace),
             endless=result.endless | other.endless,
         )
         report = other.to_dict()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.setting import Setting
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Outputs, Scales
 from statechart.observation.outputs import OutputValue as Output
 
 UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
@@ -58,12 +58,15 @@ class Asked:
         Of all runs.
     not_judged : tuple of str
         Outputs that the estimate leaves out: how often a Zeno sequence bounces has no answer.
+    decides : str
+        The quantity whose error the estimate is, with its values in two runs; else empty.
     """
 
     setting: Setting
     basis: str
     cost: Cost
     not_judged: tuple[str, ...] = ()
+    decides: str = ""
 
     def reached(self, estimate: float | None) -> bool:
         """Whether `estimate` is what was asked for: of an accuracy, any of a budget."""
@@ -78,6 +81,7 @@ class Asked:
             "basis": self.basis,
             "cost": asdict(self.cost),
             "not_judged": list(self.not_judged),
+            "decides": self.decides,
         }
 
 
@@ -99,6 +103,8 @@ class Answer:
     not_judged : tuple of str
         Outputs that the estimate leaves out: they count or list the events of a Zeno sequence,
         which have no end. Of lists, what both runs have is compared.
+    decides : str
+        As of `Asked`.
     """
 
     observer: Observer
@@ -107,18 +113,19 @@ class Answer:
     cost: Cost
     warnings: tuple[str, ...] = ()
     not_judged: tuple[str, ...] = ()
+    decides: str = ""
 
 
 class Made(NamedTuple):
-    """A run, its outputs, how large they are, and those that have any number of events."""
+    """A run, its outputs, their scales, and those that have any number of events."""
 
     trace: Trace
     outputs: Mapping[str, Output]
-    sizes: Mapping[str, Output]
+    scales: Scales
     endless: frozenset[str]
 
     @classmethod
     def of(cls, observer: Observer, trace: Trace) -> Made:
         """Evaluate the outputs of a run."""
         outputs = Outputs(observer)
-        return cls(trace, outputs.of(trace), outputs.sizes(trace), outputs.endless(trace))
+        return cls(trace, outputs.of(trace), outputs.scales(trace), outputs.endless(trace))

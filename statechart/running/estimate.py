@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,16 @@ _ROUNDED = 32.0 * float(np.finfo(float).eps)
 _NEARLY = 1.0 + 1e-9
 
 
+class _Error(NamedTuple):
+    """An estimated error, and the quantity that it is of with its values in two runs."""
+
+    size: float
+    decides: str
+
+
+_NO_ERROR = _Error(0.0, "")
+
+
 class _Runs:
     """Runs that are made one after the other; what they took, and how the last two differ."""
 
@@ -60,7 +71,7 @@ class _Runs:
         self._once, self._clock, self._began = once, clock, clock()
         self._last: Made | None = None
         self.runs = self.steps = self.evaluations = 0
-        self.estimate: float | None = None
+        self._error: _Error | None = None
         self.diverged = ""
         self.merged: float | None = None
         self.endless: frozenset[str] = frozenset()
@@ -83,21 +94,29 @@ class _Runs:
         now = Made.of(observer, trace)
         if self._last is None and last:
             # Nothing is tighter, and what is looser need not be run.
-            self.estimate = self._magnified(now)
+            self._error = self._magnified(now)
         elif self._last is not None:
             before = self._last.trace
-            estimate = self._difference(
+            error = self._difference(
                 self._last, now, f"at the tolerances {before.tolerance:.2g} and"
             )
             well = trace.tolerance if self._accuracy is None else self._accuracy
-            if estimate <= well or (last and estimate < math.inf):
-                estimate = max(estimate, self._grown(self._last, now, well))
-            if estimate <= well and trace.tolerance > _NEARLY * _FAR * before.tolerance:
-                estimate = max(estimate, self._counted(now))
-            self.estimate = estimate
+            if error.size <= well or (last and error.size < math.inf):
+                error = max(error, self._grown(self._last, now, well))
+            if error.size <= well and trace.tolerance > _NEARLY * _FAR * before.tolerance:
+                error = max(error, self._counted(now))
+            self._error = error
         self._last = now
 
-    def _grown(self, before: Made, now: Made, well: float) -> float:
+    @property
+    def estimate(self) -> float | None:
+        return None if self._error is None else self._error.size
+
+    @property
+    def decides(self) -> str:
+        return "" if self._error is None else self._error.decides
+
+    def _grown(self, before: Made, now: Made, well: float) -> _Error:
         """Return what an error of the tolerance becomes; 0 where that cannot be told.
 
         The run before is cheaper to make again than the last one, and it shows the same in
@@ -105,12 +124,12 @@ class _Runs:
         """
         found = self._magnified(before)
         if found is not None:
-            found *= now.trace.tolerance / before.trace.tolerance
-            if found <= well:
-                return found
-        return self._magnified(now) or 0.0
+            shrunk = found.size * (now.trace.tolerance / before.trace.tolerance)
+            if shrunk <= well:
+                return found._replace(size=shrunk)
+        return self._magnified(now) or _NO_ERROR
 
-    def _magnified(self, now: Made) -> float | None:
+    def _magnified(self, now: Made) -> _Error | None:
         """Return the difference from a run whose start is off; None where that says nothing."""
         try:
             observer, trace = self.make(now.trace.tolerance, nudged=True)
@@ -127,7 +146,7 @@ class _Runs:
             found, now, "with gaps and from starts that differ by the tolerance"
         )
 
-    def _counted(self, now: Made) -> float:
+    def _counted(self, now: Made) -> _Error:
         """Return the difference from a far tighter run; 0 where no events are counted or listed.
 
         Impacts that follow each other within the tolerance are one, and two runs whose tolerances
@@ -135,10 +154,10 @@ class _Runs:
         """
         tolerance = max(now.trace.tolerance * _FAR, self._floor)
         if not (_counts(now) and tolerance < now.trace.tolerance):
-            return 0.0
+            return _NO_ERROR
         observer, trace = self.make(tolerance)
         if trace.outcome in (Outcome.INTERRUPTED, Outcome.OUT_OF_BUDGET):
-            return 0.0
+            return _NO_ERROR
         return self._difference(now, Made.of(observer, trace), "at the tolerances far apart, to")
 
     @property
@@ -146,7 +165,7 @@ class _Runs:
         """From the first tolerance to the next; where events are counted, a far tighter one."""
         return _FAR if self._last is not None and _counts(self._last) else TIGHTER
 
-    def _difference(self, one: Made, other: Made, how: str) -> float:
+    def _difference(self, one: Made, other: Made, how: str) -> _Error:
         # How many events of a Zeno sequence are resolved follows from the tolerance.
         self.endless = one.endless | other.endless
         found = compare(
@@ -154,7 +173,7 @@ class _Runs:
             other.trace,
             one.outputs,
             other.outputs,
-            sizes_of_outputs=other.sizes,
+            scales=other.scales,
             endless=self.endless,
             brief=self._brief,
         )
@@ -170,7 +189,8 @@ class _Runs:
         elif found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
             self.diverged = f"{runs} have {', '.join(names)} the one, and not the other"
-        return max(found.largest, _ROUNDED)
+        decides = str(found.decides) if found.decides.off > 0.0 else ""
+        return _Error(max(found.largest, _ROUNDED), decides)
 
     @property
     def seconds(self) -> float:
@@ -242,10 +262,12 @@ def tighten(
         if runs.estimate <= accuracy
         else runs.diverged
         or f"the accuracy {accuracy:g} was not reached: at the least tolerance of the engine the "
-        f"estimated error is {runs.estimate:.2g}"
+        f"estimated error is {runs.estimate:.2g}, that of {runs.decides}"
     )
     warnings = (missed,) if missed else runs.warnings
-    return Answer(observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged)
+    return Answer(
+        observer, trace, runs.estimate, runs.cost, warnings, runs.not_judged, runs.decides
+    )
 
 
 def within(
@@ -293,7 +315,9 @@ def within(
             break
         if not cut:
             runs.compare(observer, trace, last=tolerance <= floor)
-        answer = Answer(observer, trace, runs.estimate, runs.cost, runs.warnings, runs.not_judged)
+        answer = Answer(
+            observer, trace, runs.estimate, runs.cost, runs.warnings, runs.not_judged, runs.decides
+        )
         if cut or tolerance <= floor or spent + runs.seconds + _LONGER * took > budget:
             break
         tolerance = max(tolerance * stride, floor)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 from statechart.automaton.trace import Outcome, Trace
@@ -65,7 +66,7 @@ class _Steps:
         self._runs = self._taken = 0
         self._estimates: list[float] = []
         self.endless: frozenset[str] = frozenset()
-        self.why = ""
+        self.why = self.decides = ""
 
     def make(self, step: float) -> tuple[Observer, Trace]:
         observer, trace = self._once(step)
@@ -81,7 +82,7 @@ class _Steps:
             self.endless = now.endless.union(*(made.endless for made in self._before))
             apart = [(made, self._between(made, now)) for made in self._before]
             found = _SAFE * max(one.size / (_ratio(made, now) - 1.0) for made, one in apart)
-            self.why = _said(apart[-1][1])
+            self.why, self.decides = _said(apart[-1][1]), apart[-1][1].what
         self._before.append(now)
         self._estimates.append(found)
         return found
@@ -102,12 +103,12 @@ class _Steps:
             fine.trace,
             coarse.outputs,
             fine.outputs,
-            sizes_of_outputs=fine.sizes,
+            scales=fine.scales,
             endless=self.endless,
             brief=self._accuracy,
             nothing=_ROUNDING * fine.trace.tolerances.get("speed", 0.0),
         )
-        parts = {"the final state": found.state, "the times of events": found.times, **found.named}
+        parts = {str(found.decides): max(found.state, found.times, found.outputs)}
         if found.diverged is not None and max(parts.values()) < math.inf:
             # How many bounces are resolved before rest follows from the step: what converges then
             # is the path, and for how long modes are others (Moreau 1999).
@@ -155,7 +156,8 @@ def halve(once: Once, accuracy: float, *, first: float, end: float) -> Answer:
             last, step = None, 0.5 * step
             continue
         estimate = steps.judge(observer, trace)
-        last = Answer(observer, trace, estimate, steps.cost, (), tuple(sorted(steps.endless)))
+        endless = tuple(sorted(steps.endless))
+        last = Answer(observer, trace, estimate, steps.cost, (), endless, steps.decides)
         if estimate <= accuracy:
             return last
         if steps.stuck:
@@ -171,9 +173,7 @@ def _missed(answer: Answer, steps: _Steps, accuracy: float, reason: str) -> Answ
         f"the accuracy {accuracy:g} was not reached: at a step of {answer.trace.step:.2g} the "
         f"estimated error is {answer.estimate:.2g}, and {reason}{steps.why}"
     )
-    return Answer(
-        answer.observer, answer.trace, answer.estimate, steps.cost, (warning,), answer.not_judged
-    )
+    return replace(answer, cost=steps.cost, warnings=(warning,))
 
 
 def _ratio(coarse: Made, fine: Made) -> float:

@@ -212,7 +212,7 @@ class Runner:
             with meanwhile() if self._alone and not answers.searching else nullcontext():
                 answer, basis = answers.answer(given, end)
             trace = answers.certified(answer, given, end) if certify else answer.trace
-            sought = (self.setting, basis, answer.cost, answer.not_judged)
+            sought = (self.setting, basis, answer.cost, answer.not_judged, answer.decides)
             asked = Asked(*sought) if answers.searching else None
             warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)
         trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)

@@ -21,7 +21,7 @@ from statechart.loading.kind import offered
 from statechart.observation.difference import compare, distance, paired, parted
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Outputs, Scales
 from statechart.observation.outputs import OutputValue as Output
 from statechart.running.estimate import BRIEF
 from statechart.study.point import RESOLVED, Errors, Third
@@ -56,7 +56,7 @@ class Run:
     observer: Observer
     trace: Trace
     outputs: Mapping[str, Output]
-    sizes: Mapping[str, Output]
+    scales: Scales
     endless: frozenset[str]
 
     @classmethod
@@ -68,7 +68,7 @@ class Run:
             observer,
             trace,
             outputs.of(trace),
-            outputs.sizes(trace),
+            outputs.scales(trace),
             outputs.endless(trace),
         )
 
@@ -316,7 +316,7 @@ def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, flo
         run.trace,
         reference.outputs,
         run.outputs,
-        sizes_of_outputs=reference.sizes,
+        scales=reference.scales,
         endless=reference.endless | run.endless,
         brief=reference.brief(run),
     )

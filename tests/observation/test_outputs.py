@@ -232,7 +232,7 @@ def test_an_output_is_as_large_as_its_formula_was_up_to_its_moment() -> None:
     block = Observer(Simulator(automaton(scene), Taylor(2.2e-16)))
     trace = run(block, until=12.0)
     made = Outputs(block)
-    values, sizes = made.of(trace), made.sizes(trace)
+    values, sizes = made.of(trace), made.scales(trace).outputs
     # Where the block comes back towards its start it has moved farther before.
     assert sizes["t_first_slip"] == values["t_first_slip"] == trace.jumps[0].t
     places = [abs(float(jump.after[0])) for jump in trace.jumps]

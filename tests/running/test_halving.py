@@ -6,6 +6,7 @@ import json
 import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -164,16 +165,26 @@ outputs: {vx: {value: b.dx}}
 
 
 def test_runs_that_come_no_nearer_are_given_up_and_exit_with_1(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    arguments = ["run", "no_slip_pencil", "--engine", "impulse", "--accuracy", "1e-3", "--json"]
-    code = main(arguments)
+    # The last digits of a distance, which no step settles.
+    scene = tmp_path / "noise.yaml"
+    scene.write_text(BLOCK.replace("{value: block.x}", "{value: sin(1e12*block.x)}"))
+    code = main(["run", str(scene), "--engine", "impulse", "--accuracy", "1e-3", "--json"])
     said = capsys.readouterr()
     report = json.loads(said.out)
     assert code == 1
     assert not report["asked"]["reached"]
     assert "the accuracy 0.001 was not reached" in said.err
-    assert "bring runs no nearer; runs at two steps differ most in V_min" in said.err
+    assert "bring runs no nearer; runs at two steps differ most in output distance (" in said.err
+
+
+def test_a_force_that_falls_to_zero_is_judged_on_the_scale_of_forces() -> None:
+    # The run ends where the tip lifts off, so that the least force is zero.
+    result = run("no_slip_pencil", engine="impulse", accuracy=1e-3, throw=False)
+    assert result.asked is not None
+    assert result.asked.reached(result.error_estimate)
+    assert 0.0 <= result.outputs["V_min"] <= 1e-3
 
 
 def test_the_command_line_reports_what_was_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
