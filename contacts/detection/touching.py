@@ -11,6 +11,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
+from contacts.detection.internal_edges import COVERING, exposed, near_obstacles
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import (
     arrives,
@@ -22,7 +23,7 @@ from contacts.detection.meeting import (
     turns_into,
 )
 from contacts.detection.pair import CROSSED, Pair, paired
-from contacts.detection.seams import exposed
+from contacts.detection.surfaces import PLATE
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
@@ -115,6 +116,55 @@ class _Points(NamedTuple):
     worst: Array
 
 
+class _Near(NamedTuple):
+    """The pieces near each piece.
+
+    Attributes
+    ----------
+    heads, lower : (p + 1,), (k,) array of int
+        Of every piece those near it that stand before it: where they begin, and which they are.
+    others, many : (p,), (1,) array of int
+        Those near one piece, and how many they are.
+    covering : (c,) array of int
+        Is overwritten; see `contacts.detection.internal_edges.near_obstacles`.
+    """
+
+    heads: Ints
+    lower: Ints
+    others: Ints
+    many: Ints
+    covering: Ints
+
+
+@part
+def _begin_near(pairs: Ints, many: int, count: int, near: _Near) -> None:
+    """Sort pairs by their second piece, by counting."""
+    heads = near.heads
+    for p in range(count + 1):
+        heads[p] = 0
+    for i in range(many):
+        heads[pairs[i, 1]] += 1
+    for p in range(count):
+        heads[p + 1] += heads[p]
+    for i in range(many - 1, -1, -1):
+        q = pairs[i, 1]
+        heads[q] -= 1
+        near.lower[heads[q]] = pairs[i, 0]
+
+
+@part
+def _list_near(pairs: Ints, begin: int, end: int, p: int, near: _Near) -> None:
+    """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
+    many = 0
+    for i in range(near.heads[p], near.heads[p + 1]):
+        near.others[many] = near.lower[i]
+        many += 1
+    for i in range(begin, end):
+        near.others[many] = pairs[i, 1]
+        many += 1
+    near.many[0] = many
+
+
 @part
 def _note(points: _Points, what: int, value: float) -> None:
     """Keep the largest that a look has found."""
@@ -148,8 +198,9 @@ def _of_pieces(numbers: BodyNumbers, look: Look, pair: Pair, times: _Times, poin
 
 @part
 def _met(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points
-) -> int:
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points,
+    near: _Near,
+) -> int:  # fmt: skip
     """Find the points where a pair is near each other; return their number."""
     pieces, (found, features) = numbers.pieces, points[:2]
     if pair.whole:
@@ -163,10 +214,19 @@ def _met(
         look.gaps[pair.body] = min(look.gaps[pair.body], found[at, 4])
         if pair.other >= 0:
             look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
-    if pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1:
-        count = exposed(pieces, look.centres, look.world, pair.p, -1.0, found, features, count)
-    if pair.whole and pieces.begins[pair.other + 1] - pieces.begins[pair.other] > 1:
-        count = exposed(pieces, look.centres, look.world, pair.q, 1.0, found, features, count)
+    for turn in range(2 if count > 0 else 0):
+        one, other = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
+        if not pair.whole and turn == 1 and numbers.surfaces.kinds[s] != PLATE:
+            continue
+        many = near_obstacles(
+            numbers, ground, look, (one, other), near.others[: near.many[0]], times.h, found, count,
+            near.covering,
+        )  # fmt: skip
+        if many > 1:
+            count = exposed(
+                numbers, ground, look, (one, other), near.covering[:many], 2.0 * turn - 1.0, found,
+                features, count,
+            )  # fmt: skip
     return count
 
 
@@ -322,10 +382,20 @@ def touching(
     times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(look.centres, sizes, look.reach, grid)
+    # Discs cover no feature of each other.
+    corners = len(numbers.pieces.vertices) > 0
+    near = _Near(
+        np.zeros(count + 1, np.int64), np.empty(max(many, 0) if corners else 0, np.int64),
+        np.empty(count, np.int64), np.zeros(1, np.int64), np.empty(COVERING, np.int64),
+    )  # fmt: skip
+    if corners:
+        _begin_near(pairs, max(many, 0), count, near)
     for p in range(count if many >= 0 else 0):
         begin = end
         while end < many and pairs[end, 0] == p:
             end += 1
+        if corners:
+            _list_near(pairs, begin, end, p, near)
         for i in range(begin, end + others - count):
             q = pairs[i, 1] if i < end else count + i - end
             if q >= count and is_far(numbers.surfaces, ground, look, p, q - count, sizes[p]):
@@ -333,10 +403,10 @@ def touching(
             pair = paired(numbers, look, p, q, times.since)
             if pair.material < 0:
                 continue
-            near = _met(numbers, ground, look, pair, times, points)
+            met = _met(numbers, ground, look, pair, times, points, near)
             while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
-            for at in range(near):
+            for at in range(met):
                 if _takes_part(
                     numbers, ground, memory, look, pair, times, at, at_old, m, points, touches
                 ):
