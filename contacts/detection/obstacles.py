@@ -129,14 +129,15 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
     for i in range(1 if one.sort == SHEET else edges(one)):
         ax, ay, ux, uy, length = edge_of(one, i)
         along, beside = ux * (x - ax) + uy * (y - ay), uy * (x - ax) - ux * (y - ay)
-        if abs(beside) > near or along < -near or along > length + near:
+        endless = one.sort == HALF
+        if abs(beside) > near or not (endless or -near <= along <= length + near):
             continue
         if along < length - near and count < RAYS:
             rays[count, 0], rays[count, 1], rays[count, 2] = ux, uy, length - along
             count += 1
-        if (along > near or one.sort == HALF) and count < RAYS:
+        if (along > near or endless) and count < RAYS:
             rays[count, 0], rays[count, 1] = -ux, -uy
-            rays[count, 2] = math.inf if one.sort == HALF else along
+            rays[count, 2] = math.inf if endless else along
             count += 1
     return count
 
