@@ -274,7 +274,7 @@ def exposed(
         if max(here, there) <= FLUSH * one.size:
             face = _face(one, (u, v), out)
         if face < 0:
-            if there >= here:
+            if there >= here - FLUSH * one.size:
                 u, v = x, y
             face = _face(one, (u, v), out)
         free = True

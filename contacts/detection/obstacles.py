@@ -176,16 +176,16 @@ def chord(
     if one.sort == SHEET:
         return high, low
     if one.sort == DISC:
-        dx, dy, reach = x - one.centre[0], y - one.centre[1], one.radius + near
+        dx, dy = x - one.centre[0], y - one.centre[1]
         half = dx * ux + dy * uy
-        inside = half * half - (dx * dx + dy * dy - reach * reach)
+        inside = half * half - (dx * dx + dy * dy - one.radius * one.radius)
         root = math.sqrt(max(inside, 0.0))
         return (-half - root, -half + root) if inside > 0.0 else (math.inf, -math.inf)
     for i in range(edges(one)):
         ax, ay, ex, ey, _ = edge_of(one, i)
-        beside, rate = ey * (x - ax) - ex * (y - ay) - near, ey * ux - ex * uy
+        beside, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
         if abs(rate) <= FLUSH:
-            if beside > 0.0:
+            if beside > near:
                 return math.inf, -math.inf
         elif rate > 0.0:
             high = min(high, -beside / rate)
