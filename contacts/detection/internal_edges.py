@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from contacts.detection.body_numbers import BodyNumbers
-from contacts.detection.convex import norm, write
+from contacts.detection.convex import against_faces, norm, write
 from contacts.detection.ground import Ground
 from contacts.detection.look import Look
 from contacts.detection.obstacles import (
@@ -326,3 +326,34 @@ def _in_cone(
         if outward[0] * rays[k, 0] + outward[1] * rays[k, 1] > -FLUSH:
             return False
     return True
+
+
+@late
+def met_by_faces(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], side: float,
+    whole: bool, found: Array, features: Ints,
+) -> int:  # fmt: skip
+    """Find where one of a pair is overlapped through its faces; return how many points there are.
+
+    Parameters
+    ----------
+    numbers, ground, look
+    pair : (int, int)
+        What is touched, and what touches it.
+    side : float
+        Whether normals point away from the first (1) or into it (-1).
+    whole : bool
+        Whether both are pieces.
+    found : (m, FOUND), features : (m,) array of int
+        To be filled.
+    """
+    one = obstacle(numbers, ground, look, pair[0], 0.0, 0.0)
+    other = obstacle(numbers, ground, look, pair[1], 0.0, 0.0)
+    if len(one.corners) == 0 or len(other.corners) == 0 or HALF in (one.sort, other.sort):
+        return 0
+    # Plates are the first, where they are met by others (`contacts.detection.surfaces`).
+    flip = side > 0.0 if whole else side < 0.0
+    count = against_faces(one.corners, other.corners, 0.0, flip, found, features)
+    for i in range(count if not whole else 0):
+        found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
+    return count

@@ -11,7 +11,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
-from contacts.detection.internal_edges import COVERING, exposed, near_obstacles
+from contacts.detection.internal_edges import COVERING, exposed, met_by_faces, near_obstacles
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import (
     arrives,
@@ -215,18 +215,36 @@ def _met(
         if pair.other >= 0:
             look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
     for turn in range(2 if count > 0 else 0):
-        one, other = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
-        if not pair.whole and turn == 1 and numbers.surfaces.kinds[s] != PLATE:
-            continue
-        many = near_obstacles(
-            numbers, ground, look, (one, other), near.others[: near.many[0]], times.h, found, count,
-            near.covering,
-        )  # fmt: skip
-        if many > 1:
-            count = exposed(
-                numbers, ground, look, (one, other), near.covering[:many], 2.0 * turn - 1.0, found,
-                features, count,
-            )  # fmt: skip
+        if pair.whole or turn == 0 or numbers.surfaces.kinds[s] == PLATE:
+            count = _bared(numbers, ground, look, pair, turn, times.h, points, near, count)
+    return count
+
+
+@part
+def _bared(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, turn: int, h: float,
+    points: _Points, near: _Near, count: int,
+) -> int:  # fmt: skip
+    """Leave out contacts with internal edges of the first of a pair, or of the second.
+
+    Where none is left of an overlap, its faces are touched: a sharp corner that is in the angle of
+    two of them is less deep along its own normals.
+    """
+    found, features = points.found, points.features
+    sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
+    many = near_obstacles(
+        numbers, ground, look, sides, near.others[: near.many[0]], h, found, count, near.covering
+    )
+    if many <= 1:
+        return count
+    covering, side, deep = near.covering[:many], 2.0 * turn - 1.0, False
+    for at in range(count):
+        deep = deep or found[at, 4] < 0.0
+    count = exposed(numbers, ground, look, sides, covering, side, found, features, count)
+    if count == 0 and deep:
+        count = met_by_faces(numbers, ground, look, sides, side, pair.whole, found, features)
+        if count > 0:
+            count = exposed(numbers, ground, look, sides, covering, side, found, features, count)
     return count
 
 
