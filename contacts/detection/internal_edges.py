@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from contacts.detection.body_numbers import BodyNumbers
-from contacts.detection.convex import against_faces, norm, write
+from contacts.detection.convex import against_faces, write
 from contacts.detection.ground import Ground
 from contacts.detection.look import Look
 from contacts.detection.obstacles import (
@@ -29,79 +29,18 @@ from contacts.detection.obstacles import (
     add_rays,
     between_normals,
     chord,
-    collide,
     distance_to,
     edge_of,
     edges,
     goes_on,
     obstacle,
-    rest_together,
 )
-from contacts.detection.surfaces import distance
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 
-COVERING = 64
-"""Obstacles at a contact that are looked at."""
-
-# Obstacles this near to a point of contact, relative to what is touched, are looked at: points of
-# contact nearer than half of that are one.
-_AROUND = 2e-3
-
-
-@part
-def near_obstacles(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], others: Ints,
-    h: float, found: Array, count: int, covering: Ints,
-) -> int:  # fmt: skip
-    """List the obstacles at points of contact of one of a pair; return how many there are.
-
-    Parameters
-    ----------
-    numbers, ground, look
-    pair : (int, int)
-        What is touched, and what touches it.
-    others : (k,) array of int
-        Pieces that are near.
-    h : float
-    found : (m, FOUND), count : int
-        Points of contact.
-    covering : (c,) array of int
-        Is filled with the first, and with pieces and surfaces that do not move against it and touch
-        the second.
-    """
-    pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
-    all_pieces, many = len(pieces.sizes), 1
-    covering[0] = one
-    size = pieces.sizes[one] if one < all_pieces else _half_length(numbers, one - all_pieces)
-    body = pieces.bodies[one] if one < all_pieces else -1
-    if body >= 0:
-        for q in range(pieces.begins[body], pieces.begins[body + 1]):
-            if q != one and many < len(covering):
-                covering[many] = q
-                many += 1
-    for k in range(len(others) + len(surfaces.kinds)):
-        q = others[k] if k < len(others) else all_pieces + k - len(others)
-        if q in (one, touched_by) or (q < all_pieces and pieces.bodies[q] == body):
-            continue
-        near = FLUSH * (min(size, pieces.sizes[q]) if q < all_pieces else size)
-        at = -1
-        for i in range(count):
-            x, y = found[i, 2], found[i, 3]
-            if q < all_pieces:
-                away = norm(x - look.centres[q, 0], y - look.centres[q, 1]) - pieces.sizes[q]
-            else:
-                s = q - all_pieces
-                moves = surfaces.moves[s] or surfaces.carriers[s] >= 0
-                away = -math.inf if moves else distance(surfaces, s, ground.still[1], x, y)
-            if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
-                at = i
-        if at < 0 or many == len(covering) or not collide(numbers, touched_by, q):
-            continue
-        if rest_together(numbers, ground, look, (one, q), found[at, 2], found[at, 3], h, near):
-            covering[many] = q
-            many += 1
-    return many
+# A contact with a face, or with a corner or a rim, that is bare; one that is covered; one whose
+# normal the corner does not have, nor has any other contact along it.
+_OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
 @part
@@ -116,12 +55,6 @@ def _middle(one: Obstacle) -> tuple[float, float]:
         x += one.corners[i, 0] / len(one.corners)
         y += one.corners[i, 1] / len(one.corners)
     return x, y
-
-
-@part
-def _half_length(numbers: BodyNumbers, s: int) -> float:
-    a, b, c, d = numbers.surfaces.numbers[s]
-    return 0.5 * norm(c - a, d - b)
 
 
 @part
@@ -245,8 +178,10 @@ def _crosses(
 def exposed(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
     side: float, found: Array, features: Ints, count: int,
-) -> int:  # fmt: skip
+) -> tuple[int, bool]:  # fmt: skip
     """Leave out contacts with internal edges; return how many are left.
+
+    And whether a corner does not have the normal by which it is least deep.
 
     Parameters
     ----------
@@ -254,63 +189,78 @@ def exposed(
     pair : (int, int)
         What is touched, a piece or a plate, and what touches it.
     covering : (c,) array of int
-        See `near_obstacles`.
+        See `contacts.detection.neighbours.near_obstacles`.
     side : float
         Whether normals point away from it (1) or into it (-1).
     found : (m, FOUND), features : (m,) array of int, count : int
         Points of contact; those left come first.
     """
-    which, kept, rays = pair[0], 0, np.empty((RAYS, 3))
-    all_pieces = len(numbers.pieces.sizes)
-    body = numbers.pieces.bodies[which] if which < all_pieces else -1
+    kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
+    barred, deep = False, False
     for i in range(count):
-        nx, ny, x, y, gap = found[i]
-        out = side * nx, side * ny
-        one = obstacle(numbers, ground, look, which, x, y)
-        # The point is on the one or on the other.
-        u, v = x - gap * out[0], y - gap * out[1]
-        here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
-        # Beside the end of a face both are on it, but for rounding: that on the face is it.
-        if max(here, there) <= FLUSH * one.size:
-            face = _face(one, (u, v), out)
-        if face < 0:
-            if there >= here - FLUSH * one.size:
-                u, v = x, y
-            face = _face(one, (u, v), out)
-        free = True
-        if face >= 0:
-            free = not _is_covered(numbers, ground, look, which, covering, (u, v), out)
-            if free:
-                middle = _middle(obstacle(numbers, ground, look, pair[1], u, v))
-                if math.isinf(middle[0]):
-                    middle = u + one.size * out[0], v + one.size * out[1]
-                free = not _stands_between(
-                    numbers, ground, look, pair, covering, face, (u, v), middle, rays
-                )
-        for q in covering:
-            if q == which or not free:
-                continue
-            other = obstacle(numbers, ground, look, q, u, v)
-            near = FLUSH * min(one.size, other.size)
-            away = distance_to(other, u, v)
-            if away > near:
-                continue
-            same = q < all_pieces and numbers.pieces.bodies[q] == body
-            if same and away >= -near and between_normals(other, (u, v), out):
-                # What both pieces have is that of the first, where no other covers that.
-                free = q > which or _is_covered(numbers, ground, look, q, covering, (u, v), out)
-            elif face < 0 and one.sort == DISC:
-                # What touches a rim beside another obstacle is as deep in that as its place is.
-                deep = -distance_to(other, u + gap * out[0], v + gap * out[1])
-                free = away >= -(near + 2.0 * max(deep, 0.0))
-            elif face < 0:
-                free = away >= -near and _in_cone(other, (u, v), out, near, rays)
-        if free:
-            feature = features[i]
+        how[i] = _how(numbers, ground, look, pair, covering, side, found[i], rays)
+        if how[i] == _BARRED:
+            barred, deep = True, deep or found[i, 4] < 0.0
+    for i in range(count):
+        if how[i] == _OF_FACE or (how[i] == _OF_CORNER and not barred):
+            (nx, ny, x, y, gap), feature = found[i], features[i]
             write(found[kept], nx, ny, x, y, gap)
             features[kept] = feature
             kept += 1
-    return kept
+    return kept, deep
+
+
+@late
+def _how(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
+    side: float, point: Array, rays: Array,
+) -> int:  # fmt: skip
+    """Return how a point of contact is on what is touched; see `_OF_FACE`."""
+    which, all_pieces = pair[0], len(numbers.pieces.sizes)
+    body = numbers.pieces.bodies[which] if which < all_pieces else -1
+    nx, ny, x, y, gap = point
+    out = side * nx, side * ny
+    one = obstacle(numbers, ground, look, which, x, y)
+    # The point is on the one or on the other.
+    u, v = x - gap * out[0], y - gap * out[1]
+    here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
+    # Beside the end of a face both are on it, but for rounding: that on the face is it.
+    if max(here, there) <= FLUSH * one.size:
+        face = _face(one, (u, v), out)
+    if face < 0:
+        if there >= here - FLUSH * one.size:
+            u, v = x, y
+        face = _face(one, (u, v), out)
+    if face >= 0:
+        if _is_covered(numbers, ground, look, which, covering, (u, v), out):
+            return _COVERED
+        middle = _middle(obstacle(numbers, ground, look, pair[1], u, v))
+        if math.isinf(middle[0]):
+            middle = u + one.size * out[0], v + one.size * out[1]
+        if _stands_between(numbers, ground, look, pair, covering, face, (u, v), middle, rays):
+            return _COVERED
+    for q in covering:
+        if q == which:
+            continue
+        other = obstacle(numbers, ground, look, q, u, v)
+        near = FLUSH * min(one.size, other.size)
+        away = distance_to(other, u, v)
+        if away > near:
+            continue
+        same = q < all_pieces and numbers.pieces.bodies[q] == body
+        if same and away >= -near and between_normals(other, (u, v), out):
+            # What both pieces have is that of the first, where no other covers that.
+            if q < which and not _is_covered(numbers, ground, look, q, covering, (u, v), out):
+                return _COVERED
+        elif face < 0 and one.sort == DISC:
+            # What touches a rim beside another obstacle is as deep in that as its place is.
+            deep = -distance_to(other, u + gap * out[0], v + gap * out[1])
+            if away < -(near + 2.0 * max(deep, 0.0)):
+                return _COVERED
+        elif face < 0 and (away < -near or not _in_cone(other, (u, v), out, near, rays)):
+            # Another piece of the body may be far from the other points of contact.
+            return _COVERED if same else _BARRED
+    return _OF_FACE if face >= 0 else _OF_CORNER
 
 
 @part

@@ -11,7 +11,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
-from contacts.detection.internal_edges import COVERING, exposed, met_by_faces, near_obstacles
+from contacts.detection.internal_edges import exposed, met_by_faces
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import (
     arrives,
@@ -21,6 +21,13 @@ from contacts.detection.meeting import (
     overlap,
     turned_past,
     turns_into,
+)
+from contacts.detection.neighbours import (
+    COVERING,
+    Neighbours,
+    list_neighbours,
+    near_obstacles,
+    sort_pairs,
 )
 from contacts.detection.pair import CROSSED, Pair, paired
 from contacts.detection.surfaces import PLATE
@@ -116,55 +123,6 @@ class _Points(NamedTuple):
     worst: Array
 
 
-class _Near(NamedTuple):
-    """The pieces near each piece.
-
-    Attributes
-    ----------
-    heads, lower : (p + 1,), (k,) array of int
-        Of every piece those near it that stand before it: where they begin, and which they are.
-    others, many : (p,), (1,) array of int
-        Those near one piece, and how many they are.
-    covering : (c,) array of int
-        Is overwritten; see `contacts.detection.internal_edges.near_obstacles`.
-    """
-
-    heads: Ints
-    lower: Ints
-    others: Ints
-    many: Ints
-    covering: Ints
-
-
-@part
-def _begin_near(pairs: Ints, many: int, count: int, near: _Near) -> None:
-    """Sort pairs by their second piece, by counting."""
-    heads = near.heads
-    for p in range(count + 1):
-        heads[p] = 0
-    for i in range(many):
-        heads[pairs[i, 1]] += 1
-    for p in range(count):
-        heads[p + 1] += heads[p]
-    for i in range(many - 1, -1, -1):
-        q = pairs[i, 1]
-        heads[q] -= 1
-        near.lower[heads[q]] = pairs[i, 0]
-
-
-@part
-def _list_near(pairs: Ints, begin: int, end: int, p: int, near: _Near) -> None:
-    """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
-    many = 0
-    for i in range(near.heads[p], near.heads[p + 1]):
-        near.others[many] = near.lower[i]
-        many += 1
-    for i in range(begin, end):
-        near.others[many] = pairs[i, 1]
-        many += 1
-    near.many[0] = many
-
-
 @part
 def _note(points: _Points, what: int, value: float) -> None:
     """Keep the largest that a look has found."""
@@ -199,7 +157,7 @@ def _of_pieces(numbers: BodyNumbers, look: Look, pair: Pair, times: _Times, poin
 @part
 def _met(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points,
-    near: _Near,
+    near: Neighbours,
 ) -> int:  # fmt: skip
     """Find the points where a pair is near each other; return their number."""
     pieces, (found, features) = numbers.pieces, points[:2]
@@ -223,7 +181,7 @@ def _met(
 @part
 def _bared(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, turn: int, h: float,
-    points: _Points, near: _Near, count: int,
+    points: _Points, near: Neighbours, count: int,
 ) -> int:  # fmt: skip
     """Leave out contacts with internal edges of the first of a pair, or of the second.
 
@@ -237,14 +195,12 @@ def _bared(
     )
     if many <= 1:
         return count
-    covering, side, deep = near.covering[:many], 2.0 * turn - 1.0, False
-    for at in range(count):
-        deep = deep or found[at, 4] < 0.0
-    count = exposed(numbers, ground, look, sides, covering, side, found, features, count)
-    if count == 0 and deep:
+    covering, side = near.covering[:many], 2.0 * turn - 1.0
+    count, barred = exposed(numbers, ground, look, sides, covering, side, found, features, count)
+    if count == 0 and barred:
         count = met_by_faces(numbers, ground, look, sides, side, pair.whole, found, features)
         if count > 0:
-            count = exposed(numbers, ground, look, sides, covering, side, found, features, count)
+            count, _ = exposed(numbers, ground, look, sides, covering, side, found, features, count)
     return count
 
 
@@ -402,18 +358,18 @@ def touching(
     many = near_pairs(look.centres, sizes, look.reach, grid)
     # Discs cover no feature of each other.
     corners = len(numbers.pieces.vertices) > 0
-    near = _Near(
+    near = Neighbours(
         np.zeros(count + 1, np.int64), np.empty(max(many, 0) if corners else 0, np.int64),
         np.empty(count, np.int64), np.zeros(1, np.int64), np.empty(COVERING, np.int64),
     )  # fmt: skip
     if corners:
-        _begin_near(pairs, max(many, 0), count, near)
+        sort_pairs(pairs, max(many, 0), count, near)
     for p in range(count if many >= 0 else 0):
         begin = end
         while end < many and pairs[end, 0] == p:
             end += 1
         if corners:
-            _list_near(pairs, begin, end, p, near)
+            list_neighbours(pairs, begin, end, p, near)
         for i in range(begin, end + others - count):
             q = pairs[i, 1] if i < end else count + i - end
             if q >= count and is_far(numbers.surfaces, ground, look, p, q - count, sizes[p]):
