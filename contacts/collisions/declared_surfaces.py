@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 import sympy as sp
@@ -12,7 +12,6 @@ import sympy as sp
 from contacts.detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
-from statechart.arrays import Array
 from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -20,9 +19,6 @@ from statechart.formulas.writer import compile_tape
 
 Number = Callable[[FormulaText], float]
 _Numbers = tuple[float, float, float, float]
-
-# Ends of plates that are this near to another surface, in parts of the plate, are on it.
-_SAME = 1e-9
 
 
 def touched(scene: Scene) -> list[str]:
@@ -59,13 +55,9 @@ def surface_numbers(
     graphs = np.cumsum([kind == GRAPH for kind, _ in found], dtype=np.int64) - 1
     values = np.array([*known.values()], dtype=float)
 
-    def heights_at(s: int, x: float) -> Array:
-        return program.values([x], values, 0.0)[3 * graphs[s] :]
-
     return SurfaceNumbers(
         np.array([kind for kind, _ in found], dtype=np.int64),
         np.array([numbers for _, numbers in found], dtype=float).reshape(-1, 4),
-        _beside(scene, found, heights_at),
         np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
         np.array([s.moves for s in surfaces], np.bool_),
         3 * graphs,
@@ -95,69 +87,6 @@ def _form(surface: Surface, number: Number) -> tuple[int, _Numbers]:
     angle = number(surface.incline or 0)
     x, y = (number(text) for text in surface.through)
     return LINE, (x, y, -math.sin(angle), math.cos(angle))
-
-
-def _beside(
-    scene: Scene, found: Sequence[tuple[int, _Numbers]], heights: Callable[[int, float], Array]
-) -> Array:
-    """Return the normals (s, 2, 2) of what goes on at the ends of plates, as if they were a chain.
-
-    Where something goes on to both sides of an end, or a plate straight on, the end is no corner,
-    and what goes on is the plate itself; else it is what bends away from it the least.
-    """
-    names = touched(scene)
-    result = np.zeros((len(names), 2, 2))
-    for s, (kind, (x0, y0, x1, y1)) in enumerate(found):
-        if kind != PLATE:
-            continue
-        others = [o for o in range(len(names)) if o != s and _alike(scene, names[s], names[o])]
-        length = math.hypot(x1 - x0, y1 - y0)
-        for end, (x, y, way) in enumerate(((x0, y0, -1.0), (x1, y1, 1.0))):
-            tx, ty = way * (x1 - x0) / length, way * (y1 - y0) / length
-            bends = [
-                math.atan2(tx * v - ty * u, tx * u + ty * v)
-                for o in others
-                for u, v in _leaving(*found[o], x, y, _SAME * length, partial(heights, o))
-            ]
-            # What goes back along the plate covers nothing.
-            bends = [bend for bend in bends if abs(bend) < math.pi - _SAME]
-            if bends:
-                bend = min(bends, key=abs) if min(bends) >= 0.0 or max(bends) <= 0.0 else 0.0
-                c, d = math.cos(bend), math.sin(bend)
-                result[s, end] = -way * (ty * c + tx * d), way * (tx * c - ty * d)
-    return result
-
-
-def _alike(scene: Scene, one: str, other: str) -> bool:
-    """Whether a surface is where another is, whatever moves, for all that collides with that."""
-    a, b = scene.surfaces[one], scene.surfaces[other]
-    moved = (a.body, a.displacement, a.turn) == (b.body, b.displacement, b.turn)
-    return moved and all(
-        other in law.surfaces for law in scene.collisions.values() if one in law.surfaces
-    )
-
-
-def _leaving(
-    kind: int, numbers: _Numbers, x: float, y: float, near: float, heights: Callable[[float], Array]
-) -> list[tuple[float, float]]:
-    """Return the directions in which a surface leaves a point that is on it; none where not."""
-    a, b, c, d = numbers
-    if kind == PLATE:
-        length = math.hypot(c - a, d - b)
-        u, v = (c - a) / length, (d - b) / length
-        along, off = (x - a) * u + (y - b) * v, (x - a) * v - (y - b) * u
-        ways = [(u, v)] if along < length - near else []
-        ways += [(-u, -v)] if along > near else []
-        return ways if abs(off) <= near and -near <= along <= length + near else []
-    if kind == LINE:
-        u, v, off = d, -c, c * (x - a) + d * (y - b)
-    elif kind == GRAPH:
-        height, slope = heights(x)[:2]
-        u, v, off = 1.0, slope, y - height
-    else:
-        off = math.hypot(x - a, y - b) - c
-        u, v = b - y, x - a
-    return [(u, v), (-u, -v)] if abs(off) <= near else []
 
 
 @lru_cache(maxsize=16)

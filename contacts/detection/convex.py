@@ -226,6 +226,26 @@ def between(
     return _polygons(one, one_centre, other, other_centre, within, found, features)
 
 
+@late
+def against_faces(
+    one: Array, other: Array, within: float, flip: bool, found: Array, features: Ints
+) -> int:
+    """Find the points where a polygon is near the faces of another; see `between`.
+
+    Corners of the first are not touched.
+
+    Parameters
+    ----------
+    one, other : (k, 2)
+    within : float
+    flip : bool
+        Whether the first is the second body.
+    found : (m, FOUND), features : (m,) array of int
+    """
+    _, edge = _farthest(one, other)
+    return _clipped(one, edge, other, within, flip, found, features)
+
+
 @part
 def _reach(corners: Array, middle: Array) -> float:
     """Return how far a polygon reaches from its middle, whichever corner is its first."""

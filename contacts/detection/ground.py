@@ -68,6 +68,14 @@ def _swung(ground: Ground, s: int, carrier: int, look: Look, h: float) -> None:
 
 
 @part
+def pose_of(numbers: BodyNumbers, ground: Ground, look: Look, s: int) -> Array:
+    """Return the frame (3,) of a surface at this look."""
+    if numbers.surfaces.carriers[s] >= 0:
+        return look.places[numbers.surfaces.carriers[s]]
+    return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
+
+
+@part
 def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
     """Return where the point of a surface that now is at x, y is at a look."""
     u, v = seen_from(frames[1], x, y)

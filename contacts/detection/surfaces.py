@@ -19,8 +19,6 @@ LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
 """Kinds of surfaces: the edge of a half-plane, a straight piece without thickness, a disc, what is
 around a disc, what is below a function."""
 
-# A normal is that of a plate's face, or points out of the cone of its end, by less than this.
-_PARALLEL = 1e-9
 # Pieces in which the nearest points of a graph are looked for, and steps to each.
 _PIECES, _STEPS = 16, 40
 # A crest this close to the end of an edge, relative to its length, is the corner there.
@@ -36,8 +34,6 @@ class SurfaceNumbers(NamedTuple):
     numbers : (s, 4)
         A point and the unit normal out of the solid of lines, the ends of plates, centre and radius
         of circles.
-    beside : (s, 2, 2)
-        Of a plate, at each end the normal of the plate that goes on there; zero where none does.
     carriers : (s,) array of int
         Bodies that carry them; -1: none.
     moves : (s,) array of bool
@@ -50,7 +46,6 @@ class SurfaceNumbers(NamedTuple):
 
     kinds: Ints
     numbers: Array
-    beside: Array
     carriers: Ints
     moves: Bools
     graphs: Ints
@@ -192,7 +187,6 @@ def against_surface(
             count = between(ends, about, 0.0, corners, middle, radius, within, found, features)
             for i in range(count):
                 found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
-            count = _without_joins(surfaces, s, found, features, count)
     elif kind == GRAPH:
         if len(body) == 0:
             count = _disc_on_graph(surfaces, s, registers, middle, radius, within, found)
@@ -224,42 +218,36 @@ def against_surface(
     return count
 
 
-@late
-def _without_joins(
-    surfaces: SurfaceNumbers, s: int, found: Array, features: Ints, count: int
-) -> int:
-    """Leave out what plates that go on in each other do not touch with their common end."""
-    a, b, c, d = surfaces.numbers[s]
-    length = norm(c - a, d - b)
-    tx, ty = (c - a) / length, (d - b) / length
-    kept = 0
-    for i in range(count):
-        nx, ny, x, y, gap = found[i]
-        side = 1.0 if ty * nx - tx * ny < 0.0 else -1.0
-        end = 0 if norm(x - a, y - b) < norm(x - c, y - d) else 1
-        mx, my = side * surfaces.beside[s, end, 0], side * surfaces.beside[s, end, 1]
-        good = abs(tx * nx + ty * ny) <= _PARALLEL or (mx == 0.0 and my == 0.0)
-        if not good:
-            # Between its own normal and that of the next one, where the two make a ridge.
-            ox, oy = -side * ty, side * tx
-            turn = ox * my - oy * mx
-            ridge = turn * side < 0.0 if end == 1 else turn * side > 0.0
-            first, last = ox * ny - oy * nx, nx * my - ny * mx
-            good = ridge and first * turn >= 0.0 and last * turn >= 0.0
-        if good:
-            feature = features[i]
-            write(found[kept], nx, ny, x, y, gap)
-            features[kept] = feature
-            kept += 1
-    return kept
-
-
 @part
 def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int) -> int:
     """Evaluate a graph at the first columns of the registers; return its place in the outputs."""
     base, numbers = registers
     run_tape(surfaces.code, 0, len(surfaces.code), base, numbers, count)
     return surfaces.graphs[s]
+
+
+@late
+def tangent_at(
+    surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
+) -> tuple[float, float, float, float]:
+    """Return a point of the boundary of a surface that is no plate, near x, y, and its normal."""
+    u, v = seen_from(pose, x, y)
+    a, b, c, d = surfaces.numbers[s]
+    kind = surfaces.kinds[s]
+    if kind == GRAPH:
+        numbers, outputs = registers[1], surfaces.outputs
+        numbers[0, 0] = u
+        at = _at(surfaces, s, registers, 1)
+        height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
+        unit = 1.0 / math.sqrt(1.0 + slope * slope)
+        a, b, c, d = u, height, -slope * unit, unit
+    elif kind != LINE:
+        away, side = norm(u - a, v - b), 1.0 if kind == ROUND else -1.0
+        nx, ny = ((u - a) / away, (v - b) / away) if away > 0.0 else (0.0, 1.0)
+        a, b, c, d = a + c * nx, b + c * ny, side * nx, side * ny
+    x, y = carried(pose, a, b)
+    nx, ny = carried(pose, c, d)
+    return x, y, nx - pose[0], ny - pose[1]
 
 
 @part

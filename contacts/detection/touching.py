@@ -11,6 +11,7 @@ from contacts.detection.body_numbers import BodyNumbers, Memory
 from contacts.detection.broad_phase import Grid, near_pairs
 from contacts.detection.convex import FOUND, between
 from contacts.detection.ground import POINTS, Ground, carried_along, is_far, on_surface
+from contacts.detection.internal_edges import exposed, met_by_faces
 from contacts.detection.look import TOUCHING, Look
 from contacts.detection.meeting import (
     arrives,
@@ -21,8 +22,15 @@ from contacts.detection.meeting import (
     turned_past,
     turns_into,
 )
+from contacts.detection.neighbours import (
+    COVERING,
+    Neighbours,
+    list_neighbours,
+    near_obstacles,
+    sort_pairs,
+)
 from contacts.detection.pair import CROSSED, Pair, paired
-from contacts.detection.seams import exposed
+from contacts.detection.surfaces import PLATE
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
@@ -148,8 +156,9 @@ def _of_pieces(numbers: BodyNumbers, look: Look, pair: Pair, times: _Times, poin
 
 @part
 def _met(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points
-) -> int:
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, times: _Times, points: _Points,
+    near: Neighbours,
+) -> int:  # fmt: skip
     """Find the points where a pair is near each other; return their number."""
     pieces, (found, features) = numbers.pieces, points[:2]
     if pair.whole:
@@ -163,10 +172,35 @@ def _met(
         look.gaps[pair.body] = min(look.gaps[pair.body], found[at, 4])
         if pair.other >= 0:
             look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
-    if pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1:
-        count = exposed(pieces, look.centres, look.world, pair.p, -1.0, found, features, count)
-    if pair.whole and pieces.begins[pair.other + 1] - pieces.begins[pair.other] > 1:
-        count = exposed(pieces, look.centres, look.world, pair.q, 1.0, found, features, count)
+    for turn in range(2 if count > 0 else 0):
+        if pair.whole or turn == 0 or numbers.surfaces.kinds[s] == PLATE:
+            count = _bared(numbers, ground, look, pair, turn, times.h, points, near, count)
+    return count
+
+
+@part
+def _bared(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: Pair, turn: int, h: float,
+    points: _Points, near: Neighbours, count: int,
+) -> int:  # fmt: skip
+    """Leave out contacts with internal edges of the first of a pair, or of the second.
+
+    Where none is left of an overlap, its faces are touched: a sharp corner that is in the angle of
+    two of them is less deep along its own normals.
+    """
+    found, features = points.found, points.features
+    sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
+    many = near_obstacles(
+        numbers, ground, look, sides, near.others[: near.many[0]], h, found, count, near.covering
+    )
+    if many <= 1:
+        return count
+    covering, side = near.covering[:many], 2.0 * turn - 1.0
+    count, barred = exposed(numbers, ground, look, sides, covering, side, found, features, count)
+    if count == 0 and barred:
+        count = met_by_faces(numbers, ground, look, sides, side, pair.whole, found, features)
+        if count > 0:
+            count, _ = exposed(numbers, ground, look, sides, covering, side, found, features, count)
     return count
 
 
@@ -322,10 +356,20 @@ def touching(
     times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(look.centres, sizes, look.reach, grid)
+    # Discs cover no feature of each other.
+    corners = len(numbers.pieces.vertices) > 0
+    near = Neighbours(
+        np.zeros(count + 1, np.int64), np.empty(max(many, 0) if corners else 0, np.int64),
+        np.empty(count, np.int64), np.zeros(1, np.int64), np.empty(COVERING, np.int64),
+    )  # fmt: skip
+    if corners:
+        sort_pairs(pairs, max(many, 0), count, near)
     for p in range(count if many >= 0 else 0):
         begin = end
         while end < many and pairs[end, 0] == p:
             end += 1
+        if corners:
+            list_neighbours(pairs, begin, end, p, near)
         for i in range(begin, end + others - count):
             q = pairs[i, 1] if i < end else count + i - end
             if q >= count and is_far(numbers.surfaces, ground, look, p, q - count, sizes[p]):
@@ -333,10 +377,10 @@ def touching(
             pair = paired(numbers, look, p, q, times.since)
             if pair.material < 0:
                 continue
-            near = _met(numbers, ground, look, pair, times, points)
+            met = _met(numbers, ground, look, pair, times, points, near)
             while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
-            for at in range(near):
+            for at in range(met):
                 if _takes_part(
                     numbers, ground, memory, look, pair, times, at, at_old, m, points, touches
                 ):
