@@ -42,6 +42,13 @@ POINT_MASS = 1e-12
 SHORT = 0.1
 # Positions and speeds carry rounding of this size relative to the scene.
 ROUNDING = 1e-13
+# Bounces lower than this part of the length are summed. The sum's error is of the third order in
+# their speed: 1e-12 of the scene's time.
+LOW = 1e8 * float(np.finfo(float).eps)
+# Bounces lower than so many round-offs of positions are summed, too: their duration is noise.
+RESOLVED = 2.0
+# No bounce this fast, in the scene's own speed, is summed unless it is lost in that round-off.
+FAST = 1e-3
 # How far the first flow looks ahead, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
@@ -56,8 +63,9 @@ class SceneSetup(Setup):
         Of this run.
     contacts : tuple of ContactLaw
         With this run's coefficients.
-    capture : float
-        Rebounds slower than this are summed instead of simulated.
+    capture, low, fast : float
+        Rebounds slower than the first are summed instead of simulated, and those that rise less
+        than the second, if they are slower than the third.
     bands : mapping
         Stop condition, or condition of a contact -> how near zero its margin counts as met; from
         its value at the start.
@@ -72,6 +80,8 @@ class SceneSetup(Setup):
     scales: Scales
     contacts: tuple[ContactLaw, ...]
     capture: float
+    low: float
+    fast: float
     bands: Mapping[str, float]
     start_depth: float = 0.0
     rounded: float = 1e-12
@@ -189,8 +199,9 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
+        low = max(LOW * scales.length, RESOLVED * scales.rounding)
         tolerances = {
-            "gap": gap * scales.length,
+            "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
             "force": force * scales.force,
             "plain": 0.0,
@@ -207,6 +218,8 @@ class SceneNumbers:
             scales=scales,
             contacts=self.contacts(values),
             capture=doubtful(relative) * scales.speed,
+            low=low,
+            fast=max(FAST * scales.speed, math.sqrt(2.0 * scales.acceleration * low)),
             bands={
                 **{
                     n: ROUNDING * abs(v) if math.isfinite(v) else 0.0

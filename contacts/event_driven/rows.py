@@ -10,11 +10,20 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.run_numbers import Numbers, Rules, room
-from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
+from contacts.dynamics.setup import (
+    FAST,
+    LOOK_AHEAD,
+    LOW,
+    RESOLVED,
+    SHORT,
+    TIE,
+    SceneNumbers,
+    doubtful,
+    tolerated,
+)
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
 from contacts.event_driven.run_rows import SceneRows, run_rows
-from contacts.impacts.bounces import FAST
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
@@ -127,6 +136,8 @@ def _declared(
         TIE,
         doubtful(relative),
         FAST,
+        LOW,
+        RESOLVED,
         SHORT,
         LOOK_AHEAD,
     )

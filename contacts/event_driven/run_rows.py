@@ -74,7 +74,7 @@ class SceneRows(NamedTuple):
 
     Attributes
     ----------
-    tapes : (6, 9) array of int64
+    tapes : (7, 9) array of int64
         Of the instants and of the numbers.
     rules : Rules
     places : (c, 3) array of int64, fixed : (c, 3) array
@@ -88,7 +88,7 @@ class SceneRows(NamedTuple):
         Whether a contact may start in the state of that code.
     gap, speed, force : float
         Tolerances, in the scene's scales.
-    near, creep, unseen, tie, doubtful, fast, short, ahead : float
+    near, creep, unseen, tie, doubtful, fast, low, resolved, short, ahead : float
         Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
     """
 
@@ -109,6 +109,8 @@ class SceneRows(NamedTuple):
     tie: float
     doubtful: float
     fast: float
+    low: float
+    resolved: float
     short: float
     ahead: float
 
@@ -120,7 +122,9 @@ def _watches(
     """Return what a run is watched for, by its numbers; their arrays are filled again."""
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
-    gap, slow, weak = scene.gap * length, scene.speed * speed, scene.force * force
+    rounding, low = numbers.scales[4], max(scene.low * length, scene.resolved * numbers.scales[4])
+    gap = max(scene.gap * length, rounding)
+    slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
     watch.kinds[0], watch.kinds[1], watch.kinds[2], watch.kinds[3] = 0.0, gap, slow, weak
     for i in range(scene.sources.shape[0]):
@@ -146,7 +150,8 @@ def _watches(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, scene.fast * speed, scene.doubtful * speed,
+        acceleration, scene.short, max(scene.fast * speed, math.sqrt(2.0 * acceleration * low)), low,
+        scene.doubtful * speed,
     )  # fmt: skip
 
 
