@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -22,6 +23,15 @@ _EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what
 # some steps add up.
 _UNITS = 16.0
+# A bounce is summed below this part of the length where no other contact closes meanwhile: the sum
+# is exact but for the third order of its speed. Elsewhere below the second: what another impact
+# does to a contact that bounces is not what it does to one that lies.
+_LOW, _LOWEST = 1e-7, 1e-12
+# The duration of a bounce that rises less than so many round-offs is known to fewer digits than the
+# sum, and is noise below the second.
+_DIGITS, _NOISE = 3e6, 2.0
+# No bounce this fast, in the scene's own speed, is summed for the sake of digits.
+_FAST = 1e-2
 # A turning surface moves a point by at most so many times its distance from the pivot.
 _TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -257,6 +267,34 @@ def _prescribed(
             texts = [text for text in (joint.to.x, joint.to.y) if text is not None]
             shifts |= dict.fromkeys(parse(text).to_sympy(mechanics.known) for text in texts)
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
+
+
+class BounceLimits(NamedTuple):
+    """Bounces that are summed instead of resolved.
+
+    Attributes
+    ----------
+    low, lowest : float
+        Heights below which they are where no other contact closes meanwhile, and in any case.
+    fast : float
+        No rebound faster than this is as low as that.
+    """
+
+    low: float
+    lowest: float
+    fast: float
+
+
+@seldom
+def bounce_limits(
+    length: float, speed: float, acceleration: float, rounding: float
+) -> tuple[float, float, float]:
+    """Return the `BounceLimits` of a run with these scales."""
+    swift = _FAST * speed
+    lowest = max(_LOWEST * length, _NOISE * rounding)
+    digits = min(_DIGITS * rounding, swift * swift / (2.0 * acceleration))
+    low = max(_LOW * length, digits, lowest)
+    return low, lowest, max(swift, math.sqrt(2.0 * acceleration * low))
 
 
 @seldom

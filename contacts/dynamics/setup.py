@@ -12,7 +12,7 @@ import sympy as sp
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.scales import Scales, ScaleTape
+from contacts.dynamics.scales import BounceLimits, Scales, ScaleTape, bounce_limits
 from contacts.scene.checks import check_finite, check_physical, physical_limits
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
@@ -42,13 +42,6 @@ POINT_MASS = 1e-12
 SHORT = 0.1
 # Positions and speeds carry rounding of this size relative to the scene.
 ROUNDING = 1e-13
-# Bounces lower than this part of the length are summed. The sum's error is of the third order in
-# their speed: 1e-12 of the scene's time.
-LOW = 1e8 * float(np.finfo(float).eps)
-# Bounces lower than so many round-offs of positions are summed, too: their duration is noise.
-RESOLVED = 2.0
-# No bounce this fast, in the scene's own speed, is summed unless it is lost in that round-off.
-FAST = 1e-3
 # How far the first flow looks ahead, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
@@ -63,9 +56,10 @@ class SceneSetup(Setup):
         Of this run.
     contacts : tuple of ContactLaw
         With this run's coefficients.
-    capture, low, fast : float
-        Rebounds slower than the first are summed instead of simulated, and those that rise less
-        than the second, if they are slower than the third.
+    capture : float
+        Rebounds slower than this are summed instead of simulated.
+    bounces : BounceLimits
+        Heights below which they are, too.
     bands : mapping
         Stop condition, or condition of a contact -> how near zero its margin counts as met; from
         its value at the start.
@@ -80,8 +74,7 @@ class SceneSetup(Setup):
     scales: Scales
     contacts: tuple[ContactLaw, ...]
     capture: float
-    low: float
-    fast: float
+    bounces: BounceLimits
     bands: Mapping[str, float]
     start_depth: float = 0.0
     rounded: float = 1e-12
@@ -199,7 +192,6 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
-        low = max(LOW * scales.length, RESOLVED * scales.rounding)
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
@@ -218,8 +210,9 @@ class SceneNumbers:
             scales=scales,
             contacts=self.contacts(values),
             capture=doubtful(relative) * scales.speed,
-            low=low,
-            fast=max(FAST * scales.speed, math.sqrt(2.0 * scales.acceleration * low)),
+            bounces=BounceLimits(
+                *bounce_limits(scales.length, scales.speed, scales.acceleration, scales.rounding)
+            ),
             bands={
                 **{
                     n: ROUNDING * abs(v) if math.isfinite(v) else 0.0

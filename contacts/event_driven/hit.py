@@ -333,7 +333,13 @@ def hit(
     if slowly and (
         resting
         or not _flies(
-            numbers, after, scene.cones, fast, scene.low, scene.capture, scene.force,
+            numbers,
+            after,
+            scene.cones,
+            fast,
+            scene.low,
+            scene.capture,
+            scene.force,
             scene.acceleration,
         )
     ):

@@ -10,17 +10,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.run_numbers import Numbers, Rules, room
-from contacts.dynamics.setup import (
-    FAST,
-    LOOK_AHEAD,
-    LOW,
-    RESOLVED,
-    SHORT,
-    TIE,
-    SceneNumbers,
-    doubtful,
-    tolerated,
-)
+from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
 from contacts.event_driven.run_rows import SceneRows, run_rows
@@ -135,9 +125,6 @@ def _declared(
         UNSEEN,
         TIE,
         doubtful(relative),
-        FAST,
-        LOW,
-        RESOLVED,
         SHORT,
         LOOK_AHEAD,
     )

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
 from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
@@ -88,7 +89,7 @@ class SceneRows(NamedTuple):
         Whether a contact may start in the state of that code.
     gap, speed, force : float
         Tolerances, in the scene's scales.
-    near, creep, unseen, tie, doubtful, fast, low, resolved, short, ahead : float
+    near, creep, unseen, tie, doubtful, short, ahead : float
         Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
     """
 
@@ -108,9 +109,6 @@ class SceneRows(NamedTuple):
     unseen: float
     tie: float
     doubtful: float
-    fast: float
-    low: float
-    resolved: float
     short: float
     ahead: float
 
@@ -122,7 +120,8 @@ def _watches(
     """Return what a run is watched for, by its numbers; their arrays are filled again."""
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
-    rounding, low = numbers.scales[4], max(scene.low * length, scene.resolved * numbers.scales[4])
+    rounding = numbers.scales[4]
+    low, _, fast = bounce_limits(length, speed, acceleration, rounding)
     gap = max(scene.gap * length, rounding)
     slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
@@ -150,8 +149,7 @@ def _watches(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, max(scene.fast * speed, math.sqrt(2.0 * acceleration * low)), low,
-        scene.doubtful * speed,
+        acceleration, scene.short, fast, low, scene.doubtful * speed,
     )  # fmt: skip
 
 

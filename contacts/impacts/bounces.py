@@ -16,6 +16,8 @@ from statechart.errors import SimulationError
 # What the sum leaves out is of the order of the height, in parts of that of the lowest bounce that
 # is resolved, times this.
 _LEFT_OUT = 1e-8
+# Gaps that are this many times as wide as what closes them stay open.
+_ROOM = 2.0
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -27,7 +29,7 @@ def rests_of_bounces(
 
     They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
     weight over that time equals the exact sum of theirs. A bounce is resolved down to a height
-    that the scene's length sets, wherever its origin lies: see `SceneSetup.low`.
+    that the scene's length sets, as long as round-off leaves it digits: see `BounceLimits`.
 
     Parameters
     ----------
@@ -40,17 +42,22 @@ def rests_of_bounces(
     """
     rests: dict[int, float] = {}
     falling: Array | None = None
-    slow, fast = setup.tolerances["speed"], setup.fast
+    slow, fast = setup.tolerances["speed"], setup.bounces.fast
+    lying = _lying(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
             continue
         if falling is None:
-            falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))
+            falling = _falling(setup, snapshot, lying)
         if not falling[i] > 0.0:
             continue
-        if rebound <= setup.capture or rebound**2 <= 2.0 * falling[i] * setup.low:
-            rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
+        height = rebound**2 / (2.0 * float(falling[i]))
+        rest = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
+        alone = _alone(i, snapshot, lying, falling, rest)
+        low = setup.bounces.low if alone else setup.bounces.lowest
+        if rebound <= setup.capture or height <= low:
+            rests[i] = rest
     return rests
 
 
@@ -108,7 +115,7 @@ def corrected(
         change = (still[i] - last[i] - (fast[i] - still[i]) / flying) / (3.0 * still[i])
         # What is left out of the series is of the square of this.
         height = resolved.contacts[i].gap_rate ** 2 / (2.0 * float(still[i]))
-        known = math.sqrt(_LEFT_OUT * setup.low / height)
+        known = math.sqrt(_LEFT_OUT * setup.bounces.low / height)
         if not abs(change) <= max(known, setup.capture / setup.scales.speed):
             return None
         found[i] = float(rest * (1.0 + change))
@@ -133,6 +140,17 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
     falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
     heights = setup.tolerances["gap"] * 2.0 * falling
     return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
+
+
+def _alone(
+    bouncing: int, snapshot: Snapshot, lying: Sequence[bool], falling: Array, rest: float
+) -> bool:
+    """Whether every other contact lies, or stays open for a time, with room."""
+    for i, contact in enumerate(snapshot.contacts):
+        fall = abs(contact.gap_rate) * rest + 0.5 * abs(float(falling[i])) * rest * rest
+        if i != bouncing and not lying[i] and not contact.gap > _ROOM * fall:
+            return False
+    return True
 
 
 def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:

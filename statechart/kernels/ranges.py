@@ -32,7 +32,13 @@ def tape_ranges(
         if r == n:
             low, high = 0.0, end
         else:
-            low = state[r] if r < n else parameters[r - n - 1] if r <= n + p else constants[r - n - 1 - p]
+            low = (
+                state[r]
+                if r < n
+                else parameters[r - n - 1]
+                if r <= n + p
+                else constants[r - n - 1 - p]
+            )
             high = low
         if not high - low < INF:
             low, high = -INF, INF
