@@ -26,7 +26,7 @@ from contacts.collisions.stepped_heap import SteppedHeap
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BodyNumbers
 from contacts.dynamics.control_guards import Controllers, controller, given, memory_rates
-from contacts.dynamics.scales import BounceLimits, Scales, check_range
+from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_physical
 from contacts.scene.collision_checks import check_shapes
@@ -246,7 +246,8 @@ class BodyStepper(Stepper):
             scales=scales,
             contacts=(),
             capture=0.0,
-            bounces=BounceLimits(0.0, 0.0, 0.0),
+            lowest=0.0,
+            fast=0.0,
             bands={},
             sizes=scales.state(remembered),
             warnings=(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.conditions import edges
 from contacts.dynamics.scales import horizon, measure
-from contacts.dynamics.setup import POINT_MASS, ROUNDING, SceneNumbers
+from contacts.dynamics.setup import FAR, POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.jit import beside
@@ -169,6 +169,8 @@ def run_numbers(
         numbers, rules.begins, rules.places, rules.gravity, rules.paths, ranges, made.scales,
         made.sizes,
     ):  # fmt: skip
+        return False
+    if made.scales[4] > FAR * made.scales[0]:
         return False
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
     stops, bands = outputs.shape[0], made.bands

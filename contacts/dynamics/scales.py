@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -23,15 +22,10 @@ _EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what
 # some steps add up.
 _UNITS = 16.0
-# A bounce is summed below this part of the length where no other contact closes meanwhile: the sum
-# is exact but for the third order of its speed. Elsewhere below the second: what another impact
-# does to a contact that bounces is not what it does to one that lies.
-_LOW, _LOWEST = 1e-7, 1e-12
-# The duration of a bounce that rises less than so many round-offs is known to fewer digits than the
-# sum, and is noise below the second.
-_DIGITS, _NOISE = 3e6, 2.0
-# No bounce this fast, in the scene's own speed, is summed for the sake of digits.
-_FAST = 1e-2
+# No bounce faster than this, in the scene's own speed, is summed; none that is higher than the
+# second, in the scene's own length, and than so many round-offs, where another contact closes
+# meanwhile.
+_FAST, _LOWEST, _NOISE = 1e-2, 2e-13, 2.0
 # A turning surface moves a point by at most so many times its distance from the pivot.
 _TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -92,10 +86,10 @@ class ScaleTape:
     """Reads the scales off the initial state and the prescribed motions of the run.
 
     The length is the largest of the extents (radii, levers of surfaces that turn), the differences
-    of positions, the gaps at the start, the range of the prescribed motions over the run, and the
-    distance ``v^2 / a`` in which the acceleration turns a motion round. Where none of these exceeds
-    the round-off of what the run covers, ``v T`` and ``a T^2``, that is the length. The
-    acceleration is gravity's, or what the forces give; speed and force follow.
+    of positions, the gaps at the start and the range of the prescribed motions over the run; and
+    not less than the distance ``v^2 / a`` in which the acceleration turns a motion round. Where
+    none of the former exceeds the round-off of what the run covers, ``v T`` and ``a T^2``, that is
+    the length. The acceleration is gravity's, or what the forces give; speed and force follow.
 
     Parameters
     ----------
@@ -269,32 +263,13 @@ def _prescribed(
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
 
 
-class BounceLimits(NamedTuple):
-    """Bounces that are summed instead of resolved.
-
-    Attributes
-    ----------
-    low, lowest : float
-        Heights below which they are where no other contact closes meanwhile, and in any case.
-    fast : float
-        No rebound faster than this is as low as that.
-    """
-
-    low: float
-    lowest: float
-    fast: float
-
-
 @seldom
 def bounce_limits(
     length: float, speed: float, acceleration: float, rounding: float
-) -> tuple[float, float, float]:
-    """Return the `BounceLimits` of a run with these scales."""
-    swift = _FAST * speed
+) -> tuple[float, float]:
+    """Return below which height bounces are summed, and up to which speed, by a run's scales."""
     lowest = max(_LOWEST * length, _NOISE * rounding)
-    digits = min(_DIGITS * rounding, swift * swift / (2.0 * acceleration))
-    low = max(_LOW * length, digits, lowest)
-    return low, lowest, max(swift, math.sqrt(2.0 * acceleration * low))
+    return lowest, max(_FAST * speed, math.sqrt(2.0 * acceleration * lowest))
 
 
 @seldom
@@ -366,15 +341,15 @@ def measure(
     length = max(largest[EXTENTS], largest[LEVERS])
     if apart > rounding:
         length = max(length, apart)
-    speed = largest[SPEEDS]
     if acceleration > 0.0:
-        length = max(length, min(speed * duration, speed * speed / acceleration))
         reach = min(reach, swift * swift / acceleration)
-    length, speed = max(length, reach), max(speed, swift)
+    length, speed = max(length, reach), max(largest[SPEEDS], swift)
     farthest = max(speed * duration, acceleration * (duration * duration))
     # A start that is off zero by rounding of what the run covers has no length.
     if length <= max(_LEAST, _EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
+    elif acceleration > 0.0:
+        length = max(length, min(speed * duration, speed * speed / acceleration))
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:
         acceleration = length / (duration * duration)

@@ -87,10 +87,8 @@ def closed_at_once(
     warnings = []
     if min(rates) < -setup.tolerances["speed"]:
         early = rest > 0.0 and height > near
-        if early and (
-            height > max(_LOW * setup.scales.length, near)
-            or _pushed_aside(key, at(state), state, setup)
-        ):
+        low = max(_LOW * setup.scales.length, near)
+        if early and (height > low or _pushed_aside(key, at(state), state, setup)):
             return None
         try:
             sequence = impacts(snapshot, setup.contacts, took_part, "sequential")

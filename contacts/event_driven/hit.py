@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
+from contacts.impacts.bounces import DIGITS, EPS
 from contacts.impacts.impact import MEANINGS
 from contacts.impacts.path import ENDED, RAISES, strike
 from contacts.impacts.plastic import together
@@ -40,7 +41,7 @@ class SceneWatch(NamedTuple):
     meanings : (c,) array of int64
         What it means; -1 where the impact is none of a path.
     near, creep, gap, speed, tie, doubtful, force, acceleration, short : float
-    fast, low, capture : float
+    fast, lowest, capture : float
         Rebounds slower than the first may stand for those that follow; they do where they rise less
         than the second, or are slower than the third.
     """
@@ -63,7 +64,7 @@ class SceneWatch(NamedTuple):
     acceleration: float
     short: float
     fast: float
-    low: float
+    lowest: float
     capture: float
 
 
@@ -214,7 +215,7 @@ def _alone(
 
 @seldom
 def _flies(
-    numbers: Array, state: Array, cones: Array, fast: Bools, low: float, capture: float,
+    numbers: Array, state: Array, cones: Array, fast: Bools, lowest: float, capture: float,
     force: float, acceleration: float,
 ) -> bool:  # fmt: skip
     """Whether rebounds stand for none that follow them, by far, where nothing lies on anything.
@@ -228,7 +229,7 @@ def _flies(
     cones : (c, 2) array
     fast : (c,) array of bool
         Which contacts may rebound as slowly as that.
-    low, capture, force, acceleration : float
+    lowest, capture, force, acceleration : float
         See `contacts.dynamics.setup.SceneSetup`; the scales.
 
     See `contacts.impacts.bounces.rests_of_bounces`.
@@ -250,12 +251,13 @@ def _flies(
     for c in range(contacts):
         if not fast[c]:
             continue
-        falling = -biases[c, 0]
+        falling, rounding = -biases[c, 0], 0.0
         for i in range(n):
             falling -= jacobians[c, 0, i] * found[0, i]
+            rounding += abs(jacobians[c, 0, i] * state[i])
         rate = numbers[first + SCALARS * c + 1]
         height = rate * rate / (2.0 * falling) if falling > 0.0 else math.inf
-        if rate <= 2.0 * capture or not 2.0 * low < height:
+        if rate <= 2.0 * capture or not 2.0 * max(lowest, DIGITS * EPS * rounding) < height:
             return False
     return True
 
@@ -337,7 +339,7 @@ def hit(
             after,
             scene.cones,
             fast,
-            scene.low,
+            scene.lowest,
             scene.capture,
             scene.force,
             scene.acceleration,

@@ -146,8 +146,8 @@ class SceneInstants:
             setup.scales.force,
             setup.scales.acceleration,
             setup.short,
-            setup.bounces.fast,
-            setup.bounces.low,
+            setup.fast,
+            setup.lowest,
             setup.capture,
         )
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)

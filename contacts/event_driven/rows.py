@@ -155,7 +155,7 @@ def _memory(
         np.empty((contacts, 2)),
         np.empty(contacts),
         scene.meanings,
-        *[0.0] * 11,
+        *[0.0] * 12,
     )
     series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
     return room(parameters, variables, rules, contacts), watch, instants, series

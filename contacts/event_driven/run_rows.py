@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
+from contacts.dynamics.scales import bounce_limits
 from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
 from contacts.states import FREE, OFF_CODE
@@ -121,7 +121,7 @@ def _watches(
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     rounding = numbers.scales[4]
-    low, _, fast = bounce_limits(length, speed, acceleration, rounding)
+    lowest, fast = bounce_limits(length, speed, acceleration, rounding)
     gap = max(scene.gap * length, rounding)
     slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
@@ -149,7 +149,7 @@ def _watches(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, fast, low, scene.doubtful * speed,
+        acceleration, scene.short, fast, lowest, scene.doubtful * speed,
     )  # fmt: skip
 
 

@@ -13,9 +13,13 @@ from contacts.modes.classification import choose
 from statechart.arrays import Array
 from statechart.errors import SimulationError
 
-# What the sum leaves out is of the order of the height, in parts of that of the lowest bounce that
-# is resolved, times this.
-_LEFT_OUT = 1e-8
+EPS = float(np.finfo(float).eps)
+"""What a number is known to, in parts of it."""
+DIGITS = 1e8
+"""Bounces lower than this many round-offs of the gap are summed where no other contact closes
+meanwhile. The sum's error is of the third order in their speed: 1e-12 of the scene's time where
+coordinates are of its size. Elsewhere the sum is less exact: an impact at another contact does not
+do to a contact that lies what it does to one that bounces."""
 # Gaps that are this many times as wide as what closes them stay open.
 _ROOM = 2.0
 # Of the fastest rebound: what taking it away changes elsewhere.
@@ -23,13 +27,13 @@ _ELSEWHERE = 10.0
 
 
 def rests_of_bounces(
-    setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]
+    setup: SceneSetup, snapshot: Snapshot, state: Array, closed: Sequence[bool]
 ) -> dict[int, float]:
     """Return how long the further bounces take, for the contacts whose need no resolving.
 
     They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
-    weight over that time equals the exact sum of theirs. A bounce is resolved down to a height
-    that the scene's length sets, as long as round-off leaves it digits: see `BounceLimits`.
+    weight over that time equals the exact sum of theirs. A bounce is resolved as long as its
+    height is known to some digits; below, its duration would be noise.
 
     Parameters
     ----------
@@ -37,12 +41,14 @@ def rests_of_bounces(
         The numbers of the run.
     snapshot : Snapshot
         Just after the impact.
+    state : (2 n,) array
+        There.
     closed : sequence of bool
         Which contacts took part in it.
     """
     rests: dict[int, float] = {}
     falling: Array | None = None
-    slow, fast = setup.tolerances["speed"], setup.bounces.fast
+    slow, fast = setup.tolerances["speed"], setup.fast
     lying = _lying(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
@@ -52,11 +58,12 @@ def rests_of_bounces(
             falling = _falling(setup, snapshot, lying)
         if not falling[i] > 0.0:
             continue
-        height = rebound**2 / (2.0 * float(falling[i]))
         rest = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
-        alone = _alone(i, snapshot, lying, falling, rest)
-        low = setup.bounces.low if alone else setup.bounces.lowest
-        if rebound <= setup.capture or height <= low:
+        blur = _blur(snapshot, state, i, float(falling[i]))
+        low = rebound**2 <= 2.0 * float(falling[i]) * setup.lowest
+        if not low and DIGITS * blur >= 1.0:
+            low = _alone(i, snapshot, lying, falling, rest)
+        if rebound <= setup.capture or low:
             rests[i] = rest
     return rests
 
@@ -114,8 +121,7 @@ def corrected(
         last = _falling(setup, at(later, rest), lying)
         change = (still[i] - last[i] - (fast[i] - still[i]) / flying) / (3.0 * still[i])
         # What is left out of the series is of the square of this.
-        height = resolved.contacts[i].gap_rate ** 2 / (2.0 * float(still[i]))
-        known = math.sqrt(_LEFT_OUT * setup.bounces.low / height)
+        known = math.sqrt(_blur(resolved, state, i, float(still[i])))
         if not abs(change) <= max(known, setup.capture / setup.scales.speed):
             return None
         found[i] = float(rest * (1.0 + change))
@@ -140,6 +146,14 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
     falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
     heights = setup.tolerances["gap"] * 2.0 * falling
     return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
+
+
+def _blur(snapshot: Snapshot, state: Array, contact: int, falling: float) -> float:
+    """Return what rounding of the coordinates does to the gap, against how high it bounces."""
+    height = snapshot.contacts[contact].gap_rate ** 2 / (2.0 * falling)
+    coordinates = np.abs(state[: len(state) // 2])
+    rounding = EPS * float(np.abs(snapshot.whole.jacobians[contact, 0]) @ coordinates)
+    return rounding / height
 
 
 def _alone(

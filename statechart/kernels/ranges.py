@@ -28,21 +28,16 @@ def tape_ranges(
     n, p = state.shape[0], parameters.shape[0]
     base = n + 1 + p + constants.shape[0]
     jets = np.zeros((base + code.shape[0], 6))
+    for v in range(n):
+        jets[v, 0] = jets[v, 1] = state[v]
+    jets[n, 1] = end
+    for k in range(p):
+        jets[n + 1 + k, 0] = jets[n + 1 + k, 1] = parameters[k]
+    for k in range(constants.shape[0]):
+        jets[n + 1 + p + k, 0] = jets[n + 1 + p + k, 1] = constants[k]
     for r in range(base):
-        if r == n:
-            low, high = 0.0, end
-        else:
-            low = (
-                state[r]
-                if r < n
-                else parameters[r - n - 1]
-                if r <= n + p
-                else constants[r - n - 1 - p]
-            )
-            high = low
-        if not high - low < INF:
-            low, high = -INF, INF
-        jets[r, 0], jets[r, 1] = low, high
+        if not jets[r, 1] - jets[r, 0] < INF:
+            jets[r, 0], jets[r, 1] = -INF, INF
     run_jets(code, 0, code.shape[0], base, jets, 0)
     for i in range(outputs.shape[0]):
         ranges[i, 0], ranges[i, 1] = jets[outputs[i], 0], jets[outputs[i], 1]
