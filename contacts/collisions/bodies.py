@@ -237,7 +237,7 @@ class BodyStepper(Stepper):
         sizes = np.concatenate([places, places * (speed / length)])
         acceleration = speed**2 / length
         force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
-        scales = Scales(length, speed, acceleration, force, sizes)
+        scales = Scales(length, speed, acceleration, force, 0.0, sizes)
         return SceneSetup(
             values=values,
             initial=initial,
@@ -246,6 +246,8 @@ class BodyStepper(Stepper):
             scales=scales,
             contacts=(),
             capture=0.0,
+            lowest=0.0,
+            fast=0.0,
             bands={},
             sizes=scales.state(remembered),
             warnings=(

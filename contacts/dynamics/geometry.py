@@ -124,11 +124,21 @@ class Geometry:
         (x0, y0), (x1, y1) = line
         return (self._formula(x0), self._formula(y0)), (self._formula(x1), self._formula(y1))
 
-    def _end(self, to: Point | Path) -> Vector:
+    def joint_end(self, to: Point | Path) -> Vector:
         """Return the place that a joint holds its point to; 0 for a component it leaves free."""
         if isinstance(to, Point):
             return self.point(to)
         return self._formula(to.x or 0), self._formula(to.y or 0)
+
+    def edge_ends(self, surface: Surface) -> tuple[Vector, ...]:
+        """Return the ends of an edge in the world; nothing for another surface."""
+        if surface.edge is None:
+            return ()
+        (x0, y0), angle = self._frame(surface)
+        c, s = sp.cos(angle), sp.sin(angle)
+        return tuple(
+            (x0 + c * x - s * y, y0 + s * x + c * y) for x, y in self._corners(surface.edge)
+        )
 
     def _frame(self, surface: Surface) -> tuple[Vector, sp.Expr]:
         """Return the origin and the angle of the frame of a surface."""

@@ -161,7 +161,7 @@ class Mechanics(FreeMotion):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
-            here, there = self.point(joint.point), self._end(joint.to)
+            here, there = self.point(joint.point), self.joint_end(joint.to)
             for component, one, other in zip(("X", "Y"), here, there, strict=True):
                 if component not in joint.components:
                     continue

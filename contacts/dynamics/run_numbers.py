@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.conditions import edges
-from contacts.dynamics.scales import measure
-from contacts.dynamics.setup import POINT_MASS, ROUNDING, SceneNumbers
+from contacts.dynamics.scales import horizon, measure
+from contacts.dynamics.setup import FAR, POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.jit import beside
+from statechart.kernels.ranges import tape_ranges
 from statechart.kernels.tapes import tape_values
 
-LIMITS, SCALES, STOPS = range(3)
+LIMITS, SCALES, MOTIONS, STOPS = range(4)
 """Rows of the tapes that they are computed from, behind those of the instants."""
 
 
@@ -34,7 +35,7 @@ class Rules(NamedTuple):
     least, most : (l,) array
         Between which limits lie.
     begins : (g + 1,) array of int64
-    places, gravity : int
+    places, gravity, paths : int
         See `contacts.dynamics.scales.ScaleTape`.
     forced : (s,) array of bool
         Which stop conditions have no value before forces are known.
@@ -48,6 +49,7 @@ class Rules(NamedTuple):
     begins: Ints
     places: int
     gravity: int
+    paths: int
     forced: Bools
     owners: Ints
 
@@ -60,7 +62,7 @@ class Numbers(NamedTuple):
     values : (p,) array
         Of the parameters.
     initial : (n,) array
-    scales : (4,), sizes : (n,) array
+    scales : (5,), sizes : (n,) array
         See `contacts.dynamics.scales.Scales`.
     bands : (s + k + c,) array
         How near zero stop conditions, conditions of contacts, and the return of contacts that are
@@ -85,6 +87,7 @@ def rules(numbers: SceneNumbers) -> Rules | None:
         numbers.scale_tape.begins,
         numbers.scale_tape.places,
         numbers.scale_tape.gravity,
+        numbers.scale_tape.paths,
         np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
         np.array([contact for contact, _ in numbers.conditions.listed], np.int64),
     )
@@ -96,7 +99,7 @@ def room(parameters: int, variables: int, rules: Rules, contacts: int) -> Number
     return Numbers(
         np.empty(parameters),
         np.empty(variables),
-        np.empty(4),
+        np.empty(5),
         np.empty(variables),
         np.empty(bands),
     )
@@ -120,8 +123,8 @@ def run_numbers(
     ----------
     program : Program
         Holds the tapes.
-    tapes : (3, 9) array of int64
-        Limits, scales, stops.
+    tapes : (4, 9) array of int64
+        Limits, scales, motions, stops.
     conditions : (9,) array of int64
     rules : Rules
     code, constants, outputs
@@ -158,7 +161,16 @@ def run_numbers(
     code, constants, outputs, _, _ = tape_of(program, tapes[SCALES])
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, initial, values, 0.0, numbers)
-    if not measure(numbers, rules.begins, rules.places, rules.gravity, made.scales, made.sizes):
+    duration = horizon(numbers, rules.begins)
+    code, constants, outputs, _, _ = tape_of(program, tapes[MOTIONS])
+    ranges = np.empty((outputs.shape[0], 2))
+    tape_ranges(code, constants, outputs, initial, values, duration, ranges)
+    if not measure(
+        numbers, rules.begins, rules.places, rules.gravity, rules.paths, ranges, made.scales,
+        made.sizes,
+    ):  # fmt: skip
+        return False
+    if made.scales[4] > FAR * made.scales[0]:
         return False
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
     stops, bands = outputs.shape[0], made.bands

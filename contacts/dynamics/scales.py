@@ -9,13 +9,25 @@ from itertools import accumulate
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.joints import Path
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.kernels.jit import seldom
+from statechart.kernels.ranges import tape_ranges
 
 _EPS = float(np.finfo(float).eps)
+# Round-off of positions in units in the last place of the largest coordinate, with room for what
+# some steps add up.
+_UNITS = 16.0
+# No bounce faster than this, in the scene's own speed, is summed; none that is higher than the
+# second, in the scene's own length, and than so many round-offs, where another contact closes
+# meanwhile.
+_FAST, _LOWEST, _NOISE = 1e-2, 2e-13, 2.0
+# A turning surface moves a point by at most so many times its distance from the pivot.
+_TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
 _LEAST, _MOST = 1e-100, 1e100
 
@@ -27,7 +39,10 @@ class Scales:
     Attributes
     ----------
     length, speed, acceleration, force : float
-        In the scene's units.
+        In the scene's units. A shift of the origin does not change them.
+    rounding : float
+        Round-off of positions, in the unit of length: units in the last place of the largest
+        coordinate.
     sizes : (2 n,) array
         How large each coordinate and each rate is: what moves a point by the length, in the time
         that this takes at the speed.
@@ -37,6 +52,7 @@ class Scales:
     speed: float
     acceleration: float
     force: float
+    rounding: float
     sizes: Array
 
     def state(self, memory: Array) -> Array:
@@ -61,12 +77,19 @@ def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
         )
 
 
-class ScaleTape:
-    """Reads the scales off the initial state.
+# Groups of numbers that scales are read off; those of gravity and of the moves by a coordinate are
+# behind them.
+(PLACES, SPEEDS, PUSHES, MASS, DURATION, ACROSS, UPWARD, GAPS, EXTENTS, LEVERS, GRAVITY) = range(11)
 
-    The length is the largest coordinate of a body or contact point (rounding is proportional to
-    it); acceleration is gravity's, or what the initial forces and velocities give; speed and
-    force follow.
+
+class ScaleTape:
+    """Reads the scales off the initial state and the prescribed motions of the run.
+
+    The length is the largest of the extents (radii, levers of surfaces that turn), the differences
+    of positions, the gaps at the start and the range of the prescribed motions over the run; and
+    not less than the distance ``v^2 / a`` in which the acceleration turns a motion round. Where
+    none of the former exceeds the round-off of what the run covers, ``v T`` and ``a T^2``, that is
+    the length. The acceleration is gravity's, or what the forces give; speed and force follow.
 
     Parameters
     ----------
@@ -79,8 +102,12 @@ class ScaleTape:
         Outputs: groups of numbers.
     begins : (g + 1,) array of int64
         Where each group begins.
-    places, gravity : int
-        How many numbers places and their speeds are; how many groups gravity is.
+    places, gravity, paths : int
+        How many numbers places and their speeds are; how many groups gravity is; how many
+        prescribed motions there are.
+    motions : Tape
+        Outputs: prescribed displacements, angles that surfaces turn by, their rates in this order,
+        and accelerations by forces that vary in time. Their ranges over the run count.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -121,15 +148,28 @@ class ScaleTape:
         points += [mechanics.point(joint.point) for joint in scene.joints.values()]
         moves = [[sp.diff(c, q) for point in points for c in point] for q in mechanics.q]
         mass = sp.Add(*map(sp.Abs, masses))
+        across, upward = _positions(mechanics)
+        gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
+        shifts, turns, levers = _prescribed(mechanics)
+        gravity = [[g] for g in mechanics.gravity]
         # Of each group the largest is wanted.
-        groups = [lengths, speeds, pushes, [mass], [duration], *([g] for g in mechanics.gravity)]
-        self.gravity = len(mechanics.gravity)
-        groups += moves
+        groups = [lengths, speeds, pushes, [mass], [duration], across, upward, gaps]
+        groups += [_radii(mechanics), levers, *gravity, *moves]
+        self.gravity = len(gravity)
         self._owners, self._movers = owners, movers
         self.places = len(owners) + len(movers)
         self.begins = np.array([*accumulate(map(len, groups), initial=0)])
         self.tape = mechanics.tape(
             [expression for group in groups for expression in group],
+            definitions=mechanics.controlled(),
+        )
+        moved = [*shifts, *turns]
+        driven = [push for push in pushes if mechanics.time in push.free_symbols]
+        if any(g != 0 for g in mechanics.gravity):
+            driven = []
+        self.paths = len(moved)
+        self.motions = mechanics.tape(
+            [*moved, *(sp.diff(motion, mechanics.time) for motion in moved), *driven],
             definitions=mechanics.controlled(),
         )
 
@@ -142,11 +182,15 @@ class ScaleTape:
             If a place or the gravity there is not finite.
         """
         numbers = self.tape.at(state, values, 0.0)
-        scales, sizes = np.empty(4), np.empty(len(state))
-        if not measure(numbers, self.begins, self.places, self.gravity, scales, sizes):
+        ranges = np.empty((len(self.motions.outputs), 2))
+        scales, sizes = np.empty(5), np.empty(len(state))
+        duration = horizon(numbers, self.begins)
+        tape_ranges(*self.motions.program, state, values, duration, ranges)
+        counts = self.places, self.gravity, self.paths
+        if not measure(numbers, self.begins, *counts, ranges, scales, sizes):
             self._check(numbers)
-        length, speed, acceleration, force = scales.tolist()
-        return Scales(length, speed, acceleration, force, sizes)
+        length, speed, acceleration, force, rounding = scales.tolist()
+        return Scales(length, speed, acceleration, force, rounding, sizes)
 
     def _check(self, numbers: Array) -> None:
         """Raise at the first place, speed or gravity that is not finite or too large."""
@@ -160,56 +204,160 @@ class ScaleTape:
                     loc=owner,
                 )
             check_range(number, f"its {what} at the start", owner)
-        gravity = numbers[self.begins[5] : self.begins[5 + self.gravity]]
+        gravity = numbers[self.begins[GRAVITY] : self.begins[GRAVITY + self.gravity]]
         if not np.isfinite(gravity).all():
             raise DeclarationProblem("must be finite", loc=("gravity",))
         for number in gravity:
             check_range(number, "", ("gravity",))
 
 
+def _positions(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    """Return x and y, in the world, of bodies, points of contacts and joints, and ends of edges."""
+    scene = mechanics.scene
+    found = [mechanics.body_frame(name)[0] for name in scene.bodies]
+    for contact in scene.contacts.values():
+        found.append(mechanics.point(contact.point))
+        found += mechanics.edge_ends(scene.surfaces[contact.surface])
+    across, upward = [x for x, _ in found], [y for _, y in found]
+    for joint in scene.joints.values():
+        ends = mechanics.point(joint.point), mechanics.joint_end(joint.to)
+        for component, *pair in zip(("X", "Y"), *ends, strict=True):
+            if component in joint.components:
+                (across if component == "X" else upward).extend(pair)
+    return across, upward
+
+
+def _radii(mechanics: Mechanics) -> list[sp.Expr]:
+    """Return the radii of discs and of circular surfaces."""
+    scene = mechanics.scene
+    texts = [contact.radius for contact in scene.contacts.values()]
+    texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
+    return [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
+
+
+def _prescribed(
+    mechanics: Mechanics,
+) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
+    """Return prescribed displacements, angles of surfaces that turn, and levers to their pivots."""
+    scene = mechanics.scene
+    shifts: dict[sp.Expr, None] = {}
+    turns: list[sp.Expr] = []
+    levers: list[sp.Expr] = []
+    for contact in scene.contacts.values():
+        surface = scene.surfaces[contact.surface]
+        if not surface.moves:
+            continue
+        shifts |= dict.fromkeys(
+            parse(text).to_sympy(mechanics.known) for text in surface.displacement
+        )
+        angle = surface_frame(surface, mechanics.known)[2]
+        if angle != 0:
+            px, py = (parse(text).to_sympy(mechanics.known) for text in surface.pivot)
+            x, y = mechanics.point(contact.point)
+            turns.append(angle)
+            levers.append(sp.sqrt((x - px) ** 2 + (y - py) ** 2))
+    for joint in scene.joints.values():
+        if isinstance(joint.to, Path):
+            texts = [text for text in (joint.to.x, joint.to.y) if text is not None]
+            shifts |= dict.fromkeys(parse(text).to_sympy(mechanics.known) for text in texts)
+    return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
+
+
+@seldom
+def bounce_limits(
+    length: float, speed: float, acceleration: float, rounding: float
+) -> tuple[float, float]:
+    """Return below which height bounces are summed, and up to which speed, by a run's scales."""
+    lowest = max(_LOWEST * length, _NOISE * rounding)
+    return lowest, max(_FAST * speed, math.sqrt(2.0 * acceleration * lowest))
+
+
+@seldom
+def horizon(numbers: Array, begins: Ints) -> float:
+    """Return how long a run is by its numbers at the start, between bounds whose squares exist."""
+    duration = abs(numbers[begins[DURATION]])
+    return min(max(duration, _LEAST), _MOST) if duration < math.inf else _MOST
+
+
 @seldom
 def measure(
-    numbers: Array, begins: Ints, places: int, gravity: int, scales: Array, sizes: Array
+    numbers: Array,
+    begins: Ints,
+    places: int,
+    gravity: int,
+    paths: int,
+    ranges: Array,
+    scales: Array,
+    sizes: Array,
 ) -> bool:
     """Read the scales off a scene's numbers at the start; False where some are out of range.
 
     Parameters
     ----------
-    numbers, begins, places, gravity
+    numbers, begins, places, gravity, paths
         See `ScaleTape`.
-    scales : (4,), sizes : (2 n,) array
-        To be filled: length, speed, acceleration, force; the sizes of coordinates and rates.
+    ranges : (m, 2) array
+        Of the outputs of `ScaleTape.motions`, over the run.
+    scales : (5,), sizes : (2 n,) array
+        To be filled: length, speed, acceleration, force, round-off of positions; the sizes of
+        coordinates and rates.
     """
     n = sizes.shape[0] // 2
-    largest = np.zeros(begins.shape[0] - 1)
-    for group in range(largest.shape[0]):
+    groups = begins.shape[0] - 1
+    largest, low, high = np.zeros(groups), np.full(groups, math.inf), np.full(groups, -math.inf)
+    for group in range(groups):
         for i in range(begins[group], begins[group + 1]):
-            if largest[group] < abs(numbers[i]) < math.inf:
-                largest[group] = abs(numbers[i])
+            if abs(numbers[i]) < math.inf:
+                largest[group] = max(largest[group], abs(numbers[i]))
+                low[group], high[group] = min(low[group], numbers[i]), max(high[group], numbers[i])
     inside = True
-    for i in range(begins[5 + gravity]):
-        if i < places or i >= begins[5]:
+    for i in range(begins[GRAVITY + gravity]):
+        if i < places or i >= begins[GRAVITY]:
             inside = inside and abs(numbers[i]) <= _MOST
-    length, speed, push, mass = largest[0], largest[1], largest[2], largest[3]
-    duration = min(max(largest[4], _LEAST), _MOST)
+    duration, levers = horizon(numbers, begins), begins[LEVERS + 1] - begins[LEVERS]
+    coordinates, reach, swift = max(largest[PLACES], largest[ACROSS], largest[UPWARD]), 0.0, 0.0
+    for i in range(paths):
+        first, last = ranges[i, 0], ranges[i, 1]
+        rate = max(abs(ranges[paths + i, 0]), abs(ranges[paths + i, 1]))
+        turn = i - (paths - levers)
+        lever = 1.0 if turn < 0 else abs(numbers[begins[LEVERS] + turn])
+        if last - first < math.inf:
+            width = last - first if turn < 0 else min(last - first, _TURNED)
+            reach = max(reach, width * lever)
+            if turn < 0:
+                coordinates = max(coordinates, abs(first), abs(last))
+        if rate * lever < math.inf:
+            swift = max(swift, rate * lever)
     acceleration = 0.0
-    for i in range(5, 5 + gravity):
+    for i in range(GRAVITY, GRAVITY + gravity):
         acceleration = math.hypot(acceleration, largest[i])
     if acceleration == 0.0:
-        acceleration = push
-    # A start that is off zero by rounding of what the motion needs to turn has no length.
-    turn = speed * speed / acceleration if acceleration > 0.0 else 0.0
-    if length <= max(_LEAST, _EPS * turn):
-        length = max(speed * duration, acceleration * (duration * duration))
-        if length == 0.0:
-            length = 1.0
+        acceleration = largest[PUSHES]
+        for i in range(2 * paths, ranges.shape[0]):
+            push = max(abs(ranges[i, 0]), abs(ranges[i, 1]))
+            acceleration = max(acceleration, push) if push < math.inf else acceleration
+    rounding = _UNITS * _EPS * coordinates
+    apart = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
+    length = max(largest[EXTENTS], largest[LEVERS])
+    if apart > rounding:
+        length = max(length, apart)
+    if acceleration > 0.0:
+        reach = min(reach, swift * swift / acceleration)
+    length, speed = max(length, reach), max(largest[SPEEDS], swift)
+    farthest = max(speed * duration, acceleration * (duration * duration))
+    # A start that is off zero by rounding of what the run covers has no length.
+    if length <= max(_LEAST, _EPS * farthest):
+        length = farthest if farthest > 0.0 else 1.0
+    elif acceleration > 0.0:
+        length = max(length, min(speed * duration, speed * speed / acceleration))
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:
         acceleration = length / (duration * duration)
     speed = max(speed, math.sqrt(acceleration * length))
-    scales[0], scales[1], scales[2], scales[3] = length, speed, acceleration, mass * acceleration
+    scales[0], scales[1], scales[2] = length, speed, acceleration
+    scales[3], scales[4] = largest[MASS] * acceleration, rounding
     for i in range(n):
-        move = largest[5 + gravity + i]
+        move = largest[GRAVITY + gravity + i]
         # A coordinate that moves no point is an angle about a centre.
         sizes[i] = length / move if move > 0.0 else 1.0
         sizes[n + i] = sizes[i] * (speed / length)

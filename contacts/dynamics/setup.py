@@ -12,7 +12,7 @@ import sympy as sp
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.scales import Scales, ScaleTape
+from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits
 from contacts.scene.checks import check_finite, check_physical, physical_limits
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
@@ -42,6 +42,8 @@ POINT_MASS = 1e-12
 SHORT = 0.1
 # Positions and speeds carry rounding of this size relative to the scene.
 ROUNDING = 1e-13
+# Round-off of positions above this part of the length is worth a warning.
+FAR = 1e-10
 # How far the first flow looks ahead, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
@@ -58,6 +60,8 @@ class SceneSetup(Setup):
         With this run's coefficients.
     capture : float
         Rebounds slower than this are summed instead of simulated.
+    lowest, fast : float
+        Bounces lower than the first are summed, too; none is that is faster than the second.
     bands : mapping
         Stop condition, or condition of a contact -> how near zero its margin counts as met; from
         its value at the start.
@@ -72,6 +76,8 @@ class SceneSetup(Setup):
     scales: Scales
     contacts: tuple[ContactLaw, ...]
     capture: float
+    lowest: float
+    fast: float
     bands: Mapping[str, float]
     start_depth: float = 0.0
     rounded: float = 1e-12
@@ -189,8 +195,10 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
+        sizes = scales.length, scales.speed, scales.acceleration
+        lowest, fast = bounce_limits(*sizes, scales.rounding)
         tolerances = {
-            "gap": gap * scales.length,
+            "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
             "force": force * scales.force,
             "plain": 0.0,
@@ -200,13 +208,15 @@ class SceneNumbers:
             initial=begins,
             tolerances=tolerances,
             short=SHORT,
-            warnings=(*self._unlikely, *warnings, *implied),
+            warnings=(*self._unlikely, *warnings, *implied, *_far(scales)),
             sizes=scales.state(memory),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
             capture=doubtful(relative) * scales.speed,
+            lowest=lowest,
+            fast=fast,
             bands={
                 **{
                     n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
@@ -312,6 +322,15 @@ def tolerated(relative: float) -> tuple[float, float, float]:
 def doubtful(relative: float) -> float:
     """Return what errors that are magnified stay below, in the scales: the root of a tolerance."""
     return math.sqrt(max(relative, ROUNDING))
+
+
+def _far(scales: Scales) -> Iterator[str]:
+    """Yield a warning where the scene lies so far from the origin that round-off shows."""
+    if scales.rounding > FAR * scales.length:
+        yield (
+            f"the scene is {scales.length:.3g} in size, and lies so far from the origin that its "
+            f"positions are known to {scales.rounding:.2g} only; put the origin nearer"
+        )
 
 
 def _known(memory: Array, values: Array) -> Array:

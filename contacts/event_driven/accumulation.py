@@ -24,10 +24,10 @@ from statechart.automaton.laws import Flow, moving_mode
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
 
-# Impacts in turn are skipped once contacts fly no higher than so many tolerances of the gap. Where
+# Impacts in turn are skipped once contacts fly no higher than this part of the length. Where
 # points slide meanwhile, the path that they are given is wrong by the height; where none does,
 # nothing is lost, and later impacts would be known to fewer digits only.
-_LOW, _LOW_AT_REST = 1e3, 1e6
+_LOW, _LOW_AT_REST = 1e-10, 1e-7
 # So many times what is changed without friction it may change with it: beyond, contacts jam.
 _MAGNIFIED = 30.0
 
@@ -78,7 +78,7 @@ def closed_at_once(
     """
     snapshot = hidden(at(state), flow.mode)
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
-    height = max(rates) * period / (4.0 * setup.tolerances["gap"])
+    height, near = max(rates) * period / 4.0, setup.tolerances["gap"]
     before = moving_mode(flow.roles)
     shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
     key = tuple(
@@ -86,8 +86,9 @@ def closed_at_once(
     )
     warnings = []
     if min(rates) < -setup.tolerances["speed"]:
-        early = rest > 0.0 and height > 1.0
-        if early and (height > _LOW or _pushed_aside(key, at(state), state, setup)):
+        early = rest > 0.0 and height > near
+        low = max(_LOW * setup.scales.length, near)
+        if early and (height > low or _pushed_aside(key, at(state), state, setup)):
             return None
         try:
             sequence = impacts(snapshot, setup.contacts, took_part, "sequential")
@@ -105,8 +106,8 @@ def closed_at_once(
     slides = any(
         abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
     )
-    lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 1.0
-    if rest > 0.0 and height > lowest:
+    lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 0.0
+    if rest > 0.0 and height > max(lowest * setup.scales.length, near):
         return None
     if left is None and slides:
         warnings.append("what friction takes of the impacts summed is not determined, and left out")

@@ -41,8 +41,9 @@ class SceneWatch(NamedTuple):
     meanings : (c,) array of int64
         What it means; -1 where the impact is none of a path.
     near, creep, gap, speed, tie, doubtful, force, acceleration, short : float
-    fast, capture : float
-        Rebounds slower than the first may stand for those that follow, below the second they do.
+    fast, lowest, capture : float
+        Rebounds slower than the first may stand for those that follow; they do where they rise less
+        than the second, or are slower than the third.
     """
 
     numbers: NDArray[np.int64]
@@ -63,6 +64,7 @@ class SceneWatch(NamedTuple):
     acceleration: float
     short: float
     fast: float
+    lowest: float
     capture: float
 
 
@@ -213,8 +215,8 @@ def _alone(
 
 @seldom
 def _flies(
-    numbers: Array, state: Array, cones: Array, fast: Bools, capture: float, force: float,
-    acceleration: float,
+    numbers: Array, state: Array, cones: Array, fast: Bools, lowest: float, capture: float,
+    force: float, acceleration: float,
 ) -> bool:  # fmt: skip
     """Whether rebounds stand for none that follow them, by far, where nothing lies on anything.
 
@@ -227,7 +229,7 @@ def _flies(
     cones : (c, 2) array
     fast : (c,) array of bool
         Which contacts may rebound as slowly as that.
-    capture, force, acceleration : float
+    lowest, capture, force, acceleration : float
         See `contacts.dynamics.setup.SceneSetup`; the scales.
 
     See `contacts.impacts.bounces.rests_of_bounces`.
@@ -255,7 +257,7 @@ def _flies(
             rounding += abs(jacobians[c, 0, i] * state[i])
         rate = numbers[first + SCALARS * c + 1]
         height = rate * rate / (2.0 * falling) if falling > 0.0 else math.inf
-        if rate <= 2.0 * capture or not 2.0 * DIGITS * EPS * rounding < height:
+        if rate <= 2.0 * capture or not 2.0 * max(lowest, DIGITS * EPS * rounding) < height:
             return False
     return True
 
@@ -333,7 +335,14 @@ def hit(
     if slowly and (
         resting
         or not _flies(
-            numbers, after, scene.cones, fast, scene.capture, scene.force, scene.acceleration
+            numbers,
+            after,
+            scene.cones,
+            fast,
+            scene.lowest,
+            scene.capture,
+            scene.force,
+            scene.acceleration,
         )
     ):
         return -1, 0, 0

@@ -21,7 +21,6 @@ from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.rows import RowCall
 from contacts.event_driven.run_on import CAUSES, run_on
 from contacts.event_driven.run_rows import INSTANTS, run_rows
-from contacts.impacts.bounces import FAST
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
@@ -71,7 +70,8 @@ class SceneInstants:
         self._rules, limits = rules(numbers), numbers.limits
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
-            self.tapes += limits, numbers.scale_tape.tape, numbers.stop_tape
+            scales = numbers.scale_tape
+            self.tapes += limits, scales.tape, scales.motions, numbers.stop_tape
         owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
         off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
         self._of_margins = {**owners, **off}
@@ -146,7 +146,8 @@ class SceneInstants:
             setup.scales.force,
             setup.scales.acceleration,
             setup.short,
-            FAST * setup.scales.speed,
+            setup.fast,
+            setup.lowest,
             setup.capture,
         )
         return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)

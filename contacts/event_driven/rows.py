@@ -14,7 +14,6 @@ from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtf
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
 from contacts.event_driven.run_rows import SceneRows, run_rows
-from contacts.impacts.bounces import FAST
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
@@ -126,7 +125,6 @@ def _declared(
         UNSEEN,
         TIE,
         doubtful(relative),
-        FAST,
         SHORT,
         LOOK_AHEAD,
     )
@@ -157,7 +155,7 @@ def _memory(
         np.empty((contacts, 2)),
         np.empty(contacts),
         scene.meanings,
-        *[0.0] * 11,
+        *[0.0] * 12,
     )
     series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
     return room(parameters, variables, rules, contacts), watch, instants, series

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
+from contacts.dynamics.scales import bounce_limits
 from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
 from contacts.states import FREE, OFF_CODE
@@ -74,7 +75,7 @@ class SceneRows(NamedTuple):
 
     Attributes
     ----------
-    tapes : (6, 9) array of int64
+    tapes : (7, 9) array of int64
         Of the instants and of the numbers.
     rules : Rules
     places : (c, 3) array of int64, fixed : (c, 3) array
@@ -88,7 +89,7 @@ class SceneRows(NamedTuple):
         Whether a contact may start in the state of that code.
     gap, speed, force : float
         Tolerances, in the scene's scales.
-    near, creep, unseen, tie, doubtful, fast, short, ahead : float
+    near, creep, unseen, tie, doubtful, short, ahead : float
         Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
     """
 
@@ -108,7 +109,6 @@ class SceneRows(NamedTuple):
     unseen: float
     tie: float
     doubtful: float
-    fast: float
     short: float
     ahead: float
 
@@ -120,7 +120,10 @@ def _watches(
     """Return what a run is watched for, by its numbers; their arrays are filled again."""
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
-    gap, slow, weak = scene.gap * length, scene.speed * speed, scene.force * force
+    rounding = numbers.scales[4]
+    lowest, fast = bounce_limits(length, speed, acceleration, rounding)
+    gap = max(scene.gap * length, rounding)
+    slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
     watch.kinds[0], watch.kinds[1], watch.kinds[2], watch.kinds[3] = 0.0, gap, slow, weak
     for i in range(scene.sources.shape[0]):
@@ -146,7 +149,7 @@ def _watches(
         instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, scene.fast * speed, scene.doubtful * speed,
+        acceleration, scene.short, fast, lowest, scene.doubtful * speed,
     )  # fmt: skip
 
 

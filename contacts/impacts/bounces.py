@@ -16,10 +16,12 @@ from statechart.errors import SimulationError
 EPS = float(np.finfo(float).eps)
 """What a number is known to, in parts of it."""
 DIGITS = 1e8
-"""Bounces lower than this many roundings of the gap are summed. The sum's error is of the third
-order in their speed: 1e-12 of the scene's time where coordinates are of its size."""
-FAST = 1e-3
-"""No bounce this fast, in the scene's own speed, is summed."""
+"""Bounces lower than this many round-offs of the gap are summed where no other contact closes
+meanwhile. The sum's error is of the third order in their speed: 1e-12 of the scene's time where
+coordinates are of its size. Elsewhere the sum is less exact: an impact at another contact does not
+do to a contact that lies what it does to one that bounces."""
+# Gaps that are this many times as wide as what closes them stay open.
+_ROOM = 2.0
 # Of the fastest rebound: what taking it away changes elsewhere.
 _ELSEWHERE = 10.0
 
@@ -46,18 +48,23 @@ def rests_of_bounces(
     """
     rests: dict[int, float] = {}
     falling: Array | None = None
-    slow, fast = setup.tolerances["speed"], FAST * setup.scales.speed
+    slow, fast = setup.tolerances["speed"], setup.fast
+    lying = _lying(setup, snapshot, closed)
     for i, (law, contact) in enumerate(zip(setup.contacts, snapshot.contacts, strict=True)):
         rebound, e = contact.gap_rate, law.restitution
         if not closed[i] or not 0.0 < e < 1.0 or not slow < rebound <= fast:
             continue
         if falling is None:
-            falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))
+            falling = _falling(setup, snapshot, lying)
         if not falling[i] > 0.0:
             continue
+        rest = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
         blur = _blur(snapshot, state, i, float(falling[i]))
-        if rebound <= setup.capture or DIGITS * blur >= 1.0:
-            rests[i] = 2.0 * rebound / (float(falling[i]) * (1.0 - e))
+        low = rebound**2 <= 2.0 * float(falling[i]) * setup.lowest
+        if not low and DIGITS * blur >= 1.0:
+            low = _alone(i, snapshot, lying, falling, rest)
+        if rebound <= setup.capture or low:
+            rests[i] = rest
     return rests
 
 
@@ -147,6 +154,17 @@ def _blur(snapshot: Snapshot, state: Array, contact: int, falling: float) -> flo
     coordinates = np.abs(state[: len(state) // 2])
     rounding = EPS * float(np.abs(snapshot.whole.jacobians[contact, 0]) @ coordinates)
     return rounding / height
+
+
+def _alone(
+    bouncing: int, snapshot: Snapshot, lying: Sequence[bool], falling: Array, rest: float
+) -> bool:
+    """Whether every other contact lies, or stays open for a time, with room."""
+    for i, contact in enumerate(snapshot.contacts):
+        fall = abs(contact.gap_rate) * rest + 0.5 * abs(float(falling[i])) * rest * rest
+        if i != bouncing and not lying[i] and not contact.gap > _ROOM * fall:
+            return False
+    return True
 
 
 def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:

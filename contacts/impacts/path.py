@@ -96,10 +96,11 @@ def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
     """Solve ``normal (u_n s + u_n' s^2 / 2) = left`` for s >= 0."""
     if left <= 0.0 or normal <= 0.0:
         return 0.0
-    a, b = 0.5 * normal * rate, normal * u_n
-    inside = b * b + 4.0 * a * left
+    # Divided by the impulse: of masses above 1e154 its square is no float.
+    share = left / normal
+    inside = u_n * u_n + 2.0 * rate * share
     root = math.sqrt(inside) if inside > 0.0 else 0.0
-    return 2.0 * left / (b + root) if b + root > 0.0 else math.inf
+    return 2.0 * share / (u_n + root) if u_n + root > 0.0 else math.inf
 
 
 @seldom
