@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, JAMMED, Chunk, stepped
@@ -64,6 +64,7 @@ class SteppedScene:
     def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools, allowed: float) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
+        self._still = setup.tolerances["speed"]
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
@@ -146,7 +147,8 @@ class SteppedScene:
         memory = self._memory.contacts
         scene = SceneNumbers(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            self._restitution, source.plastic, source.held, source.slips, r, self._near,
+            self._restitution, source.plastic, source.bodies, source.pairs, source.held,
+            source.slips, r, self._near, self._still, ROUNDING * self._speed,
             _SLOWEST * self._speed, self._negligible,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
