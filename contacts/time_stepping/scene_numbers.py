@@ -87,6 +87,9 @@ class ContactMemory(NamedTuple):
         Of how many steps, this one included, impulses are not those of forces alone.
     off : (c,)
         Whether its condition keeps it off.
+    missed : (c, 3)
+        Depths of contacts that are off though their conditions hold: where these began to hold,
+        and now; and the least that contacts never came back from, before their conditions failed.
     light : (1,)
         Whether coordinates without an inertia of their own were given one.
     bases : (c, 4)
@@ -98,6 +101,7 @@ class ContactMemory(NamedTuple):
     slid: Bools
     fresh: Ints
     off: Bools
+    missed: Array
     light: Bools
     bases: Bools
 
@@ -111,6 +115,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
             off.copy(),
+            np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),
         )

@@ -65,6 +65,7 @@ class SteppedTape:
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
             outputs += derivatives
+        self.scene = mechanics.scene
         self.names = tuple(mechanics.scene.contacts)
         for name in self.names:
             geometry = mechanics.contact(name)

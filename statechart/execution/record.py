@@ -173,7 +173,7 @@ def trace_of(run: Execution) -> Trace:
         tolerances=dict(run.setup.tolerances),
         engine=engine.title,
         tolerance=engine.tolerance,
-        warnings=(*run.setup.warnings, *run.warnings),
+        warnings=(*run.setup.warnings, *run.warnings, *automaton.laws.remarks(run.setup, arcs)),
         counts={
             "steps": run.steps,
             "evaluations": engine.evaluations - run.evaluations,
