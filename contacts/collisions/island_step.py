@@ -91,19 +91,20 @@ def solved(
         contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
         start, unforced = room.island[0, :size], room.island[1, :size]
         asked, chosen = room.island[2, :size], room.island[3, :size]
-        rebounds, quiet, lively, joined = room.rebounds[:size], 0, False, False
+        rebounds, quiet, lively, touching = room.rebounds[:size], 0, False, 0
+        for a in range(size):
+            touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
             i = members[a]
             put(touches.before[i], start[a])
             put(touches.free[i], unforced[a])
             put(touches.pushes[i], chosen[a])
             rebounds[a] = touches.hit[i] and materials[i, 2] > 0.0
-            if law == PLASTIC and size > 1 and rebounds[a]:
+            if law == PLASTIC and touching > 1 and rebounds[a]:
                 rebounds[a], touches.wanted[i, 0] = False, 0.0
             put(touches.wanted[i], asked[a])
             room.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
-            joined = joined or materials[i, 0] < 0.0
             quiet += 0 if touches.hit[i] else 1
         bound = 0.0
         for a in range(size):
@@ -127,7 +128,7 @@ def solved(
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
-        if joined:
+        if touching < size:
             missed, further, softened = close_joints(
                 numbers, room, members, contacts, h, rebounds, sudden, in_turn, near, bound,
                 allowed, missed, softened,

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from contacts.solvers.contact_rows import ContactRows, complete
+from contacts.solvers.impulse_coupling import root
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
 
 # Contacts that are next to each other are of the same body: where they are solved so many apart
 # impulses get through an island in a tenth fewer sweeps, and none waits for the one before.
 _STRIDE = 5
-
-
-@part
-def island_of(parents: Ints, body: int) -> int:
-    """Return the body that stands for an island (union-find, paths halved in place)."""
-    while parents[body] != body:
-        parents[body] = parents[parents[body]]
-        body = parents[body]
-    return body
 
 
 @part
@@ -41,14 +33,14 @@ def grouped(bodies: Ints, count: int, parents: Ints, begins: Ints, order: Ints) 
     begins[len(parents)] = 0
     for i in range(count):
         if bodies[i, 1] >= 0:
-            one = island_of(parents, bodies[i, 0])
-            parents[one] = island_of(parents, bodies[i, 1])
+            one = root(parents, bodies[i, 0])
+            parents[one] = root(parents, bodies[i, 1])
     for i in range(count):
-        begins[island_of(parents, bodies[i, 0]) + 1] += 1
+        begins[root(parents, bodies[i, 0]) + 1] += 1
     for b in range(len(parents)):
         begins[b + 1] += begins[b]
     for i in range(count - 1, -1, -1):
-        island = island_of(parents, bodies[i, 0]) + 1
+        island = root(parents, bodies[i, 0]) + 1
         begins[island] -= 1
         order[begins[island]] = i
     for b in range(len(parents)):

@@ -11,6 +11,7 @@ from contacts.detection.touches import Touches
 from contacts.solvers.contact_rows import ContactRows, slope
 from contacts.solvers.impact_sequence import in_turn
 from contacts.time_stepping.chunk import LIVELY, SLOW
+from contacts.time_stepping.impact_order import order_matters
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import late, part
 
@@ -110,20 +111,13 @@ def is_ambiguous(
     struck : (b,) array of int
         Is overwritten.
     """
-    for i in members:
-        for side in range(2):
-            if touches.bodies[i, side] >= 0:
-                struck[touches.bodies[i, side]] = -1
-    for a in range(len(members)):
+    size = len(members)
+    bodies, pairs = np.empty((size, 2), np.int64), np.empty(size, np.int64)
+    lively = np.empty(size, np.bool_)
+    for a in range(size):
         i = members[a]
         sudden = contacts.own[a, 0] * (impulses[a, 0] - touches.pushes[i, 0])
-        if touches.materials[i, 2] < LIVELY or sudden <= _slow(numbers, touches, i, h):
-            continue
-        pair = _pair(numbers, touches, i)
-        for side in range(2):
-            b = touches.bodies[i, side]
-            if b >= 0 and struck[b] >= 0 and struck[b] != pair:
-                return True
-            if b >= 0:
-                struck[b] = pair
-    return False
+        lively[a] = touches.materials[i, 2] >= LIVELY and sudden > _slow(numbers, touches, i, h)
+        bodies[a, 0], bodies[a, 1] = touches.bodies[i, 0], touches.bodies[i, 1]
+        pairs[a] = _pair(numbers, touches, i)
+    return order_matters(bodies, pairs, lively, struck)

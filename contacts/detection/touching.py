@@ -286,7 +286,7 @@ def _takes_part(
         _note(points, SUNK, -gap - explained)
     # Struck in the step whose middle is nearest to the instant of touching.
     role, level, above = arriving(
-        gap, level, lasting, nearing, touches.free[m, 0], slow, 0.5 + BESIDE, h
+        gap, level, lasting, nearing, touches.free[m, 0], slow, 0.5 + BESIDE, 0.0, h
     )
     alike = known or pair.slowly
     if role == HIT and not _strikes(numbers, look, pair, times, point, nearing, alike, points):

@@ -29,7 +29,7 @@ from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace import Arc, Jump, Key, Roles
 from statechart.charts.firing import Guard, Listening, considered
 
 
@@ -173,6 +173,10 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
         return self._contacts.feasibility(regions, inner, motion, time)
+
+    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+        """Return warnings of contacts that stay off: see `handovers`."""
+        return self._contacts.remarks(setup, arcs)
 
     def _at(self, states: Key) -> SceneLaws:
         """Return the contacts' laws as long as the controllers are in `states`."""

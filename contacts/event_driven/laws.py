@@ -17,6 +17,7 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.decision import cause, check_declared, decide
+from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
     Landing,
     Rules,
@@ -78,6 +79,7 @@ class SceneLaws:
         self._plain = not mechanics.joint_rows and not self._conditions.present
         self._projection = Projection(mechanics, self._tape)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
+        self.remarks = Handovers(mechanics).remarks
         self.ordinary: Ordinary | None = None
         if not mechanics.joint_rows:
             self.ordinary = SceneInstants(

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 
 from contacts.scene.fields import SceneFields
+from contacts.scene.handovers import nearly_meeting
 from statechart.documents.declaration import TIME
 from statechart.documents.dimensions import fields_of
 from statechart.documents.fields import FormulaText
@@ -56,6 +57,8 @@ def _found(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         # What is wrong with a formula is told where it is used.
         yield from _inside_out(scene)
+    with suppress(DeclarationError, DeclarationProblem):
+        yield from nearly_meeting(scene)
     for formula, _ in fields_of(scene):
         for node in nodes(formula):
             if isinstance(node, Call) and node.function in _OF_ANGLES:

@@ -7,6 +7,7 @@ Islands of bodies are solved by `island_impulses`, which asks the `contact_solve
 `contact_rows` (Gauss-Seidel) and by who sticks and slides, few by `status_newton`, many by
 `proximal_newton` and along `proximal_path`, whose `status_equations` are eliminated by
 `sparse_blocks`; their impacts in turn are an `impact_sequence`.
+`impulse_coupling` labels contacts that feel each other's impulses,
 `dependence` says which rows depend on each other; `smallest_forces` and `redundancy` choose among
 forces that move the bodies alike.
 """

@@ -16,7 +16,6 @@ from contacts.solvers.contact_lcp_kernels import (
     solve_contacts,
     step_residual,
 )
-from contacts.solvers.redundancy import connected
 from contacts.solvers.saddle_point import largest_size
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
@@ -60,20 +59,6 @@ def _known(
 
 
 @kernel
-def coupled_contacts(delassus: Array) -> Ints:
-    """Label the contacts (m,): those with one label feel each other's impulses."""
-    m = len(delassus) // 2
-    linked = np.zeros((m, m), np.bool_)
-    for i in range(m):
-        for k in range(i):
-            felt = False
-            for d in range(4):
-                felt = felt or delassus[2 * i + d // 2, 2 * k + d % 2] != 0.0
-            linked[i, k] = linked[k, i] = felt
-    return connected(linked)
-
-
-@kernel
 def solve_impacts(
     delassus: Array,
     groups: Ints,
@@ -98,7 +83,7 @@ def solve_impacts(
     ----------
     delassus : (2 m, 2 m)
     groups : (m,) array of int
-        Labels of `coupled_contacts`.
+        Labels; see `contacts.solvers.impulse_coupling`.
     before, free : (m, 2)
         Velocities before the step, and after it without impulses.
     wanted : (m, 2)

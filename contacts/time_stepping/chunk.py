@@ -141,7 +141,7 @@ class Chunk(NamedTuple):
 @part
 def arriving(
     gap: float, level: float, lasting: bool, nearing: float, ahead: float, slow: float,
-    early: float, h: float,
+    early: float, near: float, h: float,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Return how a contact takes part in a step, its level, and how far above that it is.
 
@@ -157,6 +157,8 @@ def arriving(
         Up to here an approach is that of a contact that lasts.
     early : float
         What touches within this part of a step is struck in it.
+    near : float
+        Gap tolerance: a contact touches up to this gap.
     h : float
     """
     if not lasting:
@@ -164,12 +166,12 @@ def arriving(
         level = min(max(level, gap), 0.0)
     above = gap - level
     # What is slow is let in before it arrives: others may push it there in this step.
-    soon = gap <= 0.0 or above + h * (ahead - slow) <= 0.0
+    soon = gap <= near or above + h * (ahead - slow) <= 0.0
     if lasting or (nearing <= slow and soon):
         if above < 0.0 and not lasting:
             return LASTING, gap, 0.0
         return LASTING, level, above
-    if above <= early * h * nearing and nearing > slow:
+    if above <= max(early * h * nearing, near) and nearing > slow:
         return HIT, min(gap, 0.0), above
     return APART, level, above
 

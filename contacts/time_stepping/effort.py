@@ -105,7 +105,8 @@ class Effort:
                 f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
                 f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
                 "once: Moreau's law takes these impacts together, and what passes a blow on does "
-                "not rebound from it; simultaneous: sequential carries them out one after another",
+                "not rebound from it; simultaneous: sequential carries them out one after another, "
+                "of points on surfaces with events",
             )
         if self._several:
             found += (

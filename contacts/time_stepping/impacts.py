@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
-from contacts.solvers.step_impulses import coupled_contacts, solve_impacts
+from contacts.solvers.impulse_coupling import coupled_contacts
+from contacts.solvers.step_impulses import solve_impacts
 from statechart.arrays import Array
 
 # Directions are one to within this part of the largest.
@@ -38,8 +39,9 @@ def velocity_change(
     delassus = np.ascontiguousarray(rows @ moved)
     wanted = np.zeros((m, 2))
     wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
+    groups = coupled_contacts(mass, held, pushes)
     good, _, _, impulses, _ = solve_impacts(
-        delassus, coupled_contacts(delassus), velocities, velocities.copy(), wanted, cones,
+        delassus, groups, velocities, velocities.copy(), wanted, cones,
         restitution > 0.0, np.zeros(UNKNOWNS * m, dtype=np.bool_), np.zeros(0), False,
     )  # fmt: skip
     change: Array = moved @ impulses.reshape(2 * m)

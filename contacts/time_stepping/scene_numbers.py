@@ -30,6 +30,11 @@ class SceneNumbers(NamedTuple):
     cones : (c, 2), restitution : (c,)
     plastic : bool
         Whether contacts that are hit together do not rebound.
+    bodies : (c, 2) array of int
+        The body of each contact's point, and of its surface; -1 for none, and for all where the
+        scene does not ask for impacts at once that rebound.
+    pairs : (c,) array of int
+        The number of the pair of a body and a surface's body, or a surface, that touch.
     held : (c,) array of int
         How many components of a contact's velocity are constrained whatever the impulse: 0, 1
         (normal), 2 (both).
@@ -37,8 +42,12 @@ class SceneNumbers(NamedTuple):
         Whether a contact may slide: 0, 1, or 2 if its slides have a direction.
     joints : int
         Number of components of joints.
-    near : float
-        Contacts that were off come back where they are no deeper than this below those that last.
+    near, still : float
+        Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed
+        of approach. A contact that was off comes back where it is no deeper than the gap tolerance
+        below those that last.
+    rounding : float
+        Round-off of velocities: no contact begins to press at an approach up to this.
     slowest, negligible : float
         What contacts add to the energy is told in parts of what they move with: at this speed at
         least, and twice this energy at least.
@@ -52,10 +61,14 @@ class SceneNumbers(NamedTuple):
     cones: Array
     restitution: Array
     plastic: bool
+    bodies: Ints
+    pairs: Ints
     held: Ints
     slips: Ints
     joints: int
     near: float
+    still: float
+    rounding: float
     slowest: float
     negligible: float
 
@@ -74,6 +87,9 @@ class ContactMemory(NamedTuple):
         Of how many steps, this one included, impulses are not those of forces alone.
     off : (c,)
         Whether its condition keeps it off.
+    missed : (c, 3)
+        Depths of contacts that are off though their conditions hold: where these began to hold,
+        and now; and the least that contacts never came back from, before their conditions failed.
     light : (1,)
         Whether coordinates without an inertia of their own were given one.
     bases : (c, 4)
@@ -85,6 +101,7 @@ class ContactMemory(NamedTuple):
     slid: Bools
     fresh: Ints
     off: Bools
+    missed: Array
     light: Bools
     bases: Bools
 
@@ -98,6 +115,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
             off.copy(),
+            np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),
         )

@@ -14,6 +14,7 @@ import numpy as np
 from contacts.solvers.step_impulses import AS_ASKED, solve_impacts
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
+    AMBIGUOUS,
     BAD_INERTIA,
     CHOSEN,
     CONTACTS,
@@ -41,6 +42,7 @@ from contacts.time_stepping.step_contacts import (
     guessed,
     mixed_with_impacts,
     nothing_borne,
+    order_decides,
     switched,
     taking_part,
     told,
@@ -209,6 +211,8 @@ def step_scene(
                 scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,
             )  # fmt: skip
+            ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
+            chunk.efforts[k, AMBIGUOUS] = ambiguous
         _after(memory, met.active)
         _held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup import ROUNDING, SceneSetup
+from contacts.scene.handovers import NEARLY, stays_off
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, JAMMED, Chunk, stepped
@@ -64,6 +65,8 @@ class SteppedScene:
     def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools, allowed: float) -> None:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
+        self._still = setup.tolerances["speed"]
+        self._nearly = NEARLY * setup.scales.length
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
@@ -124,7 +127,17 @@ class SteppedScene:
         return (
             *remarks(self._swing, self._length),
             *self._misses.remarks(self._length),
+            *self._stays_off(),
         )
+
+    def _stays_off(self) -> Iterator[str]:
+        """Yield a warning for each contact that has missed its surface by a small depth."""
+        for name, (first, last, past) in zip(
+            self._source.names, self._memory.contacts.missed.tolist(), strict=True
+        ):
+            depth = min(past, first) if last > first else past
+            if self._near < depth <= self._nearly:
+                yield stays_off(self._source.scene, name, depth)
 
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n + w,).
@@ -146,7 +159,8 @@ class SteppedScene:
         memory = self._memory.contacts
         scene = SceneNumbers(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            self._restitution, source.plastic, source.held, source.slips, r, self._near,
+            self._restitution, source.plastic, source.bodies, source.pairs, source.held,
+            source.slips, r, self._near, self._still, ROUNDING * self._speed,
             _SLOWEST * self._speed, self._negligible,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)

@@ -10,9 +10,10 @@ import sympy as sp
 
 from contacts.dynamics.control_guards import given, given_in, memory_rates
 from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.limits import StepLimits
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 from statechart.formulas.tape import Tape
 
 
@@ -64,6 +65,7 @@ class SteppedTape:
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
             outputs += derivatives
+        self.scene = mechanics.scene
         self.names = tuple(mechanics.scene.contacts)
         for name in self.names:
             geometry = mechanics.contact(name)
@@ -107,6 +109,7 @@ class SteppedTape:
             dtype=np.int64,
         )
         self.size = len(mechanics.q)
+        self.bodies, self.pairs = _touching_bodies(mechanics.scene)
         self.plastic = mechanics.scene.simultaneous == "plastic"
         self.may_jam = mechanics.scene.paradox == "impact"
 
@@ -125,3 +128,18 @@ class SteppedTape:
     def contacts(self, values: Array, state: Array) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) at the start."""
         return self.rows(values, state, 0.0).contacts[:, -4:]
+
+
+def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:
+    """Return the bodies (c, 2) of contacts, and the numbers (c,) of the pairs that touch."""
+    places = {name: i for i, name in enumerate(scene.bodies)}
+    bodies = np.full((len(scene.contacts), 2), -1)
+    things: list[frozenset[str]] = []
+    for i, contact in enumerate(scene.contacts.values()):
+        point, carrier = contact.point.body, scene.surfaces[contact.surface].body
+        if scene.simultaneous == "capped":
+            bodies[i] = places[point], -1 if carrier is None else places[carrier]
+        ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
+        things.append(frozenset({f"body {point}", ground}))
+    numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
+    return bodies, np.array([numbers[pair] for pair in things], dtype=np.int64)

@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
-    coupled_contacts,
     into_cone,
     of_group,
     relieve,
@@ -24,14 +24,16 @@ from contacts.time_stepping.chunk import (
     BESIDE,
     HIT,
     LASTING,
+    LIVELY,
     SLOW,
     Chunk,
     arriving,
     pressed_guess,
 )
 from contacts.time_stepping.energy import energy_added
-from contacts.time_stepping.equations import back
+from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
+from contacts.time_stepping.impact_order import order_matters
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -41,7 +43,7 @@ from contacts.time_stepping.scene_numbers import (
     Tape,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import part
 
 # A contact that lands slower than this part of what a step without contact would make of rest
@@ -50,6 +52,18 @@ _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
 _SETTLING = 3
+
+
+@part
+def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
+    """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
+    if off and holds:
+        missed[0] = missed[0] if missed[0] > 0.0 else depth
+        missed[1] = depth
+        return
+    if off and missed[1] > missed[0]:
+        missed[2] = min(missed[2], missed[0])
+    missed[0] = missed[1] = 0.0
 
 
 @part
@@ -67,6 +81,7 @@ def switched(
         gap, condition = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5]
         if off[i]:
             off[i] = not (condition > 0.0 and gap >= deepest)
+            _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
         elif condition < 0.0:
             off[i] = True
         if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
@@ -96,14 +111,17 @@ def taking_part(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
-        nearing, slow = -before[0], SLOW * abs(free[0] - before[0])
+        nearing, slow = -before[0], max(SLOW * abs(free[0] - before[0]), scene.still)
         bias = 0.5 * h * numbers[row + 2 * n]
         role, level[i], above = arriving(
-            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, h
+            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, scene.near, h
         )
         met.active[i], met.hit[i] = role != APART, role == HIT
         if role == LASTING:
             met.wanted[i, 0] = above / h + bias
+            if not memory.closed[i] and abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
+                # Bodies that fall side by side do not press each other.
+                met.wanted[i, 0] = -free[0]
             met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             # Between its middles a step is as deep as turning makes it.
             chunk.approach[k] = max(chunk.approach[k], 2.0 * abs(bias))
@@ -142,6 +160,23 @@ def _delassus(tape: Tape, which: Ints, columns: Array) -> Array:
 
 
 @part
+def _groups(scene: SceneNumbers, tape: Tape, which: Ints) -> Ints:
+    """Label the groups of the contacts `which` (m,), and of those that are constraints."""
+    numbers, n, m, c = tape.numbers, tape.size, len(which), len(scene.held)
+    constraints = indices(scene.held > 0)
+    jacobians, held = np.empty((m + len(constraints), 2, n)), np.empty((scene.joints, n))
+    for a in range(len(jacobians)):
+        i = which[a] if a < m else constraints[a - m]
+        for d in range(2):
+            for j in range(n):
+                jacobians[a, d, j] = numbers[tape.first + tape.per * i + d * n + j]
+    for i in range(scene.joints):
+        for j in range(n):
+            held[i, j] = numbers[tape.first + tape.per * c + (n + JOINT) * i + j]
+    return coupled_contacts(numbers[: n * n].reshape((n, n)), held, jacobians)
+
+
+@part
 def contact_problem(
     scene: SceneNumbers, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
 ) -> Problem:
@@ -158,7 +193,7 @@ def contact_problem(
                 push[j] = tape.numbers[row + d * n + j]
             put(back(factors, order, push), columns[2 * a + d])
     delassus = _delassus(tape, which, columns)
-    groups = coupled_contacts(delassus)
+    groups = _groups(scene, tape, which)
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
@@ -171,7 +206,9 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
-    return Problem(which, columns, delassus, groups, cones, before, free, wanted, rebounds, sudden)
+    return Problem(
+        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
+    )  # fmt: skip
 
 
 @part
@@ -296,6 +333,22 @@ def told(
             slip = velocity_after(problem.delassus, answer.least, steady, a, 1)
             modes[a] = borne_mode(steady[a], slip, slip != 0.0, cones[a], directed)
     return modes
+
+
+@part
+def order_decides(scene: SceneNumbers, problem: Problem, k: int, chunk: Chunk) -> bool:
+    """Whether the impacts of step k, one after another, would have another outcome."""
+    m, which = len(problem.which), problem.which
+    bodies, pairs = np.empty((m, 2), np.int64), np.empty(m, np.int64)
+    lively, struck = np.empty(m, np.bool_), np.empty(scene.bodies.max() + 1, np.int64)
+    for a in range(m):
+        i = which[a]
+        slow = max(SLOW * abs(problem.free[a, 0] - problem.before[a, 0]), scene.still)
+        sudden = problem.delassus[2 * a, 2 * a] * chunk.impulses[k, i, 0]
+        lively[a] = scene.restitution[i] >= LIVELY and sudden > slow
+        bodies[a, 0], bodies[a, 1] = scene.bodies[i, 0], scene.bodies[i, 1]
+        pairs[a] = scene.pairs[i]
+    return order_matters(bodies, pairs, lively, struck)
 
 
 @part

@@ -13,7 +13,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Jump, Key, Role, Roles
+from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
@@ -256,6 +256,10 @@ class Laws(Protocol):
 
         None where there is no reason against any; see `statechart.automaton.product.feasibility`.
         """
+        ...
+
+    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+        """Return warnings about a run that has ended, from its arcs."""
         ...
 
 

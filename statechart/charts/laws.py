@@ -23,7 +23,7 @@ from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Margin, Region, State, stop_margins
-from statechart.automaton.trace import Jump, Role, Roles
+from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.firing import (
@@ -271,6 +271,10 @@ class ChartLaws:
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float
     ) -> None:
         """Return None: every mode of a chart is possible somewhere."""
+
+    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+        """Return nothing: a chart has no surfaces to miss."""
+        return ()
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.roles)

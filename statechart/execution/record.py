@@ -153,6 +153,7 @@ def trace_of(run: Execution) -> Trace:
     doubtful = run.evidence.keys() - ({"motion"} if proved else set())
     decided = not doubtful and run.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
     arcs, jumps = run.record.close()
+    remarks = automaton.laws_of_events.remarks(run.setup, arcs)
     start = run.started_mode or tuple(r.states[0] for r in automaton.regions)
     return Trace(
         name=automaton.name,
@@ -173,7 +174,7 @@ def trace_of(run: Execution) -> Trace:
         tolerances=dict(run.setup.tolerances),
         engine=engine.title,
         tolerance=engine.tolerance,
-        warnings=(*run.setup.warnings, *run.warnings),
+        warnings=(*run.setup.warnings, *run.warnings, *remarks),
         counts={
             "steps": run.steps,
             "evaluations": engine.evaluations - run.evaluations,

@@ -1,0 +1,123 @@
+"""Contacts that stay off in a run with events, as their points are inside where they take over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.control_guards import given_in
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from contacts.scene.handovers import NEARLY, stays_off
+from contacts.states import OFF
+from statechart.arrays import Array
+from statechart.automaton.laws import Setup
+from statechart.automaton.trace import Arc, Key
+from statechart.formulas.tape import Tape
+
+# Samples of each step of an arc, and halvings between two of them: what is shorter is not found.
+_SAMPLES, _HALVINGS = 8, 50
+
+
+class Handovers:
+    """Looks for contacts that never come back on, though all their conditions hold.
+
+    A point that is inside a surface where the conditions of its contact begin to hold may come out
+    again, as a foot does that scuffs. It has missed the surface where it goes deeper until they
+    fail again, or the run ends.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        The scene's equations.
+    """
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._mechanics = mechanics
+        names = enumerate(mechanics.scene.contacts)
+        self._gated = {i: name for i, name in names if mechanics.conditions(name)}
+        self._tapes: dict[Key, Tape] = {}
+
+    def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
+        """Return a warning for each contact that has missed its surface by a small depth."""
+        assert isinstance(setup, SceneSetup)
+        found: dict[int, float] = {}
+        depths: dict[int, tuple[float, float]] = {}
+
+        def end(contact: int) -> None:
+            first, last = depths.pop(contact, (0.0, 0.0))
+            if last > first and first <= NEARLY * setup.scales.length:
+                found.setdefault(contact, first)
+
+        for arc in arcs if self._gated else ():
+            off = [i for i in self._gated if arc.mode[i] == OFF]
+            for i in set(depths).difference(off):
+                del depths[i]
+            if not off:
+                continue
+            tape = self._tape(arc.mode)
+            local = _samples(arc)
+            numbers = [_at(tape, setup, arc, time) for time in local.tolist()]
+            for k, now in enumerate(numbers):
+                for i in off:
+                    place = 2 * list(self._gated).index(i)
+                    if now[place] < 0.0:
+                        end(i)
+                    elif i in depths:
+                        depths[i] = depths[i][0], -now[place + 1]
+                    else:
+                        begun = now
+                        if k:
+                            begun = _begin(tape, setup, arc, place, local[k - 1], local[k])
+                        if -begun[place + 1] > setup.tolerances["gap"]:
+                            depths[i] = -begun[place + 1], -now[place + 1]
+        for i in list(depths):
+            end(i)
+        return tuple(
+            stays_off(self._mechanics.scene, self._gated[i], depth) for i, depth in found.items()
+        )
+
+    def _tape(self, mode: Key) -> Tape:
+        """Return the tape of the least condition and the gap of each contact with conditions."""
+        states = mode[len(self._mechanics.scene.contacts) :]
+        if states not in self._tapes:
+            controllers = self._mechanics.scene.controlled.flat
+            named = dict(zip(controllers, states, strict=True))
+            set_: dict[sp.Symbol, sp.Expr] = {}
+            for control, value in given_in(self._mechanics, named):
+                set_[control] = value.xreplace(set_)
+            outputs: list[sp.Expr] = []
+            for name in self._gated.values():
+                conditions = self._mechanics.conditions(name)
+                outputs.append(sp.Min(*(m.expression.xreplace(set_) for m in conditions)))
+                outputs.append(self._mechanics.contact(name).symbols.gap)
+            self._tapes[states] = self._mechanics.whole_tape(outputs)
+        return self._tapes[states]
+
+
+def _samples(arc: Arc) -> Array:
+    """Return local times of an arc: some of every step, and its end."""
+    steps = [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(arc.times)]
+    return np.concatenate([*steps, arc.times[-1:]])
+
+
+def _at(tape: Tape, setup: SceneSetup, arc: Arc, local: float) -> Array:
+    """Return the numbers of a tape at a local time of an arc."""
+    state = arc.states(np.array([local]))[0]
+    return tape.values(state, setup.values, arc.start.high + local)
+
+
+def _begin(
+    tape: Tape, setup: SceneSetup, arc: Arc, place: int, before: float, after: float
+) -> Array:
+    """Return the numbers where a condition begins to hold between two local times."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + after)
+        if _at(tape, setup, arc, middle)[place] < 0.0:
+            before = middle
+        else:
+            after = middle
+    return _at(tape, setup, arc, after)

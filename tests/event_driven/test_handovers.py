@@ -1,0 +1,118 @@
+"""Contacts that stay off, as a point is inside the surface that should take over."""
+
+from __future__ import annotations
+
+import pytest
+
+from contacts.scene.handovers import nearly_meeting
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+STEPS = pytest.mark.parametrize("step", [None, 1e-3, 1e-4])
+
+
+def planks(begin=0.0, rise=1e-6, until=1.0):
+    """Return a puck that slides from a plank, which ends at 0, to another one."""
+    return f"""
+kind: scene
+name: planks
+gravity: 9.81
+bodies: {{puck: {{mass: 1, start: {{x: -0.5, dx: 2}}}}}}
+surfaces:
+  a: {{edge: [[-2, 0], [0, 0]]}}
+  b: {{edge: [[{begin}, {rise}], [3, {rise}]]}}
+contacts:
+  on_a: {{point: {{body: puck}}, surface: a, friction: 0.05, restitution: 0}}
+  on_b: {{point: {{body: puck}}, surface: b, friction: 0.05, restitution: 0}}
+stop: {{time: {until}}}
+"""
+
+
+def run(text, step=None):
+    """Return (height at the end, warnings of contacts that stay off)."""
+    options = {} if step is None else {"engine": "impulse", "step": step}
+    result = Runner(interpret(read_text(text)), **options).run()
+    return result.trace.final[1], [w for w in result.warnings if "stays off" in w]
+
+
+@STEPS
+@pytest.mark.parametrize(
+    ("begin", "rise"),
+    [(0.0, 1e-6), (0.0, 1e-4), (-0.1, 1e-6), (1e-3, 0.0)],
+)
+def test_a_warning_says_how_deep_a_point_is_below_the_next_edge(begin, rise, step):
+    height, told = run(planks(begin, rise), step)
+    assert height < -0.5
+    assert len(told) == 1
+    assert told[0].startswith("on_b stays off: its point is ")
+    # Over the gap of 1 mm it falls by g (begin/v)^2/2.
+    depth = float(told[0].split()[6])
+    fallen = 0.5 * 9.81 * (max(begin, 0.0) / 1.875) ** 2
+    assert depth == pytest.approx(rise + fallen, abs=1e-8 if step is None else 0.02 * step)
+
+
+@STEPS
+@pytest.mark.parametrize(("begin", "rise"), [(0.0, 0.0), (0.0, -1e-4), (-0.1, -1e-3)])
+def test_a_point_that_meets_the_next_edge_has_no_warning(begin, rise, step):
+    height, told = run(planks(begin, rise), step)
+    assert height == pytest.approx(rise, abs=1e-9 if step is None else 0.2 * step)
+    assert told == []
+
+
+@STEPS
+def test_what_is_far_below_an_edge_has_no_warning(step):
+    _, told = run(planks(0.1, 0.3), step)
+    assert told == []
+
+
+@STEPS
+def test_pieces_of_a_ground_that_do_not_meet_have_a_warning(step):
+    text = """
+kind: scene
+name: pieces
+gravity: 9.81
+bodies: {puck: {mass: 1, start: {x: -0.5, dx: 2}}}
+surfaces: {a: {height: 0}, b: {height: 1e-5 + 0.1*x}}
+contacts:
+  on_a: {point: {body: puck}, surface: a, friction: 0, modes: [free, slide], restitution: 0,
+         enabled: puck.x <= 0}
+  on_b: {point: {body: puck}, surface: b, friction: 0, modes: [free, slide], restitution: 0,
+         enabled: puck.x >= 0}
+stop: {time: 0.6}
+"""
+    _, told = run(text, step)
+    assert len(told) == 1
+    assert "on_b stays off" in told[0]
+    assert "below the surface b where its conditions begin to hold" in told[0]
+
+
+@STEPS
+def test_a_foot_that_scuffs_and_comes_out_has_no_warning(step):
+    text = """
+kind: scene
+name: scuffing
+coordinates: {q: {start: 1e-5, rate: -0.1}}
+bodies: {foot: {mass: 1, position: [0, q]}}
+surfaces: {ground: {height: 0}}
+contacts:
+  c: {point: {body: foot}, surface: ground, friction: 0, modes: [free, slide], restitution: 0,
+      enabled: time >= 0.005}
+forces: {lift: {body: foot, force: [0, 1]}}
+stop: {time: 1}
+"""
+    height, told = run(text, step)
+    assert height > 0.1
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    ("begin", "rise", "meets"), [(0, 1e-6, False), (1e-4, 0, False), (0, 0, True), (0, 0.1, True)]
+)
+def test_validation_says_where_ends_of_edges_nearly_meet(begin, rise, meets):
+    scene = interpret(read_text(planks(begin, rise)))
+    told = list(nearly_meeting(scene))
+    assert bool(told) != meets
+    assert all("surfaces.b.edge: its first point is" in one for one in told)
+    runner = Runner(scene)
+    assert bool([w for w in runner.start()[1] if "nearly" in w or ".edge:" in w]) != meets
