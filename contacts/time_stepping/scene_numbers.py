@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 
 
@@ -72,6 +73,9 @@ class ContactMemory(NamedTuple):
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
+    settling, shown : (c,)
+        Whether its mode is read from accelerations, as after an impact; that mode, `FREE` where it
+        is not.
     off : (c,)
         Whether its condition keeps it off.
     light : (1,)
@@ -84,6 +88,8 @@ class ContactMemory(NamedTuple):
     closed: Bools
     slid: Bools
     fresh: Ints
+    settling: Bools
+    shown: Ints
     off: Bools
     light: Bools
     bases: Bools
@@ -97,6 +103,8 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
+            np.zeros(count, dtype=np.bool_),
+            np.full(count, FREE),
             off.copy(),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),

@@ -49,7 +49,7 @@ from statechart.kernels.jit import part
 _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
-_SETTLING = 3
+SETTLING = 3
 
 
 @part
@@ -126,7 +126,21 @@ def _alone(groups: Ints, a: int) -> bool:
 
 
 @part
-def _delassus(tape: Tape, which: Ints, columns: Array) -> Array:
+def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array:
+    """Return what unit impulses of contacts do to all that moves (2 m, s)."""
+    n = tape.size
+    columns, push = np.zeros((2 * len(which), len(order))), np.zeros(len(order))
+    for a in range(len(which)):
+        row = tape.first + tape.per * which[a]
+        for d in range(2):
+            for j in range(n):
+                push[j] = tape.numbers[row + d * n + j]
+            put(back(factors, order, push), columns[2 * a + d])
+    return columns
+
+
+@part
+def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
     """Return what unit impulses of contacts do to their velocities."""
     m, n = len(which), tape.size
     result = np.zeros((2 * m, 2 * m))
@@ -149,15 +163,9 @@ def contact_problem(
 
     What moves has the equations of these factors, in this order.
     """
-    m, n = len(which), tape.size
-    columns, push = np.zeros((2 * m, len(order))), np.zeros(len(order))
-    for a in range(m):
-        row = tape.first + tape.per * which[a]
-        for d in range(2):
-            for j in range(n):
-                push[j] = tape.numbers[row + d * n + j]
-            put(back(factors, order, push), columns[2 * a + d])
-    delassus = _delassus(tape, which, columns)
+    m = len(which)
+    columns = moved_columns(tape, factors, order, which)
+    delassus = delassus_of(tape, which, columns)
     groups = coupled_contacts(delassus)
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
@@ -251,7 +259,8 @@ def mixed_with_impacts(
         if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
             for b in range(m):
                 if groups[b] == groups[a]:
-                    memory.fresh[which[b]] = _SETTLING
+                    memory.fresh[which[b]] = SETTLING
+                    memory.settling[which[b]] = True
     for a in range(m):
         if memory.fresh[which[a]] > 0:
             for b in range(m):
