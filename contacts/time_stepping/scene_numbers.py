@@ -74,8 +74,7 @@ class ContactMemory(NamedTuple):
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
     settling, shown : (c,)
-        Whether its mode is read from accelerations, as after an impact; that mode, `FREE` where it
-        is not.
+        Whether its mode is read from accelerations, as after an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
     light : (1,)

@@ -33,7 +33,7 @@ from contacts.time_stepping.scene_numbers import (
     SceneNumbers,
     Tape,
 )
-from contacts.time_stepping.settling import is_settling, settle
+from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
     answered,
     as_shared,
@@ -136,7 +136,7 @@ def _settled(
     scene: SceneNumbers, memory: ContactMemory, time: float, middle: Array, state: Array,
     tape: Tape, factors: Array, order: Ints, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
-    """Write the modes of contacts that settle after an impact, under the velocities after it."""
+    """Write the modes of contacts that settle, under the velocities after the step."""
     n, there = tape.size, middle.copy()
     put(state[n : 2 * n], there[n : 2 * n])
     tape_values(*scene.equations, there, scene.parameters, time, tape.numbers)
@@ -231,7 +231,7 @@ def step_scene(
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
-        if is_settling(memory):
+        if unsettle(memory, k, chunk):
             _settled(scene, memory, time, middle, state, tape, factors, order, k, chunk)
         _after(memory, met.active)
         _flowed(scene, time, middle, h, state)

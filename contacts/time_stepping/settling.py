@@ -1,13 +1,15 @@
-"""Modes of contacts after an impact, from the complementarity problem of accelerations.
+"""Modes of contacts where they change, from the complementarity problem of accelerations.
 
 The impulses of the steps after an impact hold what the landing has left: the motion turns a contact
 off the gap at which it landed by ``h^2 b/2``, and its normal velocity by ``h b``, where b is the
-bias of its normal acceleration. These impulses are wrong by the order of the forces. So these steps
-read the modes from the velocities after the impact, as the engines with events do::
+bias of its normal acceleration. These impulses are wrong by the order of the forces. Where a slip
+ends or a contact comes off, velocities of the order ``h a`` are left in the same way. So from an
+impact, or a change of a mode, on the modes are those of the engines with events::
 
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
 
-until the impulses of a step say the same. A velocity that the landing explains counts as zero.
+with the velocities after the step, until its impulses say the same. What a few steps of the free
+accelerations explain counts as zero: gaps up to ``16 h^2 a``, velocities up to ``4 h a``.
 """
 
 from __future__ import annotations
@@ -16,29 +18,30 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import impulses_by_lemke
+from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
-from contacts.time_stepping.step_contacts import SETTLING, delassus_of, moved_columns
-from statechart.arrays import Array, Bools, Ints
+from contacts.time_stepping.step_contacts import delassus_of, moved_columns
+from statechart.arrays import Array, Ints
 from statechart.kernels.copies import indices
 from statechart.kernels.jit import beside, part
 
-# A landing leaves velocities of so many steps of the accelerations, and a gap of so many steps of
-# such a velocity.
+# So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
 _LEFT = 4.0
 
 
 @part
-def is_settling(memory: ContactMemory) -> bool:
-    """Whether the mode of a contact is that of the problem of accelerations."""
-    found = False
-    for i in range(len(memory.settling)):
-        found = found or memory.settling[i]
-    return found
+def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
+    """Let all contacts settle where the mode of one changes; return whether they do."""
+    changes = False
+    for i in range(len(memory.shown)):
+        changes = changes or memory.settling[i] or memory.shown[i] != chunk.codes[k, i]
+    for i in range(len(memory.shown)):
+        memory.settling[i] = changes
+    return changes
 
 
 @part
@@ -61,37 +64,26 @@ def _free_accelerations(scene: SceneNumbers, tape: Tape, factors: Array, order: 
 
 
 @part
-def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array) -> float:
-    """Write the accelerations (2,) of contact i; return the sum of the sizes of their terms."""
-    n, size = tape.size, 0.0
+def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes: Array) -> None:
+    """Write the accelerations (2,) of contact i, and the sums of the sizes of their terms."""
+    n = tape.size
     row = tape.first + tape.per * i
     for d in range(2):
         found[d] = tape.numbers[row + 2 * n + d]
-        size += abs(found[d])
+        sizes[d] = abs(found[d])
         along = 0.0
         for j in range(n):
             along += tape.numbers[row + d * n + j] * moving[j]
         found[d] += along
-        size += abs(along)
-    return size
+        sizes[d] += abs(along)
 
 
 @part
-def _is_closed(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, i: int, size: float, k: int,
-    chunk: Chunk,
-) -> bool:  # fmt: skip
-    """Whether a contact takes part in the problem of accelerations."""
-    if scene.held[i] > 0 or memory.off[i]:
-        return False
-    borne = chunk.codes[k, i] != FREE
-    if not memory.settling[i] or (memory.fresh[i] == SETTLING and borne):
-        return borne
-    if memory.shown[i] == FREE:
-        return False
-    row = tape.first + tape.per * i + 2 * tape.size
-    gap, rate, left = tape.numbers[row + 2], tape.numbers[row + 3], _LEFT * chunk.h * size
-    return gap - memory.level[i] <= _LEFT * chunk.h * left and rate <= left
+def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
+    """Whether steps of an acceleration of this size explain the gap and the rate of a contact."""
+    row, left = tape.first + tape.per * i + 2 * tape.size, _LEFT * h * size
+    gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
+    return gap <= _LEFT * h * left and rate <= left
 
 
 @part
@@ -133,31 +125,35 @@ def settle(
     """
     c, n, h = len(scene.cones), tape.size, chunk.h
     moving = _free_accelerations(scene, tape, factors, order)
-    free, sizes = np.zeros((c, 2)), np.zeros(c)
-    closed: Bools = np.zeros(c, np.bool_)
+    free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
+    closed, near = np.zeros(c, np.bool_), np.zeros(c, np.bool_)
     for i in range(c):
-        sizes[i] = _write_accelerations(tape, i, moving, free[i])
-        closed[i] = _is_closed(scene, memory, tape, i, sizes[i], k, chunk)
+        _write_accelerations(tape, i, moving, free[i], sizes[i])
+        if scene.held[i] == 0 and not memory.off[i]:
+            near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
+            lasts = near[i] and memory.shown[i] != FREE and memory.shown[i] != OFF_CODE
+            closed[i] = lasts or chunk.codes[k, i] != FREE
     which = indices(closed)
     m = len(which)
-    modes, solved = np.full(c, FREE), True
+    modes = chunk.codes[k].copy()
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
         slips, slides = np.empty(m), np.zeros(m)
         accelerations, terms, cones = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         for a in range(m):
             i = which[a]
-            slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
-            if abs(slips[a]) > _LEFT * h * sizes[i]:
-                slides[a] = 1.0 if slips[a] > 0.0 else -1.0
             for d in range(2):
                 accelerations[a, d], cones[a, d] = free[i, d], scene.cones[i, d]
+            slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
+            mu = cones[a, 1] / max(cones[a, 0], STEEPEST)
+            if abs(slips[a]) > _LEFT * h * (sizes[i, 1] + mu * sizes[i, 0]):
+                slides[a] = 1.0 if slips[a] > 0.0 else -1.0
         solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, False)
         if not solved:
             solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, True)
         for a in range(m):
             for d in range(2):
-                terms[a, d] = sizes[which[a]]
+                terms[a, d] = sizes[which[a], d]
                 for b in range(m):
                     for e in range(2):
                         term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
@@ -165,37 +161,27 @@ def settle(
                         terms[a, d] += abs(term)
         for a in range(m):
             i = which[a]
-            modes[i] = _mode_of(
-                accelerations[a], terms[a], slips[a], slides[a] == 0.0, cones[a],
-                scene.slips[i] == 2,
-            )  # fmt: skip
-    _show(memory, modes, solved, n + scene.joints, k, chunk)
+            if solved and near[i]:
+                modes[i] = _mode_of(
+                    accelerations[a], terms[a], slips[a], slides[a] == 0.0, cones[a],
+                    scene.slips[i] == 2,
+                )  # fmt: skip
+    _show(memory, modes, n + scene.joints, k, chunk)
 
 
 @part
-def _show(
-    memory: ContactMemory, modes: Ints, solved: bool, first: int, k: int, chunk: Chunk
-) -> None:
+def _show(memory: ContactMemory, modes: Ints, first: int, k: int, chunk: Chunk) -> None:
     """Write modes (c,) into step k; end the settling where its impulses agree with all of them.
 
     Forces of contacts begin at `first` among the step's unknowns.
     """
     agree = True
     for i in range(len(modes)):
-        borne = chunk.codes[k, i]
-        if not solved or (memory.shown[i] == FREE and memory.fresh[i] == 0):
-            modes[i] = borne
-        elif memory.off[i]:
-            modes[i] = OFF_CODE
-        if memory.settling[i]:
-            agree = agree and modes[i] == borne and memory.fresh[i] == 0
-    for i in range(len(modes)):
-        if not memory.settling[i]:
-            continue
+        agree = agree and modes[i] == chunk.codes[k, i] and memory.fresh[i] == 0
         if modes[i] != chunk.codes[k, i]:
             for d in range(2):
                 force = math.nan if modes[i] != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
-        chunk.codes[k, i] = modes[i]
+        chunk.codes[k, i] = memory.shown[i] = modes[i]
+    for i in range(len(modes)):
         memory.settling[i] = not agree
-        memory.shown[i] = FREE if agree else modes[i]

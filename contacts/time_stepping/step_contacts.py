@@ -49,7 +49,7 @@ from statechart.kernels.jit import part
 _LATE = 1e-9
 # So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
 # its level in the landing's; and the one after that, which ends what the next began.
-SETTLING = 3
+_SETTLING = 3
 
 
 @part
@@ -259,7 +259,7 @@ def mixed_with_impacts(
         if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
             for b in range(m):
                 if groups[b] == groups[a]:
-                    memory.fresh[which[b]] = SETTLING
+                    memory.fresh[which[b]] = _SETTLING
                     memory.settling[which[b]] = True
     for a in range(m):
         if memory.fresh[which[a]] > 0:
