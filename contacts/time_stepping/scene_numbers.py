@@ -40,6 +40,8 @@ class SceneNumbers(NamedTuple):
         Number of components of joints.
     near : float
         Contacts that were off come back where they are no deeper than this below those that last.
+    speed : float
+        The scene's.
     slowest, negligible : float
         What contacts add to the energy is told in parts of what they move with: at this speed at
         least, and twice this energy at least.
@@ -57,6 +59,7 @@ class SceneNumbers(NamedTuple):
     slips: Ints
     joints: int
     near: float
+    speed: float
     slowest: float
     negligible: float
 

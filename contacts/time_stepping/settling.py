@@ -22,7 +22,6 @@ from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
-from contacts.time_stepping.forces import ROUNDING
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
 from statechart.arrays import Array, Ints
@@ -31,6 +30,8 @@ from statechart.kernels.jit import beside, part
 
 # So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
 _LEFT = 4.0
+# Accelerations above this part of their terms are not zero however long the step is.
+_MOST_ALIKE = 1e-2
 
 
 @part
@@ -38,6 +39,7 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     """Let all contacts settle where the mode of one changes; return whether they do."""
     changes = False
     for i in range(len(memory.shown)):
+        chunk.modes[k, i] = chunk.codes[k, i]
         changes = changes or memory.settling[i] or memory.shown[i] != chunk.codes[k, i]
     for i in range(len(memory.shown)):
         memory.settling[i] = changes
@@ -87,17 +89,43 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 
 
 @part
-def _mode_of(
-    acceleration: Array, terms: Array, slip: float, still: bool, cone: Array, directed: bool
-) -> int:
+def _add_accelerations(
+    delassus: Array, forces: Array, per_speed: float, found: Array, sizes: Array
+) -> None:
+    """Add the accelerations of forces (m, 2) in place, and set what is zero to the first order.
+
+    Contacts of one body that have landed at different depths have lever arms that differ by the
+    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed.
+
+    Parameters
+    ----------
+    delassus : (2 m, 2 m)
+    forces : (m, 2)
+    per_speed : float
+        Step over speed.
+    found, sizes : (m, 2)
+        Accelerations without these forces, and the sums of the sizes of their terms.
+    """
+    for a in range(len(found)):
+        for d in range(2):
+            terms = sizes[a, d]
+            for b in range(len(found)):
+                for e in range(2):
+                    term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
+                    found[a, d] += term
+                    terms += abs(term)
+            if abs(found[a, d]) <= min(per_speed * terms, _MOST_ALIKE) * terms:
+                found[a, d] = 0.0
+
+
+@part
+def _mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact with these accelerations (2,)."""
-    if acceleration[0] > ROUNDING * terms[0]:
+    if acceleration[0] > 0.0:
         return FREE
     if cone[1] == 0.0 and not directed:
         return SLIDE
-    along = slip
-    if still:
-        along = acceleration[1] if abs(acceleration[1]) > ROUNDING * terms[1] else 0.0
+    along = acceleration[1] if still else slip
     if along == 0.0:
         return PIN
     return SLIDE_PLUS if along > 0.0 else SLIDE_MINUS
@@ -135,11 +163,11 @@ def settle(
             closed[i] = lasts or chunk.codes[k, i] != FREE
     which = indices(closed)
     m = len(which)
-    modes = chunk.codes[k].copy()
+    modes = chunk.modes[k]
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
         slips, slides = np.empty(m), np.zeros(m)
-        accelerations, terms, cones = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
+        accelerations, cones = np.empty((m, 2)), np.empty((m, 2))
         for a in range(m):
             i = which[a]
             for d in range(2):
@@ -151,37 +179,29 @@ def settle(
         solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, False)
         if not solved:
             solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, True)
-        for a in range(m):
-            for d in range(2):
-                terms[a, d] = sizes[which[a], d]
-                for b in range(m):
-                    for e in range(2):
-                        term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
-                        accelerations[a, d] += term
-                        terms[a, d] += abs(term)
+        _add_accelerations(delassus, forces, h / scene.speed, accelerations, sizes[which])
         for a in range(m):
             i = which[a]
             if solved and near[i]:
                 modes[i] = _mode_of(
-                    accelerations[a], terms[a], slips[a], slides[a] == 0.0, cones[a],
-                    scene.slips[i] == 2,
-                )  # fmt: skip
-    _show(memory, modes, n + scene.joints, k, chunk)
+                    accelerations[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
+                )
+    _show(memory, n + scene.joints, k, chunk)
 
 
 @part
-def _show(memory: ContactMemory, modes: Ints, first: int, k: int, chunk: Chunk) -> None:
-    """Write modes (c,) into step k; end the settling where its impulses agree with all of them.
+def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
+    """End the settling where the impulses of step k agree with the modes shown.
 
     Forces of contacts begin at `first` among the step's unknowns.
     """
     agree = True
-    for i in range(len(modes)):
-        agree = agree and modes[i] == chunk.codes[k, i] and memory.fresh[i] == 0
-        if modes[i] != chunk.codes[k, i]:
+    for i in range(len(memory.shown)):
+        mode = memory.shown[i] = chunk.modes[k, i]
+        agree = agree and mode == chunk.codes[k, i] and memory.fresh[i] == 0
+        if mode != chunk.codes[k, i]:
             for d in range(2):
-                force = math.nan if modes[i] != FREE else 0.0
+                force = math.nan if mode != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
-        chunk.codes[k, i] = memory.shown[i] = modes[i]
-    for i in range(len(modes)):
+    for i in range(len(memory.shown)):
         memory.settling[i] = not agree
