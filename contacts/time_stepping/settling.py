@@ -9,7 +9,8 @@ impact, or a change of a mode, on the modes are those of the engines with events
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
 
 with the velocities after the step, until its impulses say the same. What a few steps of the free
-accelerations explain counts as zero: gaps up to ``16 h^2 a``, velocities up to ``4 h a``.
+accelerations explain counts as zero: gaps up to ``16 h^2 a``, and, against the mode of the step
+before, their rates and slips up to ``4 h a``. So does a slip that ends within four steps.
 """
 
 from __future__ import annotations
@@ -22,16 +23,18 @@ from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
+from contacts.time_stepping.forces import ROUNDING
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import indices
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
 # So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
 _LEFT = 4.0
-# Accelerations above this part of their terms are not zero however long the step is.
-_MOST_ALIKE = 1e-2
+# Accelerations below this part of what the step makes of them are zero to the first order; above
+# that part of their terms they are not, however long the step is.
+_ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
 @part
@@ -89,26 +92,33 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 
 
 @part
-def _add_accelerations(
-    delassus: Array, forces: Array, per_speed: float, found: Array, sizes: Array
-) -> None:
-    """Add the accelerations of forces (m, 2) in place, and set what is zero to the first order.
+def _solve_accelerations(
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, per_speed: float,
+    found: Array,
+) -> bool:  # fmt: skip
+    """Write the accelerations of contacts; return whether the problem was solved.
 
     Contacts of one body that have landed at different depths have lever arms that differ by the
-    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed.
+    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed. What is
+    zero to this order is zero.
 
     Parameters
     ----------
-    delassus : (2 m, 2 m)
-    forces : (m, 2)
+    delassus, free, cones, slides
+        See `contacts.solvers.contact_lcp_kernels.problem`.
+    sizes : (m, 2)
+        Sums of the sizes of the terms of `free`.
     per_speed : float
         Step over speed.
-    found, sizes : (m, 2)
-        Accelerations without these forces, and the sums of the sizes of their terms.
+    found : (m, 2)
+        To be filled.
     """
+    solved, forces = impulses_by_lemke(delassus, free, cones, slides, False)
+    if not solved:
+        solved, forces = impulses_by_lemke(delassus, free, cones, slides, True)
     for a in range(len(found)):
         for d in range(2):
-            terms = sizes[a, d]
+            found[a, d], terms = free[a, d], sizes[a, d]
             for b in range(len(found)):
                 for e in range(2):
                     term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
@@ -116,6 +126,22 @@ def _add_accelerations(
                     terms += abs(term)
             if abs(found[a, d]) <= min(per_speed * terms, _MOST_ALIKE) * terms:
                 found[a, d] = 0.0
+    return solved
+
+
+@part
+def _end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
+    """Clear the directions (m,) of slips that end within some steps; return whether there are."""
+    found = False
+    for a in range(len(slips)):
+        if slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0:
+            slides[a], found = 0.0, True
+    return found
+
+
+@part
+def _direction(mode: int) -> float:
+    return 1.0 if mode == SLIDE_PLUS else -1.0 if mode == SLIDE_MINUS else 0.0
 
 
 @part
@@ -166,25 +192,29 @@ def settle(
     modes = chunk.modes[k]
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
-        slips, slides = np.empty(m), np.zeros(m)
-        accelerations, cones = np.empty((m, 2)), np.empty((m, 2))
+        slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
+        forced, alone = np.empty((m, 2)), np.empty((m, 2))
+        cones, terms = np.empty((m, 2)), np.empty((m, 2))
         for a in range(m):
             i = which[a]
-            for d in range(2):
-                accelerations[a, d], cones[a, d] = free[i, d], scene.cones[i, d]
+            put(free[i], alone[a])
+            put(sizes[i], terms[a])
+            put(scene.cones[i], cones[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
-            mu = cones[a, 1] / max(cones[a, 0], STEEPEST)
-            if abs(slips[a]) > _LEFT * h * (sizes[i, 1] + mu * sizes[i, 0]):
-                slides[a] = 1.0 if slips[a] > 0.0 else -1.0
-        solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, False)
-        if not solved:
-            solved, forces = impulses_by_lemke(delassus, accelerations, cones, slides, True)
-        _add_accelerations(delassus, forces, h / scene.speed, accelerations, sizes[which])
+            if abs(slips[a]) > rounding:
+                along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
+                left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
+                if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
+                    slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+        problem = delassus, alone, cones
+        solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        if solved and _end_slips(slips, forced, h, slides):
+            solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
         for a in range(m):
             i = which[a]
             if solved and near[i]:
                 modes[i] = _mode_of(
-                    accelerations[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
+                    forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
                 )
     _show(memory, n + scene.joints, k, chunk)
 
