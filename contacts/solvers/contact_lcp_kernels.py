@@ -258,14 +258,21 @@ def solve_contacts(
 
 @part
 def impulses_by_lemke(
-    delassus: Array, least: Array, cones: Array, by_scales: bool
+    delassus: Array, least: Array, cones: Array, slides: Array, by_scales: bool
 ) -> tuple[bool, Array]:
     """Return whether Lemke's algorithm finds impulses, and these (m, 2), from nothing.
 
     Its tableau is made anew every few pivots: bodies whose masses differ by decades leave nothing
     of it after some ten. Its path covers with what is missing, or with the scales.
+
+    Parameters
+    ----------
+    delassus, least, cones, slides
+        See `problem`, whose velocities are accelerations and whose impulses are forces where a
+        contact slips already.
+    by_scales : bool
     """
-    matrix, vector = problem(delassus, least, cones, np.zeros(len(cones)))
+    matrix, vector = problem(delassus, least, cones, slides)
     scales, size = _scales(matrix), len(vector)
     for i in range(size):
         vector[i] *= scales[i]
@@ -275,7 +282,12 @@ def impulses_by_lemke(
     vector /= most
     cover = scales / scales.max() if by_scales else np.abs(vector) + _COVERED
     outcome, z, _ = lemke(matrix, vector, cover, pivots(len(cones)), _ANEW)
-    return outcome == FOUND, impulses_of(most * scales * z)
+    impulses = impulses_of(most * scales * z)
+    for i in range(len(cones)):
+        if slides[i] != 0.0:
+            impulses[i, 1] = -slides[i] * cones[i, 1] * impulses[i, 0]
+            impulses[i, 0] *= cones[i, 0]
+    return outcome == FOUND, impulses
 
 
 @part

@@ -195,7 +195,9 @@ def _by_lemke(
     for by_sizes in range(2):
         if left <= allowed:
             break
-        good, found = impulses_by_lemke(delassus, least, contacts.cones, by_sizes == 1)
+        good, found = impulses_by_lemke(
+            delassus, least, contacts.cones, np.zeros(len(least)), by_sizes == 1
+        )
         if not good:
             continue
         missed = measured(contacts, least, size, found)

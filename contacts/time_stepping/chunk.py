@@ -65,8 +65,9 @@ class Chunk(NamedTuple):
         The first is where the first step begins.
     solved : (k, u) array
         Accelerations (n,) under what lasts, and the further unknowns.
-    codes : (k, r) array
-        Mode of every region, as `contacts.states` numbers them.
+    codes, modes : (k, r) array
+        Mode of every region under the impulses of the step, as `contacts.states` numbers them, and
+        the mode that the trace shows (`contacts.time_stepping.settling`).
     struck, shared : (k, r) array of bool
         Regions with an impact in the middle of the step; those whose forces the motion does not
         determine.
@@ -91,6 +92,7 @@ class Chunk(NamedTuple):
     states: Array
     solved: Array
     codes: Ints
+    modes: Ints
     struck: Bools
     shared: Bools
     impulses: Array
@@ -107,11 +109,13 @@ class Chunk(NamedTuple):
         """Return place for steps from `state`."""
         states = np.empty((count + 1, len(state)))
         states[0] = state
+        codes = np.zeros((count, regions), dtype=np.int64)
         return cls(
             h,
             states,
             np.zeros((count, unknowns)),
-            np.zeros((count, regions), dtype=np.int64),
+            codes,
+            codes,
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions, 2)),

@@ -144,7 +144,7 @@ class Recorder:
         if shared:
             self._note_shared(chunk.shared[first:])
         self._flow(steps, done, len(shown), 0)
-        self._raw = chunk.codes[-1]
+        self._raw = chunk.modes[-1]
         if self._size > _LONGEST:
             self.close()
 
@@ -157,11 +157,11 @@ class Recorder:
         tail = _Tail(
             chunk.after(last),
             shown[last - 1] if last else self.row,
-            chunk.codes[last - 1] if last else self._raw,
+            chunk.modes[last - 1] if last else self._raw,
             self.count + int(jumps[:last].sum()),
             begin,
         )
-        self.row, self._raw = shown[last], chunk.codes[last]
+        self.row, self._raw = shown[last], chunk.modes[last]
         self.count, self.clock = tail.jumps + int(jumps[last]), begin
         # As it is appended.
         for part in (half, half) if hit[last] else (chunk.h,):
@@ -241,7 +241,7 @@ class Recorder:
 
     def _shown(self, chunk: Chunk) -> Ints:
         """Let a slip that comes to rest in a step last to its end, but for one that is struck."""
-        codes = chunk.codes
+        codes = chunk.modes
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 
 
@@ -48,6 +49,8 @@ class SceneNumbers(NamedTuple):
         below those that last.
     rounding : float
         Round-off of velocities: no contact begins to press at an approach up to this.
+    speed : float
+        The scene's scale of velocities.
     slowest, negligible : float
         What contacts add to the energy is told in parts of what they move with: at this speed at
         least, and twice this energy at least.
@@ -69,6 +72,7 @@ class SceneNumbers(NamedTuple):
     near: float
     still: float
     rounding: float
+    speed: float
     slowest: float
     negligible: float
 
@@ -85,6 +89,8 @@ class ContactMemory(NamedTuple):
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
+    settling, shown : (c,)
+        Whether its mode is read from accelerations, as after an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
     missed : (c, 3)
@@ -100,6 +106,8 @@ class ContactMemory(NamedTuple):
     closed: Bools
     slid: Bools
     fresh: Ints
+    settling: Bools
+    shown: Ints
     off: Bools
     missed: Array
     light: Bools
@@ -114,6 +122,8 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
+            np.zeros(count, dtype=np.bool_),
+            np.full(count, FREE),
             off.copy(),
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),

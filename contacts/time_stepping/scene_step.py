@@ -34,6 +34,7 @@ from contacts.time_stepping.scene_numbers import (
     SceneNumbers,
     Tape,
 )
+from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
     answered,
     as_shared,
@@ -133,6 +134,18 @@ def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Arr
 
 
 @part
+def _settled(
+    scene: SceneNumbers, memory: ContactMemory, time: float, middle: Array, state: Array,
+    tape: Tape, factors: Array, order: Ints, k: int, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write the modes of contacts that settle, under the velocities after the step."""
+    n, there = tape.size, middle.copy()
+    put(state[n : 2 * n], there[n : 2 * n])
+    tape_values(*scene.equations, there, scene.parameters, time, tape.numbers)
+    settle(scene, memory, tape, factors, order, k, chunk)
+
+
+@part
 def _after(memory: ContactMemory, active: Bools) -> None:
     """Let contacts grow older by a step."""
     for i in range(len(active)):
@@ -213,7 +226,6 @@ def step_scene(
             )  # fmt: skip
             ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
             chunk.efforts[k, AMBIGUOUS] = ambiguous
-        _after(memory, met.active)
         _held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
             chunk.solved[k, i] = lasting[i] / h
@@ -223,6 +235,9 @@ def step_scene(
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
+        if unsettle(memory, k, chunk):
+            _settled(scene, memory, time, middle, state, tape, factors, order, k, chunk)
+        _after(memory, met.active)
         _flowed(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):

@@ -155,12 +155,13 @@ class SteppedScene:
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.room(h, state, n + r + 2 * c + source.given, c, count)
+        chunk = chunk._replace(modes=chunk.codes.copy())
         self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
         memory = self._memory.contacts
         scene = SceneNumbers(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
             self._restitution, source.plastic, source.bodies, source.pairs, source.held,
-            source.slips, r, self._near, self._still, ROUNDING * self._speed,
+            source.slips, r, self._near, self._still, ROUNDING * self._speed, self._speed,
             _SLOWEST * self._speed, self._negligible,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
@@ -266,14 +267,16 @@ class SteppedScene:
         NoConsistentMode
             If not even the first does.
         """
-        codes, h = chunk.codes, chunk.h
+        codes, shown, h = chunk.codes, chunk.modes, chunk.h
         before = np.vstack([self._memory.codes, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         # A slip that turns round in a step is at rest at its end; without friction it may stay so.
         turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._memory.codes = codes[-1] if len(codes) else self._memory.codes
-        wrong = self._undeclared[np.arange(codes.shape[1]), codes]
+        places = np.arange(codes.shape[1])
+        wrong = self._undeclared[places, codes]
+        np.copyto(shown, codes, where=self._undeclared[places, shown])
         if not self._source.may_jam:
             for k in np.flatnonzero(chunk.efforts[:, JAMMED]).tolist():
                 i = int(chunk.efforts[k, JAMMED]) - 1

@@ -144,7 +144,21 @@ def _alone(groups: Ints, a: int) -> bool:
 
 
 @part
-def _delassus(tape: Tape, which: Ints, columns: Array) -> Array:
+def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array:
+    """Return what unit impulses of contacts do to all that moves (2 m, s)."""
+    n = tape.size
+    columns, push = np.zeros((2 * len(which), len(order))), np.zeros(len(order))
+    for a in range(len(which)):
+        row = tape.first + tape.per * which[a]
+        for d in range(2):
+            for j in range(n):
+                push[j] = tape.numbers[row + d * n + j]
+            put(back(factors, order, push), columns[2 * a + d])
+    return columns
+
+
+@part
+def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
     """Return what unit impulses of contacts do to their velocities."""
     m, n = len(which), tape.size
     result = np.zeros((2 * m, 2 * m))
@@ -184,15 +198,9 @@ def contact_problem(
 
     What moves has the equations of these factors, in this order.
     """
-    m, n = len(which), tape.size
-    columns, push = np.zeros((2 * m, len(order))), np.zeros(len(order))
-    for a in range(m):
-        row = tape.first + tape.per * which[a]
-        for d in range(2):
-            for j in range(n):
-                push[j] = tape.numbers[row + d * n + j]
-            put(back(factors, order, push), columns[2 * a + d])
-    delassus = _delassus(tape, which, columns)
+    m = len(which)
+    columns = moved_columns(tape, factors, order, which)
+    delassus = delassus_of(tape, which, columns)
     groups = _groups(scene, tape, which)
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
@@ -289,6 +297,7 @@ def mixed_with_impacts(
             for b in range(m):
                 if groups[b] == groups[a]:
                     memory.fresh[which[b]] = _SETTLING
+                    memory.settling[which[b]] = True
     for a in range(m):
         if memory.fresh[which[a]] > 0:
             for b in range(m):

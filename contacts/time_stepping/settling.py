@@ -1,0 +1,237 @@
+"""Modes of contacts where they change, from the complementarity problem of accelerations.
+
+The impulses of the steps after an impact hold what the landing has left: the motion turns a contact
+off the gap at which it landed by ``h^2 b/2``, and its normal velocity by ``h b``, where b is the
+bias of its normal acceleration. These impulses are wrong by the order of the forces. Where a slip
+ends or a contact comes off, velocities of the order ``h a`` are left in the same way. So from an
+impact, or a change of a mode, on the modes are those of the engines with events::
+
+    0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
+
+with the velocities after the step, until its impulses say the same. What a few steps of the free
+accelerations explain counts as zero: gaps up to ``16 h^2 a``, and, against the mode of the step
+before, their rates and slips up to ``4 h a``. So does a slip that ends within four steps.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.equations import JOINT, back
+from contacts.time_stepping.forces import ROUNDING
+from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
+from contacts.time_stepping.step_contacts import delassus_of, moved_columns
+from statechart.arrays import Array, Ints
+from statechart.kernels.copies import indices, put
+from statechart.kernels.jit import beside, part
+
+# So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
+_LEFT = 4.0
+# Accelerations below this part of what the step makes of them are zero to the first order; above
+# that part of their terms they are not, however long the step is.
+_ALIKE, _MOST_ALIKE = 0.1, 1e-2
+
+
+@part
+def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
+    """Let all contacts settle where the mode of one changes; return whether they do."""
+    changes = False
+    for i in range(len(memory.shown)):
+        chunk.modes[k, i] = chunk.codes[k, i]
+        changes = changes or memory.settling[i] or memory.shown[i] != chunk.codes[k, i]
+    for i in range(len(memory.shown)):
+        memory.settling[i] = changes
+    return changes
+
+
+@part
+def _free_accelerations(scene: SceneNumbers, tape: Tape, factors: Array, order: Ints) -> Array:
+    """Return the accelerations of the coordinates without free contacts' forces."""
+    n, numbers, right = tape.size, tape.numbers, np.zeros(len(order))
+    for j in range(n):
+        right[j] = numbers[n * n + j]
+    at = n
+    for i in range(len(scene.held)):
+        for d in range(scene.held[i]):
+            right[at] = -numbers[tape.first + tape.per * i + 2 * n + d]
+            at += 1
+    for i in range(scene.joints):
+        row = tape.first + tape.per * len(scene.held) + (n + JOINT) * i
+        if numbers[row + n + 3] == 0.0:
+            right[at] = -numbers[row + n + 2]
+        at += 1
+    return back(factors, order, right)
+
+
+@part
+def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes: Array) -> None:
+    """Write the accelerations (2,) of contact i, and the sums of the sizes of their terms."""
+    n = tape.size
+    row = tape.first + tape.per * i
+    for d in range(2):
+        found[d] = tape.numbers[row + 2 * n + d]
+        sizes[d] = abs(found[d])
+        along = 0.0
+        for j in range(n):
+            along += tape.numbers[row + d * n + j] * moving[j]
+        found[d] += along
+        sizes[d] += abs(along)
+
+
+@part
+def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
+    """Whether steps of an acceleration of this size explain the gap and the rate of a contact."""
+    row, left = tape.first + tape.per * i + 2 * tape.size, _LEFT * h * size
+    gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
+    return gap <= _LEFT * h * left and rate <= left
+
+
+@part
+def _solve_accelerations(
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, per_speed: float,
+    found: Array,
+) -> bool:  # fmt: skip
+    """Write the accelerations of contacts; return whether the problem was solved.
+
+    Contacts of one body that have landed at different depths have lever arms that differ by the
+    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed. What is
+    zero to this order is zero.
+
+    Parameters
+    ----------
+    delassus, free, cones, slides
+        See `contacts.solvers.contact_lcp_kernels.problem`.
+    sizes : (m, 2)
+        Sums of the sizes of the terms of `free`.
+    per_speed : float
+        Step over speed.
+    found : (m, 2)
+        To be filled.
+    """
+    solved, forces = impulses_by_lemke(delassus, free, cones, slides, False)
+    if not solved:
+        solved, forces = impulses_by_lemke(delassus, free, cones, slides, True)
+    for a in range(len(found)):
+        for d in range(2):
+            found[a, d], terms = free[a, d], sizes[a, d]
+            for b in range(len(found)):
+                for e in range(2):
+                    term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
+                    found[a, d] += term
+                    terms += abs(term)
+            if abs(found[a, d]) <= min(per_speed * terms, _MOST_ALIKE) * terms:
+                found[a, d] = 0.0
+    return solved
+
+
+@part
+def _end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
+    """Clear the directions (m,) of slips that end within some steps; return whether there are."""
+    found = False
+    for a in range(len(slips)):
+        if slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0:
+            slides[a], found = 0.0, True
+    return found
+
+
+@part
+def _direction(mode: int) -> float:
+    return 1.0 if mode == SLIDE_PLUS else -1.0 if mode == SLIDE_MINUS else 0.0
+
+
+@part
+def _mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
+    """Return the number of the mode of a contact with these accelerations (2,)."""
+    if acceleration[0] > 0.0:
+        return FREE
+    if cone[1] == 0.0 and not directed:
+        return SLIDE
+    along = acceleration[1] if still else slip
+    if along == 0.0:
+        return PIN
+    return SLIDE_PLUS if along > 0.0 else SLIDE_MINUS
+
+
+@beside
+def settle(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, factors: Array, order: Ints, k: int,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write the modes of settling contacts in step k.
+
+    Parameters
+    ----------
+    scene : SceneNumbers
+    memory : ContactMemory
+        Changed in place.
+    tape : Tape
+        In the middle of the step, with the velocities after it.
+    factors, order
+        The equations of the step (`contacts.time_stepping.equations.factored`).
+    k : int
+    chunk : Chunk
+        Its step k is changed in place.
+    """
+    c, n, h = len(scene.cones), tape.size, chunk.h
+    moving = _free_accelerations(scene, tape, factors, order)
+    free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
+    closed, near = np.zeros(c, np.bool_), np.zeros(c, np.bool_)
+    for i in range(c):
+        _write_accelerations(tape, i, moving, free[i], sizes[i])
+        if scene.held[i] == 0 and not memory.off[i]:
+            near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
+            lasts = near[i] and memory.shown[i] != FREE and memory.shown[i] != OFF_CODE
+            closed[i] = lasts or chunk.codes[k, i] != FREE
+    which = indices(closed)
+    m = len(which)
+    modes = chunk.modes[k]
+    if m > 0:
+        delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
+        slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
+        forced, alone = np.empty((m, 2)), np.empty((m, 2))
+        cones, terms = np.empty((m, 2)), np.empty((m, 2))
+        for a in range(m):
+            i = which[a]
+            put(free[i], alone[a])
+            put(sizes[i], terms[a])
+            put(scene.cones[i], cones[a])
+            slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
+            if abs(slips[a]) > rounding:
+                along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
+                left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
+                if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
+                    slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+        problem = delassus, alone, cones
+        solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        if solved and _end_slips(slips, forced, h, slides):
+            solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        for a in range(m):
+            i = which[a]
+            if solved and near[i]:
+                modes[i] = _mode_of(
+                    forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
+                )
+    _show(memory, n + scene.joints, k, chunk)
+
+
+@part
+def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
+    """End the settling where the impulses of step k agree with the modes shown.
+
+    Forces of contacts begin at `first` among the step's unknowns.
+    """
+    agree = True
+    for i in range(len(memory.shown)):
+        mode = memory.shown[i] = chunk.modes[k, i]
+        agree = agree and mode == chunk.codes[k, i] and memory.fresh[i] == 0
+        if mode != chunk.codes[k, i]:
+            for d in range(2):
+                force = math.nan if mode != FREE else 0.0
+                chunk.solved[k, first + 2 * i + d] = force
+    for i in range(len(memory.shown)):
+        memory.settling[i] = not agree

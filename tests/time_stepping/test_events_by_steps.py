@@ -1,0 +1,167 @@
+"""Events by steps are those of the engines with events, at times that differ by some steps."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from contacts.scene.scene import Scene
+from statechart.automaton.trace import Trace
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+
+H = 2.5e-4
+
+# A corner that turns as it lands on a ramp: the turning takes it off the ramp in the next step.
+# A controller counts what it hears.
+TURNING = """
+kind: scene
+name: turning
+gravity: 9.81
+stop: {time: 0.5}
+controls: {u: 0}
+regions:
+  ctl:
+    initial: a
+    variables: {n: 0}
+    states: {a: {sets: {u: -0.606}}}
+    transitions:
+    - {name: cnt, from: a, on: c.touchdown or c.slip or c.stick, updates: {n: n + 1}}
+bodies:
+  b:
+    mass: 1.659
+    inertia: 0.025
+    start: {x: -0.062, y: 1.21, dx: 0.512, angle: 0.269, dangle: 0.703}
+surfaces: {ramp: {edge: [[-1, 0.495], [0.345, 0.308]]}}
+contacts:
+  c:
+    {point: {body: b, at: [-0.14, -0.1]}, surface: ramp, friction: 1.1, restitution: 0,
+    impact: moreau}
+forces: {push: {body: b, force: [u, 0]}}
+outputs:
+  n: {value: n}
+  landings: {count: c.touchdown}
+  slips: {count: c.slip}
+"""
+
+
+def by_events(model: Scene) -> Result:
+    return Runner(model, engine="scipy", tolerance=1e-10).run()
+
+
+def by_steps(model: Scene, h: float) -> Result:
+    return Runner(model, engine="impulse", step=h).run()
+
+
+@cache
+def turning() -> Scene:
+    model = interpret(read_text(TURNING, "f.yaml"))
+    assert isinstance(model, Scene)
+    return model
+
+
+@pytest.mark.parametrize("h", [6e-4, 1.5e-4])
+def test_what_turns_as_it_lands_lands_once(h: float) -> None:
+    exact, found = by_events(turning()), by_steps(turning(), h)
+    assert exact.outputs["n"] == 2.0
+    assert found.outputs == exact.outputs
+    causes = [[(j.region, j.cause) for j in run.trace.jumps] for run in (exact, found)]
+    assert causes[1] == causes[0]
+    for there, here in zip(exact.trace.jumps, found.trace.jumps, strict=True):
+        assert here.t == pytest.approx(there.t, abs=3 * h)
+    np.testing.assert_allclose(found.trace.final, exact.trace.final, rtol=0, atol=40 * h)
+
+
+# A bar that is thrown on a line, and a controller that pushes it after an event.
+THROWN = """
+kind: scene
+name: thrown
+parameters: {{m: 1, I: 0.03, y0: 0.6, dx0: 0, dy0: 0, angle0: 0, dangle0: 0, slope: 0, mu: 0.5,
+  nu: 0.5, e: 0, F: 0}}
+gravity: 9.81
+stop: {{time: 0.6}}
+simultaneous: {simultaneous}
+bodies:
+  b:
+    mass: m
+    inertia: I
+    start: {{y: y0, dx: dx0, dy: dy0, angle: angle0, dangle: dangle0}}
+surfaces: {{ground: {{height: slope*x}}}}
+contacts:
+  left:
+    {{point: {{body: b, at: [-0.14, -0.1]}}, surface: ground, friction: mu, restitution: e,
+    impact: moreau}}
+  right:
+    {{point: {{body: b, at: [0.2, -0.1]}}, surface: ground, friction: nu, restitution: e,
+    impact: moreau}}
+forces: {{push: {{body: b, force: [u, 0]}}}}
+controls: {{u: 0}}
+regions:
+  driver:
+    initial: wait
+    states: {{wait: {{}}, go: {{sets: {{u: F}}}}}}
+    transitions:
+    - {{name: heard, from: wait, to: go, on: left.{event} or right.{event}}}
+"""
+
+
+@cache
+def runners(simultaneous: str, event: str) -> tuple[Runner, Runner]:
+    """Return what runs it with events, and by steps."""
+    model = interpret(read_text(THROWN.format(simultaneous=simultaneous, event=event), "f.yaml"))
+    return Runner(model, engine="scipy", tolerance=1e-10), Runner(model, engine="impulse", step=H)
+
+
+def throw(seed: int) -> dict[str, float]:
+    """Return random values of its parameters."""
+    g = np.random.default_rng(seed)
+    least = [0.5, 0.01, 0.5, -1.5, -1.5, -0.6, -3.0, -0.03, -5.0]
+    most = [2.0, 0.06, 0.9, 1.5, 0.0, 0.6, 3.0, 0.03, 5.0]
+    names = ("m", "I", "y0", "dx0", "dy0", "angle0", "dangle0", "slope", "F")
+    values = dict(zip(names, g.uniform(least, most).tolist(), strict=True))
+    mu, nu = g.choice([0.1, 0.3, 0.5, 0.8, 1.2], 2).tolist()
+    return {**values, "mu": mu, "nu": nu, "e": float(g.choice([0.0, 0.0, 0.5]))}
+
+
+def modes(trace: Trace) -> dict[str, list[tuple[float, str]]]:
+    """Return when each region changes, and to what; of what lasts no time, its end alone."""
+    found: dict[str, list[tuple[float, str]]] = {name: [] for name in trace.regions}
+    for place, (name, changes) in enumerate(found.items()):
+        last, hit = trace.start_mode[place], False
+        for k, jump in enumerate(trace.jumps):
+            after = trace.jumps[k + 1].t if k + 1 < len(trace.jumps) else trace.t_end
+            hit = hit or (last == "free" and name in jump.impulse)
+            if after > jump.t:
+                if hit or jump.target[place] != last:
+                    changes.append((jump.t, jump.target[place]))
+                last, hit = jump.target[place], False
+    return found
+
+
+def distinct(trace: Trace, apart: float) -> float:
+    """Return until when the events of a run are so far apart."""
+    times = [0.0, *sorted({jump.t for jump in trace.jumps}), trace.t_end]
+    for before, after in pairwise(times):
+        if 0.0 < after - before < apart:
+            return before - 0.5 * apart
+    return trace.t_end - 0.5 * apart
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
+    simultaneous = ("plastic", "capped")[seed % 2]
+    event = ("touchdown", "slip")[seed // 2 % 2]
+    exact, found = (r.run(throw(seed)).trace for r in runners(simultaneous, event))
+    until = distinct(exact, 80 * H)
+    expected, seen = modes(exact), modes(found)
+    for name, changes in expected.items():
+        before = [change for change in changes if change[0] < until]
+        there = [change for change in seen[name] if change[0] < until]
+        assert [mode for _, mode in there] == [mode for _, mode in before], name
+        for (t, _), (exact_t, _) in zip(there, before, strict=True):
+            assert t == pytest.approx(exact_t, abs=40 * H)
