@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -12,6 +13,7 @@ from contacts.dynamics.setup import SceneSetup
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
+from statechart.charts.claims import guard_claims
 from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.formulas.determinants import Definition
@@ -41,7 +43,15 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         )
 
     edges = tuple(map(edge, flat.transitions))
-    return Region(name, flat.ordered, build, edges, flat.superstates, nesting=flat.nesting)
+    return Region(
+        name,
+        flat.ordered,
+        build,
+        edges,
+        flat.superstates,
+        nesting=flat.nesting,
+        claims=partial(guard_claims, name, flat),
+    )
 
 
 def memory_rates(mechanics: Mechanics) -> dict[str, sp.Expr]:

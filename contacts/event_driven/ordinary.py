@@ -31,7 +31,7 @@ from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
 from statechart.automaton.recording import Event
 from statechart.automaton.trace import Jump, Key, Roles
-from statechart.engines.whole_flow import KINDS, Watch
+from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_ready

@@ -18,7 +18,7 @@ from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
 from statechart.automaton.recording import Block
-from statechart.engines.whole_flow import KINDS, Watch
+from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.execution.rows import Found, Rows
 from statechart.kernels.accumulation import WIDTH

@@ -9,6 +9,7 @@ from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
 from statechart.engines.engine import Pace
+from statechart.engines.flow_watch import SPEED, Watch
 from statechart.engines.mode_table import (
     ADDRESS,
     LAWS_AT,
@@ -19,7 +20,7 @@ from statechart.engines.mode_table import (
     stands,
     tape_of,
 )
-from statechart.engines.whole_flow import ENDED, SPEED, UNUSUAL, Watch, flow_to_event
+from statechart.engines.whole_flow import ENDED, UNUSUAL, flow_to_event
 from statechart.execution.ahead import (
     ACCUMULATES,
     AHEAD,

@@ -16,6 +16,7 @@ from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.recording import ARCS, EVENTS, Block
 from statechart.engines.engine import Pace
+from statechart.engines.flow_watch import GAP, PLAIN, SPEED, Watch
 from statechart.engines.mode_table import (
     MARGINS,
     MARGINS_AT,
@@ -27,7 +28,6 @@ from statechart.engines.mode_table import (
     stands,
     tape_of,
 )
-from statechart.engines.whole_flow import GAP, PLAIN, SPEED, Watch
 from statechart.execution.ahead import (
     FELL,
     FULL,

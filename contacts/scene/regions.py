@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
-from statechart.automaton.regions import Edge, Margin, Region, State
+from statechart.automaton.regions import Claim, Edge, Margin, Region, State
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -93,6 +93,15 @@ def region(
             built = mode.state(symbols(), direction)
         return replace(built, margins=(*built.margins, *gates())) if gate else built
 
+    def claims(state: str) -> tuple[Claim, ...]:
+        if state != OFF:
+            return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in contact.enabled)
+        if len(gates()) > len(contact.enabled):
+            # It may be beyond the ends of its edge.
+            return ()
+        outside = f"{name}.gap > 0"
+        return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
+
     names = states(contact, gate=gate)
     arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
     return Region(
@@ -104,6 +113,7 @@ def region(
         ("slide",),
         forces=forces,
         default="free",
+        claims=claims,
     )
 
 

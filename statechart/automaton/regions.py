@@ -47,6 +47,29 @@ def stop_margins(conditions: Mapping[str, str], known: Mapping[str, sp.Expr]) ->
 
 
 @dataclass(frozen=True)
+class Claim:
+    """Relations that all hold as long as a state is active, or of which one does not.
+
+    Attributes
+    ----------
+    name : str
+        Of the guard, invariant or condition.
+    relations : tuple of str
+        As declared.
+    holds : bool
+        True: all of them hold. False: at least one does not.
+    """
+
+    name: str
+    relations: tuple[str, ...]
+    holds: bool
+
+
+def _no_claims(_state: str) -> tuple[Claim, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
 class Loads:
     """Unknowns that the motion leaves open: something carries them in the equations of motion.
 
@@ -177,6 +200,8 @@ class Region:
     default : str
         The state that goes without saying where a mode is named by its others: `free` of a
         contact; "" where every state says something.
+    claims : callable
+        State -> the declared relations that tests compare with its runs.
     """
 
     name: str
@@ -189,6 +214,7 @@ class Region:
     nesting: Nesting = field(default_factory=Nesting)
     forces: tuple[sp.Symbol, ...] = ()
     default: str = ""
+    claims: Callable[[str], tuple[Claim, ...]] = _no_claims
 
     def declared(self, state: str) -> str:
         """Return the state as the declaration names it."""

@@ -22,10 +22,11 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Margin, Region, State, stop_margins
+from statechart.automaton.regions import Claim, Margin, Region, State, stop_margins
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
+from statechart.charts.claims import guard_claims
 from statechart.charts.firing import (
     Guard,
     GuardWatch,
@@ -129,7 +130,23 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
             ),
         )
 
-    return Region(name, flat.ordered, build, flat.edges, flat.superstates, nesting=flat.nesting)
+    def claims(state: str) -> tuple[Claim, ...]:
+        invariants = (
+            Claim(f"{name}.{label}", (text,), holds=True)
+            for content in _contents(flat, state)
+            for label, text in content.invariants.items()
+        )
+        return (*guard_claims(name, flat, state), *invariants)
+
+    return Region(
+        name,
+        flat.ordered,
+        build,
+        flat.edges,
+        flat.superstates,
+        nesting=flat.nesting,
+        claims=claims,
+    )
 
 
 def _contents(flat: FlatRegion, state: str) -> list[DeclaredState]:

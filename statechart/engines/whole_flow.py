@@ -7,14 +7,20 @@ a state has to be brought back, or a flow is long, it says so, and the flow is m
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
+from statechart.engines.flow_watch import (
+    FORCE,
+    JUMP,
+    PLAIN,
+    Watch,
+    first_tolerances,
+    usual_tolerances,
+)
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.mode_table import (
     ADDRESS,
@@ -57,40 +63,6 @@ from statechart.kernels.tapes import tape_values
 ENDED, EVENT, UNUSUAL = range(3)
 """How a flow ends: at the end of its duration, at an event, or not in this way."""
 
-PLAIN, GAP, SPEED, FORCE = range(4)
-KINDS = ("plain", "gap", "speed", "force")
-"""Kinds of margins: their numbers, and their names in that order."""
-
-
-class Watch(NamedTuple):
-    """What a flow is watched for, beside its margins.
-
-    Attributes
-    ----------
-    parameters : (p,) array
-    kinds : (4,) array
-        Tolerance of each kind of margin.
-    bands : (b,) array
-        Tolerances of single margins; -1 where that of the kind is the one.
-    floors : (n,) array
-        What is smaller counts as so large.
-    off : (9,) array of int64
-        Tape of the constraints.
-    targets, weights : (k,) array
-        Of the constraints.
-    room : float
-        How far what is to stay above zero may fall.
-    """
-
-    parameters: Array
-    kinds: Array
-    bands: Array
-    floors: Array
-    off: NDArray[np.int64]
-    targets: Array
-    weights: Array
-    room: float
-
 
 @part
 def _enter(
@@ -124,14 +96,6 @@ def _following(
 
 
 @part
-def _tolerances(program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array) -> None:
-    """Write what every margin may fall below zero by: its own, or that of its kind."""
-    for i in range(row[MARGINS]):
-        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
-        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
-
-
-@part
 def _level(ready: Ready, registers: int, jets: Array) -> None:
     """Write ranges of what does not change along a flow: all their slopes are zero."""
     for r in range(registers):
@@ -149,24 +113,6 @@ def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
         )
         > NEAR
     )
-
-
-@part
-def _begins_at(
-    program: Program,
-    row: NDArray[np.int64],
-    watch: Watch,
-    initial: Array,
-    start: float,
-    guard: int,
-    tolerances: Array,
-) -> bool:
-    """Whether a flow begins where a margin is zero, so that it may not have fallen since."""
-    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
-    margins = np.empty(row[MARGINS])
-    guards = outputs[: row[MARGINS]]
-    tape_values(code, constants, guards, initial, watch.parameters, start, margins)
-    return bool(abs(margins[guard]) <= tolerances[guard])
 
 
 @part
@@ -214,7 +160,9 @@ def flow_to_event(
     margins, n = row[MARGINS], initial.shape[0]
     guards, rates = outputs[:margins], outputs[margins:]
     tolerances, powers, jets = memory.tolerances, memory.powers, memory.whole
-    _tolerances(program, row, watch, tolerances)
+    usual, begun = np.empty(margins), np.empty(margins)
+    usual_tolerances(program, row, watch, usual)
+    first_tolerances(program, row, watch, initial, start, usual, begun, tolerances)
     made, boxes, pending, length = 0, 0, False, 0.0
     end = min(horizon, duration)
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
@@ -272,7 +220,7 @@ def flow_to_event(
             chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
             chunk_end += chunk
             base, total, left = times[made], 0.0, end - times[made]
-    verdict, guard, step, _, at, crossed, _ = found
+    verdict, guard, step, place, at, crossed, _ = found
     if verdict not in (NONE, CROSSING) or _missed(
         program, row, pace, watch, times, coeffs, start,
         memory.doubtful[: made if verdict == NONE else step + 1],
@@ -282,12 +230,28 @@ def flow_to_event(
         put(ended, initial)
         return ENDED, -1, made, boxes
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
-    if kind == PLAIN and _begins_at(program, row, watch, initial, start, guard, tolerances):
-        return UNUSUAL, -1, 0, boxes
+    if kind == PLAIN:
+        # It begins at zero, and may not have fallen since.
+        at_zero = abs(begun[guard]) <= usual[guard]
+        # An angle is above zero up to its branch cut, and jumps below.
+        value = value_at(ready[0], step, guards[guard], place, ready[3])
+        jumps = value > max(usual[guard], JUMP * abs(begun[guard]))
+        if at_zero or jumps or not _falls_far(ready, guards, usual, made - 1, guard, at, jets):
+            return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
     lift_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
+
+
+@part
+def _falls_far(
+    ready: Ready, guards: Ints32, usual: Array, step: int, guard: int, at: float, jets: Array
+) -> bool:
+    """Whether a margin whose zero is known falls below its usual tolerance in a step, and first."""
+    clear_whole(ready, guards, usual, step, jets)
+    verdict, first, _, _, time, _, _ = search_step(ready, guards, usual, step, BOXES)
+    return verdict == CROSSING and first == guard and time == at
 
 
 @part

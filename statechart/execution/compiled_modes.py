@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
 import sympy as sp
 
+from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
 from statechart.automaton.lift import Lifting, lifting
@@ -46,6 +49,11 @@ class CompiledMode:
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
+
+    @cached_property
+    def plain(self) -> Bools:
+        """Whether each margin is of the kind `plain`."""
+        return np.array([kind == "plain" for _, kind in self.watched], np.bool_)
 
     def kind(self, guard: int) -> str:
         """Return the kind of a margin."""

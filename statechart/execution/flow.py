@@ -25,8 +25,15 @@ from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import decided, noise
+from statechart.execution.shallow_falls import (
+    first_tolerances,
+    judge,
+    path_sizes,
+    relative_error,
+)
+from statechart.formulas.series import sizes_at
 from statechart.kernels.defect import unseen
-from statechart.kernels.polynomials import cut_steps, local_time
+from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
 FOLLOWED = "the slopes of all steps were held against the rates"
 UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
@@ -44,6 +51,8 @@ _FALLS, _ROUGH = 0.25, 1e-3
 _UNKNOWN = 4096
 # Variables count as so large at least, in their sizes.
 LEAST = 1e-6
+# Ends of a flow into a jump of a margin, in units in the last place of time.
+_BEYOND = (0.0, 1.0, 2.0, 4.0)
 # Of the way to where a step left its constraints unseen, or missed its rates.
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
@@ -149,10 +158,11 @@ class Advance:
         """Make steps and prove them; then go on, end at an event, or make them again."""
         watch, path, first = self.watch, self.path, self._kept
         path.count, ended = first, np.empty(len(self.state))
+        tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
         made = self.engine.steps(
             self.compiled.stepper,
             path,
-            watch,
+            watch._replace(tolerances=tolerances),
             self.state,
             self._end,
             self._count,
@@ -178,7 +188,7 @@ class Advance:
                 return
             found = search(
                 watch.guards,
-                watch.tolerances,
+                tolerances,
                 path,
                 watch.parameters,
                 watch.start,
@@ -186,6 +196,8 @@ class Advance:
                 last,
             )
             self.boxes += found.boxes
+        if found.verdict is not Verdict.NONE:
+            found = judge(found, self.engine, self.compiled, watch, path, tolerances, last)
         blind = _blind(watch, path, first, last, found) or self._unseen(first, last, found)
         if _BLIND < off <= _STAYS * self._seen and watch.constraints.within is not None:
             blind, self._seen = (self._kept, local), off
@@ -275,8 +287,28 @@ class Advance:
             raise
         self.graze = found.verdict is not Verdict.CROSSING
         late = self.graze or self.compiled.kind(crossing.guard) == "force"
-        self._cut(crossing.crossed if late else crossing.time, ended)
+        at = crossing.crossed if late else crossing.time
+        if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
+            # A margin that jumps over zero (an angle at its branch cut) is above it until then.
+            ulp = math.ulp(abs(self.watch.start) + crossing.crossed)
+            for beyond in _BEYOND:
+                at = min(crossing.crossed + beyond * ulp, self.duration)
+                if not self._above(crossing.guard, at):
+                    break
+        self._cut(at, ended)
         self.crossing = crossing
+
+    def _above(self, guard: int, at: float) -> bool:
+        """Tell whether a margin is above zero at a local time, and not by round-off."""
+        watch, path, guards = self.watch, self.path, self.compiled.guards
+        steps, times = path.coefficients[: path.count], path.times[: path.count + 1]
+        state = sample_states(steps, times, np.array([at]))[0]
+        margin = guards.values(state, watch.parameters, watch.start + at).item(guard)
+        if not margin > watch.tolerances.item(guard):
+            return False
+        sizes = path_sizes(steps)
+        (terms,) = sizes_at(guards, (guard,), state, sizes, watch.parameters, watch.start + at)
+        return margin > relative_error(self.engine) * terms
 
     def _cut(self, at: float, ended: Array) -> None:
         """Keep what was flown up to a local time; its state is written to `ended`."""

@@ -18,8 +18,8 @@ from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
 from statechart.automaton.recording import Block, Event, Kind
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.engines.engine import Engine, Entry, Pace
+from statechart.engines.flow_watch import KINDS
 from statechart.engines.mode_table import COLUMNS, LAWS_AT, TAPE, Program, Scratch, scratch
-from statechart.engines.whole_flow import KINDS
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 

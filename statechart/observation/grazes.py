@@ -2,7 +2,8 @@
 
 A guard that only touches fires nothing. Whether one does is open where its least value, or how far
 it would have passed before it turned back, is no more than what the guard changes by when every
-variable is moved by what the run may be off by.
+variable is moved by what the run may be off by. A guard that passes further, but by less than its
+tolerance where the flow began, is a missed event, and is reported, too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.execution.compiled_modes import CompiledMode
+from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
@@ -22,11 +24,10 @@ from statechart.observation.observer import Observer
 
 # Places in a step that are looked at, and arcs at once.
 _GRID, _ARCS = 16, 1024
-# Variables may be off by so many tolerances, or by that part of their size, as where it is asked
-# whether gaps are closed.
-_TOLERANCES, _ROUNDING = 10.0, 1e-13
-# Each round divides what a least value lies in by 8; after 9 it is 1e-8 of that.
-_ROUNDS = 9
+# Of a step: how near to the end of an arc there is a place more.
+_EDGE = 1.0 / 4096.0
+# Each round divides what a least value lies in by 8; after 18 it is round-off of that.
+_ROUNDS = 18
 # The last part of a step, which tells how a guard would have gone on.
 _LAST = 1.0 / 64.0
 
@@ -65,6 +66,12 @@ def told(found: Sequence[Graze]) -> tuple[str, ...]:
 
 def _sentence(several: Sequence[Graze]) -> str:
     graze, more = several[0], len(several) - 1
+    if graze.least < -graze.room:
+        return (
+            f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, less "
+            "than its tolerance where the flow began, and does not fire; let the flow begin "
+            "farther from the boundary"
+        )
     how = "fires" if graze.fired else "comes to its boundary"
     would = "would have been" if graze.fired else "is"
     again = f"; so {more} time{'s' if more > 1 else ''} more" if more else ""
@@ -116,8 +123,8 @@ class _Look:
         self._guards, self._watched = compiled.guards, compiled.watched
         self._values = contiguous(trace.values)
         self._kinds = trace.tolerances
-        part = max(_TOLERANCES * trace.tolerance, _ROUNDING)
-        self._off = np.diag(part * sizes(trace))
+        part = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
+        self._errors = part * sizes(trace)
         # What is farther off, in parts of what a guard is in its flows, is not looked at closely.
         self._near = float(np.sqrt(part))
 
@@ -129,10 +136,14 @@ class _Look:
         """Yield what is open between the ends of flows."""
         tau, rows, of = self._grid(arcs)
         here, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
-        with np.errstate(invalid="ignore"):
+        with np.errstate(all="ignore"):
             low = (here <= rows[:-2]) & (here <= rows[2:]) & (of[:-2] == of[2:])[:, None]
-            bends = rows[:-2] - 2.0 * here + rows[2:]
-            low &= here <= bends + self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
+            before, after = rows[:-2] - here, rows[2:] - here
+            # Steps of unlike lengths meet where the places are not evenly spaced.
+            spans = np.diff(tau)[:, None]
+            drops = np.fmax(before / spans[:-1] * spans[1:], after / spans[1:] * spans[:-1])
+            near = self._near * np.fmax.reduce(np.abs(rows), initial=0.0)
+            low &= here <= np.fmax(before + after, drops) + near
         lowest: dict[tuple[int, int], int] = {}
         for i, k in np.argwhere(low).tolist():
             place = lowest.setdefault((int(of[i]), k), i + 1)
@@ -142,22 +153,38 @@ class _Look:
             arc, column = arcs[place], rows[:, k]
             at = self._least(arc, k, tau.item(i - 1), tau.item(i + 1))
             graze = self._open(arc, k, at, 0.0, fired=False)
-            before, after = column[edges[place] : i], column[i + 1 : edges[place + 1]]
-            if graze and min(np.fmax.reduce(before), np.fmax.reduce(after)) > graze.room:
+            sides = column[edges[place] : i], column[i + 1 : edges[place + 1]]
+            if graze and min(map(np.fmax.reduce, sides)) > graze.room:
                 yield graze
 
     def _grid(self, arcs: Sequence[Arc]) -> tuple[Array, Array, Ints]:
-        """Return local times in steps, the guards there, and of which arc they are."""
+        """Return local times in steps, the guards there, and of which arc they are.
+
+        In the first and last step of an arc there is one place more, near the end of the arc, so
+        that a least value between the end and the next place shows.
+        """
         s = np.arange(_GRID) / _GRID
-        spans = np.concatenate([np.diff(arc.times) for arc in arcs])
-        tau = (
-            np.concatenate([arc.times[:-1] for arc in arcs])[:, None] + s * spans[:, None]
-        ).ravel()
-        of = np.repeat(np.arange(len(arcs)), [_GRID * (len(arc.times) - 1) for arc in arcs])
+        counts = [len(arc.coefficients) for arc in arcs]
+        last = np.cumsum(counts) - 1
+        of = np.repeat(np.arange(len(arcs)), counts)
         terms = np.concatenate([arc.coefficients for arc in arcs])
-        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
-        times = np.array([arc.start.high for arc in arcs])[of] + tau
-        return tau, self._table(states.reshape(-1, terms.shape[1]), times), of
+        begun = np.concatenate([arc.times[:-1] for arc in arcs])
+        spans = np.concatenate([np.diff(arc.times) for arc in arcs])
+        first = last + 1 - np.array(counts)
+        edges = (first, np.array([_EDGE])), (last, np.array([1.0 - _EDGE, 1.0]))
+        taus, rows, owners = [], [], []
+        for steps, places in ((np.arange(len(terms)), s), *edges):
+            tau = begun[steps, None] + places * spans[steps, None]
+            powers = places ** np.arange(terms.shape[2])[:, None]
+            states = np.swapaxes(terms[steps] @ powers, 1, 2).reshape(-1, terms.shape[1])
+            owner = np.repeat(of[steps], len(places))
+            times = np.array([arc.start.high for arc in arcs])[owner] + tau.ravel()
+            taus.append(tau.ravel())
+            rows.append(self._table(states, times))
+            owners.append(owner)
+        tau, of = np.concatenate(taus), np.concatenate(owners)
+        order = np.lexsort((tau, of))
+        return tau[order], np.concatenate(rows)[order], of[order]
 
     def _least(self, arc: Arc, k: int, left: float, right: float) -> float:
         """Return the local time of the least value of a guard, between two."""
@@ -197,9 +224,9 @@ class _Look:
         """Return what is open of a guard that is least at a local time, but for what is added."""
         state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
         t = arc.start.high + tau
-        states = np.vstack([state, state + self._off])
-        values = self._table(states, np.full(len(states), t))[:, k]
         name, kind = self._watched[k]
-        least = values.item(0) + further
-        room = float(np.abs(values[1:] - values[0]).sum()) + self._kinds.get(kind, 0.0)
-        return Graze(name, t, least, room, fired) if abs(least) <= room else None
+        least = self._table(state[None], np.array([t])).item(k) + further
+        room = margin_errors(self._guards, k, state, self._errors, self._values, t)
+        room += self._kinds.get(kind, 0.0)
+        missed = kind == "plain" and not fired and least < 0.0
+        return Graze(name, t, least, room, fired) if missed or abs(least) <= room else None

@@ -2,8 +2,8 @@
 
 `subject` compiles a model for its engines and makes its cases, which `strategies` draws; what must
 hold of every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards`,
-and that two runs are in `agreement`, by the `stories` that they tell; `checking` tests these by
-Hypothesis and reports.
+of `relation_truth`, and that two runs are in `agreement`, by the `stories` that they tell;
+`checking` tests these by Hypothesis and reports.
 """
 
 from statechart.testing.agreement import Sensitivity, Undecidable, assert_same
@@ -17,6 +17,7 @@ from statechart.testing.properties import (
     assert_start,
     generic,
 )
+from statechart.testing.relation_truth import assert_relations
 from statechart.testing.stories import Reading
 from statechart.testing.strategies import (
     parameters,
@@ -42,6 +43,7 @@ __all__ = [
     "assert_margins",
     "assert_ordered",
     "assert_prefix",
+    "assert_relations",
     "assert_same",
     "assert_start",
     "dense",

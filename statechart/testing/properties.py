@@ -32,6 +32,7 @@ from statechart.testing.hybrid_time import (
     assert_ordered,
     projected,
 )
+from statechart.testing.relation_truth import assert_relations
 from statechart.testing.subject import Case, Subject
 
 # A start that is inside a constraint by so little is brought onto it.
@@ -211,6 +212,7 @@ def generic(subject: Subject) -> tuple[Property, ...]:
             each(assert_invariants),
             skipped="no invariants are declared" if no_invariants else "",
         ),
+        Property("relations hold where modes say so", each(assert_relations), skipped=stepped),
         Property("engines agree", assert_engines_agree, skipped=alone),
         Property("a shorter run is the beginning of a longer one", assert_prefix),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,14 @@ from runs import EVENT_BASED
 from scipy.linalg import expm
 
 from statechart import DeclarationError, Runner, run
+from statechart.charts.laws import automaton
 from statechart.documents.yaml_reader import read_text
+from statechart.engines.taylor import Taylor
 from statechart.execution import flow
-from statechart.execution.certificate import _exponential
+from statechart.execution.certificate import Certificate, _exponential
+from statechart.execution.simulator import Simulator
 from statechart.kernels.tapes import tape_values
+from statechart.loading.load import interpret
 from statechart.observation.difference import compare
 
 METHODS = [
@@ -182,3 +187,61 @@ def test_impacts_as_slow_as_rounding_leave_no_estimate(engine: str, s: float) ->
         assert abs(result.outputs["ends"] - ends) < 10.0 * motion.whole < 1e-10
     else:
         assert "the run by an amount that is not known" in str(motion)
+
+
+_SWING = """
+kind: chart
+name: swing
+variables: {x: 1, v: 0}
+stop: {time: 10}
+regions:
+  r: {initial: s, states: {s: {flows: {x: v, v: -x}}}}
+"""
+_LOWEST = (
+    _SWING
+    + """
+  e:
+    initial: w
+    states: {w: {}, d: {}}
+    transitions: [{name: low, from: w, to: d, guard: x <= -0.999999}]
+"""
+)
+
+
+@pytest.mark.parametrize("until", [10, 100, 1000])
+def test_round_off_of_steps_that_nothing_bounds_alone_is_part_of_the_whole(until: float) -> None:
+    # Of each step no more is known than its bound; a sum of them is off by one of them at least.
+    motion = run(read_text(_SWING), engine="taylor", until=until, certify=True).trace.motion
+    assert motion.local <= motion.whole <= 100.0 * motion.local
+
+
+def test_round_off_makes_an_event_late_by_what_its_slope_magnifies_it_to() -> None:
+    trace = run(read_text(_LOWEST), engine="taylor", until=4, certify=True).trace
+    (jump,) = trace.jumps
+    slope = math.sqrt(1.0 - 0.999999**2)
+    late = trace.motion.local / slope / 4.0
+    assert jump.t == pytest.approx(math.pi - math.asin(slope), abs=4.0 * trace.motion.whole)
+    assert 0.5 * late <= trace.motion.whole <= 10.0 * late
+
+
+@pytest.mark.parametrize(("part", "proved"), [(6.0, True), (9.0, False), (50.0, False)])
+def test_a_step_is_proved_to_sixteen_times_what_steps_are_allowed(
+    part: float, proved: bool
+) -> None:
+    # x' = 0, and a step that rises by so many times what is allowed: the integral of its defect,
+    # which the enclosure bounds by a little more than twice that.
+    chart = interpret(read_text(_SWING.replace("{x: v, v: -x}", "{x: 0}")))
+    simulator = Simulator(automaton(chart), Taylor(2.2e-16))
+    trace = simulator.run(until=1.0)
+    setup = simulator.automaton.setup({}, trace.tolerance)
+    certificate = Certificate(trace, setup, simulator.automaton.laws_of_events, simulator.engine)
+    (arc,) = trace.arcs
+    coefficients = np.zeros((1, 2, 2))
+    coefficients[0, :, 0] = trace.initial
+    coefficients[0, 0, 1] = part * simulator.engine.allowed
+    certificate.flow(
+        replace(arc, coefficients=coefficients), simulator.compiled(arc.roles, trace.zeros)
+    )
+    motion = certificate.motion()
+    assert part <= motion.local / simulator.engine.allowed <= 2.2 * part
+    assert motion.proved is proved

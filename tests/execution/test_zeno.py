@@ -21,7 +21,7 @@ from statechart.engines.scipy import SciPy
 from statechart.engines.taylor import Taylor
 from statechart.errors import SimulationError
 from statechart.execution.simulator import Simulator
-from statechart.execution.zeno import Accumulation
+from statechart.execution.zeno import Accumulation, _remaining
 from statechart.loading.load import load
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "bouncing_ball_flat.json").read_text())
@@ -252,3 +252,28 @@ def test_jumps_at_one_instant_without_flows_between_are_a_loop_and_no_accumulati
     watch = Accumulation()
     found = [watch.watch(("r", "hit"), Clock(1.0), 1e-6, flowed=False) for _ in range(60)]
     assert found == [None] * 60
+
+
+def test_intervals_that_round_off_disturbs_are_not_extrapolated_beyond_what_converges() -> None:
+    disturbed = np.random.default_rng(1).uniform(-1e-4, 1e-4, (200, 12))
+    rest = 0.7**12 / 0.3
+    for row in 0.7 ** np.arange(12) * (1.0 + disturbed):
+        intervals = row.tolist()
+        assert _remaining(intervals, intervals[-1] * 0.7 / 0.3) == pytest.approx(rest, rel=8e-3)
+
+
+@pytest.mark.parametrize("ratios", [(0.4, 0.6), (0.45, 0.55), (0.5, 0.501)])
+def test_a_sequence_whose_ratio_changes_is_not_summed(ratios: tuple[float, float]) -> None:
+    watch, clock, interval = Accumulation(), Clock(), 1.0
+    for n in range(60):
+        assert watch.watch(("r", "hit"), clock, 1e-6, flowed=True) in (None, 0.0)
+        clock = clock.later(interval)
+        interval *= ratios[n % 2]
+
+
+@pytest.mark.parametrize("power", [2, 3, 4])
+def test_a_sequence_of_powers_is_not_summed_as_a_geometric_one(power: int) -> None:
+    watch, clock = Accumulation(), Clock()
+    for n in range(1, 3000):
+        assert watch.watch(("r", "hit"), clock, 1e-3, flowed=True) is None
+        clock = clock.later(float(n) ** -power)

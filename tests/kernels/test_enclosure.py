@@ -340,6 +340,19 @@ def test_margins_crossing_an_ulp_apart_give_the_first_or_lowest():
         assert found.crossing.time == pytest.approx(0.6, abs=2e-15)
 
 
+@pytest.mark.parametrize(
+    ("boxes", "verdict", "guard"),
+    [(2, Verdict.CROSSING, 0), (12, Verdict.GRAZE, 1), (30, Verdict.GRAZE, 1)],
+)
+def test_a_touch_ties_with_a_crossing_within_four_boxes_only(boxes, verdict, guard):
+    # A kink that touches zero is decided in no box, however narrow.
+    touches = sp.Abs(X - sp.Float(0.6 - boxes * 2.0**-48))
+    tape = compile_tape([0.6 - X, touches], variables=[X], parameters=[], time=T)
+    found = first_crossing(tape, [0, 0], [0, 1], [[[0, 1]]], np.empty(0), 0.0)
+    where = found.crossing or found.undecided
+    assert (found.verdict, where.guard) == (verdict, guard)
+
+
 def test_a_margin_that_cannot_be_decided_before_a_crossing_is_not_passed_over():
     tape = compile_tape([0.6 - X, (X - 0.3) ** 2], variables=[X], parameters=[], time=T)
     found = first_crossing(tape, [0, 0], [0, 1], [[[0, 1]]], np.empty(0), 0.0)
