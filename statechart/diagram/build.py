@@ -82,8 +82,7 @@ def build(
     total = f"{automaton.modes_total} with the directions of sliding"
     if automaton.modes_total != automaton.modes_declared:
         notes = (*notes, f"{several(automaton.modes_declared, 'mode')}, {total}")
-    charts = (_grid(automaton, start, modes), *_charts(automaton, start, _still(automaton)))
-    return Diagram(automaton.name, charts, notes, modes.graph)
+    return Diagram(automaton.name, (_grid(automaton, start, modes),), notes, modes.graph)
 
 
 def _moving(automaton: Automaton) -> list[Region]:
@@ -92,25 +91,17 @@ def _moving(automaton: Automaton) -> list[Region]:
     return several or list(automaton.regions)
 
 
-def _still(automaton: Automaton) -> list[Region]:
-    """Return the declared regions of one state, where others have a choice."""
-    moving = _moving(automaton)
-    return [r for r in automaton.regions if r.nesting.names and r not in moving]
-
-
 def _is_composed(region: Region) -> bool:
     """Whether states are active side by side or remembered, which are no rows of a grid."""
     return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
 
 
-def _charts(
-    automaton: Automaton, start: Key | None, shown: Sequence[Region] | None = None
-) -> tuple[Chart, ...]:
-    """Return the chart of every region, or of those `shown`, those alike once."""
+def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
+    """Return the chart of every region, those alike once."""
     charts = []
     states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
     moving = _moving(automaton)
-    for regions in alike([*moving, *_still(automaton)] if shown is None else shown):
+    for regions in alike(moving):
         region = regions[0]
         title = ", ".join(cut([r.name for r in regions]))
         if any(other.edges != region.edges for other in regions):
@@ -119,7 +110,7 @@ def _charts(
             region_chart(
                 automaton,
                 region,
-                prefix="" if [region] == moving else f"{region.name}:",
+                prefix="" if len(moving) == 1 else f"{region.name}:",
                 title=title,
                 start=states.get(region.name),
             )

@@ -30,6 +30,8 @@ class Chosen:
         Why its run ended.
     steps, evaluations, flows : int
         Which it took.
+    decides : str
+        The quantity that has the largest error.
     """
 
     setting: Setting
@@ -38,6 +40,7 @@ class Chosen:
     steps: int
     evaluations: int
     flows: int
+    decides: str = ""
 
 
 class Measured(Protocol):

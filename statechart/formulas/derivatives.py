@@ -57,9 +57,10 @@ def check_smooth(
                 advice=advice,
                 loc=loc,
             )
-    if roots and (switched := sorted(_under_roots(text).intersection(variables))):
+    rooted = sorted(_under_roots(text).intersection(variables)) if roots else []
+    if rooted:
         raise DeclarationProblem(
-            f"the root of a square of {', '.join(switched)} has no {lacks} where it is zero",
+            f"the root of a square of {', '.join(rooted)} has no {lacks} where it is zero",
             advice=advice,
             loc=loc,
         )

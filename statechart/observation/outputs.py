@@ -154,9 +154,9 @@ class Outputs(Grouped):
             found[name] = run.of(formula, float(np.fmax(self._largest(trace, formula)[-1], last)))
         for name, formula, _ in self.extremes:
             found[name] = run.of(formula, float(self._largest(trace, formula)[-1]))
-        for name, output in self.integrals.items():
-            largest = float(self._largest(trace, output.integral)[-1])
-            found[name] = trace.t_end * run.of(output.integral, largest)
+        for name, integral in self.integrals.items():
+            size = float(self._largest(trace, integral.integral)[-1])
+            found[name] = trace.t_end * run.of(integral.integral, size)
         formulas = {
             **{name: output.value for name, output, _ in self.at},
             **self.end,

@@ -37,7 +37,14 @@ def confirmed(once: Once, chosen: Chosen) -> Answer | None:
     if not _same(trace, chosen, steps, evaluations):
         return None
     endless = Outputs(observer).endless(trace)
-    return Answer(observer, trace, chosen.error, cost, not_judged=tuple(sorted(endless)))
+    return Answer(
+        observer,
+        trace,
+        chosen.error,
+        cost,
+        not_judged=tuple(sorted(endless)),
+        decides=chosen.decides,
+    )
 
 
 def _same(trace: Trace, chosen: Chosen, steps: int, evaluations: int) -> bool:

@@ -55,6 +55,14 @@ class Errors(Record):
         found = [x for x in (self.state, self.times, self.outputs, self.path) if x is not None]
         return max(found, default=None)
 
+    @property
+    def decides(self) -> str:
+        """The quantity that `largest` is of."""
+        parts = {"the final state": self.state, "the times of events": self.times}
+        parts |= {"the path": self.path} | {f"output {n}": off for n, off in self.named.items()}
+        known = {what: off for what, off in parts.items() if off is not None}
+        return max(known, key=known.__getitem__, default="")
+
     def without(self, names: Collection[str]) -> Errors:
         """Return the errors without those of some outputs."""
         if self.outputs is None or not names:

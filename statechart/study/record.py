@@ -220,6 +220,7 @@ class Study(Record):
             point.steps,
             point.evaluations,
             point.flows,
+            point.errors.decides,
         )
 
 

@@ -176,9 +176,10 @@ def read_table(path: Path | str) -> pd.DataFrame:
             f"{path}: more than {_MOST} numbers, or {_MOST_BYTES // 10**6} MB",
             advice="sweep over one part of the table at a time",
         )
-    if (columns := raw.partition(b"\n")[0].count(b",")) >= MAX_VALUES:
+    width = raw.partition(b"\n")[0].count(b",") + 1
+    if width > MAX_VALUES:
         raise DeclarationError(
-            f"{path} is no table: its first line has {columns + 1} names, and no model has more "
+            f"{path} is no table: its first line has {width} names, and no model has more "
             f"than {MAX_VALUES} parameters",
             advice="write a row for every run, a column for every parameter",
         )

@@ -38,6 +38,7 @@ def test_the_run_that_was_measured_is_the_answer(measured: Study, accuracy: floa
     result = run(read_text(MODEL), accuracy=accuracy, study=measured)
     asked = result.asked
     assert asked is not None
+    assert asked.decides.startswith(("output ", "the final state", "the times", "the path"))
     assert asked.cost.runs == 1
     assert asked.basis == f"measured: scipy DOP853 {result.trace.tolerance:g}, as that run"
     assert result.error_estimate is not None
