@@ -148,7 +148,7 @@ def test_a_shift_of_the_origin_leaves_the_motion(text: str, shift: float) -> Non
     moved[:2] = shift, -shift
     # The larger coordinates are, the earlier bounces are summed, and the less exactly where
     # friction stops a slip amid them.
-    close = 5e-8 * abs(shift) if text == ROD else 1e-9
+    close = 1e-7 * abs(shift) if text == ROD else 1e-9
     assert there.final - moved == pytest.approx(here.final, rel=close, abs=close)
     # What is summed of bounces is fewer or more of them, and ends when they do.
     ends = [[jump.t for jump in trace.jumps if jump.cause == "zeno"] for trace in (here, there)]
