@@ -22,10 +22,9 @@ _EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what
 # some steps add up.
 _UNITS = 16.0
-# No bounce faster than this, in the scene's own speed, is summed; none that is higher than the
-# second, in the scene's own length, and than so many round-offs, where another contact closes
-# meanwhile.
-_FAST, _LOWEST, _NOISE = 1e-2, 2e-13, 2.0
+# No bounce faster than this, in the scene's own speed, is summed but those that rise less than so
+# many round-offs.
+_FAST, _NOISE = 1e-2, 2.0
 # A turning surface moves a point by at most so many times its distance from the pivot.
 _TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -264,12 +263,10 @@ def _prescribed(
 
 
 @seldom
-def bounce_limits(
-    length: float, speed: float, acceleration: float, rounding: float
-) -> tuple[float, float]:
-    """Return below which height bounces are summed, and up to which speed, by a run's scales."""
-    lowest = max(_LOWEST * length, _NOISE * rounding)
-    return lowest, max(_FAST * speed, math.sqrt(2.0 * acceleration * lowest))
+def bounce_limits(speed: float, acceleration: float, rounding: float) -> tuple[float, float]:
+    """Return the height of bounces that are noise, and the speed of the fastest that are summed."""
+    noise = _NOISE * rounding
+    return noise, max(_FAST * speed, math.sqrt(2.0 * acceleration * noise))
 
 
 @seldom
@@ -343,13 +340,13 @@ def measure(
         length = max(length, apart)
     if acceleration > 0.0:
         reach = min(reach, swift * swift / acceleration)
-    length, speed = max(length, reach), max(largest[SPEEDS], swift)
+    length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], swift)
     farthest = max(speed * duration, acceleration * (duration * duration))
     # A start that is off zero by rounding of what the run covers has no length.
     if length <= max(_LEAST, _EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
-        length = max(length, min(speed * duration, speed * speed / acceleration))
+        length = max(length, min(start * duration, start * start / acceleration))
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:
         acceleration = length / (duration * duration)

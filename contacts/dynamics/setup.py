@@ -195,8 +195,7 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
-        sizes = scales.length, scales.speed, scales.acceleration
-        lowest, fast = bounce_limits(*sizes, scales.rounding)
+        lowest, fast = bounce_limits(scales.speed, scales.acceleration, scales.rounding)
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,

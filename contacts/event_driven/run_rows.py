@@ -121,7 +121,7 @@ def _watches(
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     rounding = numbers.scales[4]
-    lowest, fast = bounce_limits(length, speed, acceleration, rounding)
+    lowest, fast = bounce_limits(speed, acceleration, rounding)
     gap = max(scene.gap * length, rounding)
     slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
