@@ -10,6 +10,8 @@ at a time under the forces of the states at hand; those after a transition are t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -143,7 +145,10 @@ class StepControl:
             If they do not end.
         """
         pending: dict[str, tuple[Jump, ...]] = {}
-        for jump in jumps:
+        for _, together in groupby(jumps, key=lambda jump: jump.t):
+            first, *others = together
+            # What several contacts do at one instant is one event, as with events.
+            jump = replace(first, target=others[-1].target) if others else first
             pending = self._listening.heard(pending, jump)
         time = np.array([recorder.clock.high])
         if not self._begun:

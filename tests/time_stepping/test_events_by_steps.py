@@ -128,6 +128,40 @@ def throw(seed: int) -> dict[str, float]:
     return {**values, "mu": mu, "nu": nu, "e": float(g.choice([0.0, 0.0, 0.5]))}
 
 
+# A box slides to rest on two points, which stick at one instant.
+SLIDING = """
+kind: scene
+name: sliding
+gravity: 9.81
+stop: {time: 0.4}
+bodies:
+  b: {mass: 1, inertia: 0.02, start: {y: 0.1, dx: 1}}
+surfaces: {ground: {height: 0}}
+contacts:
+  left:
+    {point: {body: b, at: [-0.2, -0.1]}, surface: ground, friction: 0.5, restitution: 0,
+    impact: moreau}
+  right:
+    {point: {body: b, at: [0.2, -0.1]}, surface: ground, friction: 0.5, restitution: 0,
+    impact: moreau}
+regions:
+  ctl:
+    initial: a
+    states: {a: {}, b: {}}
+    transitions:
+    - {name: go, from: a, to: b, on: left.stick or right.stick}
+    - {name: back, from: b, to: a, on: left.stick or right.stick}
+"""
+
+
+def test_what_two_contacts_do_at_one_instant_is_heard_once() -> None:
+    model = interpret(read_text(SLIDING, "f.yaml"))
+    assert isinstance(model, Scene)
+    for found in (by_events(model), by_steps(model, 1e-3)):
+        assert [j.cause for j in found.trace.jumps if j.region == "ctl"] == ["go"]
+        assert found.trace.final_mode == ("pin", "pin", "b")
+
+
 def modes(trace: Trace) -> dict[str, list[tuple[float, str]]]:
     """Return when each region changes, and to what; of what lasts no time, its end alone."""
     found: dict[str, list[tuple[float, str]]] = {name: [] for name in trace.regions}
