@@ -30,7 +30,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.dynamics.setup import SceneNumbers
     from contacts.event_driven.laws import SceneLaws
     from statechart.automaton.laws import Laws
-    from statechart.automaton.regions import stop_margins
+    from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
         from contacts.time_stepping.scene_stepper import SceneStepper
@@ -39,7 +39,7 @@ def automaton(scene: Scene) -> Automaton:
 
     mechanics = Mechanics(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
-    stops = stop_margins(scene.stop.conditions, observables)
+    stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)

@@ -22,8 +22,8 @@ from contacts.scene.parts import Contact, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold, Margin
 from statechart.formulas.determinants import Definition
-from statechart.formulas.formula import parse_relation
 from statechart.formulas.parameters import Parameters
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 

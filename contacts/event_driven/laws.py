@@ -79,7 +79,7 @@ class SceneLaws:
         self._projection = Projection(mechanics, self._tape)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.ordinary: Ordinary | None = None
-        if not mechanics.joint_rows:
+        if not mechanics.joint_rows and numbers.disjoint:
             self.ordinary = SceneInstants(
                 self._names, numbers, self._tape, self._projection, self.jump
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from contacts.time_stepping.effort import INDETERMINATE
 from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
-from statechart.automaton.regions import Margin, Region
+from statechart.automaton.regions import Region, StopCondition
 from statechart.errors import SimulationError
 from statechart.kernels.jit import by_python
 
@@ -38,8 +38,7 @@ class SceneStepper(Stepper):
     ----------
     mechanics : Mechanics
         The scene's equations.
-    stops : mapping
-        Stop condition -> margin.
+    stops : sequence of StopCondition
     regions : tuple of Region
         One per contact, then one per controller.
     """
@@ -47,7 +46,7 @@ class SceneStepper(Stepper):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Mapping[str, Margin],
+        stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
         contacts = mechanics.scene.contacts

@@ -18,7 +18,7 @@ from contacts.time_stepping.stop_tapes import StopTapes, counting
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
 from statechart.automaton.keeping import EVERYTHING, Keeping
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import StopCondition
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.automaton.trace import Arc, Jump, Key, Trace
@@ -38,8 +38,7 @@ class Stepper(ABC):
     ----------
     mechanics : Mechanics
         The scene's equations, or no more than its names and symbols.
-    stops : mapping
-        Stop condition -> margin.
+    stops : sequence of StopCondition
     energy : Expr
     unknowns : sequence of Symbol
         What stop conditions may use that steps solve for.
@@ -50,7 +49,7 @@ class Stepper(ABC):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Mapping[str, Margin],
+        stops: Sequence[StopCondition],
         energy: sp.Expr,
         unknowns: Sequence[sp.Symbol],
         *,

@@ -49,7 +49,7 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
             # What is zero, or the same as something else, must show before solving.
             substitution[control] = value
     loads = [state.loads for state in states if state.loads is not None]
-    margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
+    margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)
     margins = tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
     follows: dict[str, Any] = {}

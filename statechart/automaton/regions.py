@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from statechart.automaton.nesting import Nesting
-from statechart.formulas.formula import parse_relation
+from statechart.formulas.relation import parse_relation
 
 if TYPE_CHECKING:
     # Who declares a scene or a chart need not wait for it.
     import sympy as sp
 
     from statechart.automaton.trace import Role
+    from statechart.formulas.condition import Active, Condition
     from statechart.formulas.determinants import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
@@ -41,9 +42,38 @@ class Margin:
     kind: MarginKind = "plain"
 
 
-def stop_margins(conditions: Mapping[str, str], known: Mapping[str, sp.Expr]) -> dict[str, Margin]:
-    """Return the margins of stop conditions, in the names of what they may use."""
-    return {n: Margin(n, parse_relation(text).margin(known)) for n, text in conditions.items()}
+def margins_of(name: str, condition: Condition) -> tuple[Margin, ...]:
+    """Return the margins of the atoms of a relation; each falls as its atom begins to hold."""
+    return tuple(
+        Margin(margin, atom.expression)
+        for margin, atom in zip(condition.names(name), condition.atoms, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StopCondition:
+    """A condition that ends a run.
+
+    Attributes
+    ----------
+    name : str
+    condition : Condition
+        Its relation.
+    margins : tuple of Margin
+        Those of its atoms.
+    """
+
+    name: str
+    condition: Condition
+    margins: tuple[Margin, ...]
+
+
+def stop_conditions(
+    texts: Mapping[str, str], known: Mapping[str, sp.Expr]
+) -> tuple[StopCondition, ...]:
+    """Return stop conditions, in the names of what they may use."""
+    found = [(name, parse_relation(text).condition(known)) for name, text in texts.items()]
+    return tuple(StopCondition(name, of, margins_of(name, of)) for name, of in found)
 
 
 @dataclass(frozen=True)
@@ -260,3 +290,14 @@ class Mode:
     hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+
+
+def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
+    """Return whether a region is in a state, or in one inside it, as `active(region, state)`."""
+    states = {region.name: (region, state) for region, state in zip(regions, key, strict=True)}
+
+    def active(region: str, state: str) -> bool:
+        found, now = states[region]
+        return state in found.active(now)
+
+    return active

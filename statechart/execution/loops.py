@@ -168,7 +168,7 @@ class Modes:
                 packed.ints(np.ravel(margins)),
                 len(margins),
                 # Those that end a run stand last.
-                len(margins) - len(self._automaton.stops),
+                len(margins) - len(self._automaton.stop_margins),
                 packed.ints(listed),
                 *packed.tape(entry.fixed),
                 *packed.tape(self._watched_of(kind)),

@@ -15,7 +15,8 @@ from statechart.documents.document import Document
 from statechart.documents.validation import validate
 from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read, read_text
 from statechart.errors import DeclarationError, FormulaError
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.syntax import MAX_LENGTH
 
 # Each would run code, reach an object's inside or exhaust memory in some reader of formulas.

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from statechart.errors import DeclarationError, FormulaError, StatechartError
 from statechart.formulas.constants import Constants, order_parameters
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import FUNCTIONS
 
 # The right-hand sides are Python's own arithmetic, an implementation independent of the reader.
