@@ -128,7 +128,7 @@ class BodyStepper(Stepper):
             stops,
             mechanics.energy,
             (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=tuple(region.name for region in regions),
+            regions=regions,
             controls=self._controllers.initial,
             again=BODY_BLOW,
             forces=None,

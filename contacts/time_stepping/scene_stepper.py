@@ -56,7 +56,7 @@ class SceneStepper(Stepper):
             stops,
             mechanics.energy,
             (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=tuple(region.name for region in regions),
+            regions=regions,
             controls=self._tapes.initial,
             again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows),

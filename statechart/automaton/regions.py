@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from statechart.automaton.nesting import Nesting
-from statechart.formulas.relation import parse_relation
+from statechart.formulas.relation import Relation, parse_relation
 
 if TYPE_CHECKING:
     # Who declares a scene or a chart need not wait for it.
@@ -35,18 +35,52 @@ class Margin:
         Which tolerance decides it. A `force` margin is an event once it is below minus its
         tolerance (hysteresis, so that the mode just left is not entered again); the others are
         located at their zero.
+    relation : str
+        Name of the relation that it is one of several atoms of; "" where it stands alone.
+    whole : Expr or None
+        Margin of that relation; None also where the relation asks for states of regions.
     """
 
     name: str
     expression: sp.Expr
     kind: MarginKind = "plain"
+    relation: str = ""
+    whole: sp.Expr | None = None
+
+    def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
+        """Return the margin with values in the place of symbols."""
+        whole = None if self.whole is None else self.whole.xreplace(values)
+        return replace(self, expression=self.expression.xreplace(values), whole=whole)
 
 
-def margins_of(name: str, condition: Condition) -> tuple[Margin, ...]:
-    """Return the margins of the atoms of a relation; each falls as its atom begins to hold."""
-    return tuple(
-        Margin(margin, atom.expression)
-        for margin, atom in zip(condition.names(name), condition.atoms, strict=True)
+def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
+    """Return the margins that are >= 0 while a mode holds: of several atoms that of the relation.
+
+    An atom alone may be below 0 while its relation does not hold. Relations that ask for states
+    of regions have no margin and are left out.
+    """
+    found = {
+        margin.relation or margin.name: Margin(margin.relation, margin.whole)
+        if margin.relation and margin.whole is not None
+        else margin
+        for margin in margins
+        if not margin.relation or margin.whole is not None
+    }
+    return tuple(found.values())
+
+
+def margins_of(
+    name: str, relation: Relation, known: Mapping[str, sp.Expr]
+) -> tuple[Condition, tuple[Margin, ...]]:
+    """Return a relation over atoms, and their margins; each falls as its atom begins to hold."""
+    condition = relation.condition(known)
+    names = condition.names(name)
+    if condition.single:
+        return condition, (Margin(name, condition.atoms[0].expression),)
+    whole = None if relation.members else relation.margin(known)
+    return condition, tuple(
+        Margin(one, atom.expression, relation=name, whole=whole)
+        for one, atom in zip(names, condition.atoms, strict=True)
     )
 
 
@@ -72,8 +106,10 @@ def stop_conditions(
     texts: Mapping[str, str], known: Mapping[str, sp.Expr]
 ) -> tuple[StopCondition, ...]:
     """Return stop conditions, in the names of what they may use."""
-    found = [(name, parse_relation(text).condition(known)) for name, text in texts.items()]
-    return tuple(StopCondition(name, of, margins_of(name, of)) for name, of in found)
+    return tuple(
+        StopCondition(name, *margins_of(name, parse_relation(text), known))
+        for name, text in texts.items()
+    )
 
 
 @dataclass(frozen=True)

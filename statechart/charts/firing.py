@@ -88,7 +88,7 @@ def guard_margins(
     return tuple(
         margin
         for guard in guards(0, name, declared.transitions, state)
-        for margin in margins_of(guard.name, guard.relation.condition(known))
+        for margin in margins_of(guard.name, guard.relation, known)[1]
     )
 
 

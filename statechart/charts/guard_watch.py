@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 import sympy as sp
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools
 from statechart.automaton.laws import Setup
 from statechart.charts.firing import Guard
 from statechart.formulas.condition import Active
@@ -156,12 +156,23 @@ class GuardWatch:
             for margin, part in zip(self.margins, parts.tolist(), strict=True)
         }
 
+    @property
+    def singles(self) -> list[int]:
+        """The places of atoms that are guards by themselves."""
+        found = zip(self.conditions, self.firsts, strict=True)
+        return [first for condition, first in found if condition.single]
+
     def valueless(self, rows: Array) -> str | None:
         """Return the name of a guard of one atom that has no value; None where there is none."""
-        for guard, condition, first in zip(self.guards, self.conditions, self.firsts, strict=True):
-            if condition.single and math.isnan(rows[first, 0]):
-                return guard.name
-        return None
+        return next((self.margins[k] for k in self.singles if math.isnan(rows[k, 0])), None)
+
+    def hold(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
+        """Return which guards (m, g) hold, from their atoms (m, a); `active` returns (m,)."""
+        found = [
+            condition.rows(atoms[:, first : first + len(condition.atoms)], active)
+            for condition, first in zip(self.conditions, self.firsts, strict=True)
+        ]
+        return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
 
     def early(self, rows: Array, place: int, transition: int, fired: Collection[str]) -> str:
         """Say that a transition is taken before its guard is true, and not by rounding.

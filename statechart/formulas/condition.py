@@ -11,8 +11,11 @@ all of them. As long as no atom of the certificate changes, nor does the relatio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import operator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from statechart.formulas.tree import Source
@@ -115,6 +118,37 @@ class Condition:
             Region, state -> whether the state is active.
         """
         return _truth(self.root, of, active)
+
+    def rows(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
+        """Return where it holds (m,): `atoms` (m, a) say where each of them does.
+
+        `active` returns arrays (m,).
+        """
+
+        def rows(tree: Any) -> Any:
+            if isinstance(tree, Within):
+                return active(tree.region, tree.state) == tree.holds
+            if isinstance(tree, Every | Some):
+                join = operator.and_ if isinstance(tree, Every) else operator.or_
+                return reduce(join, map(rows, tree.parts))
+            return atoms[:, tree]
+
+        return rows(self.root)
+
+    def margin(self, values: Sequence[float], active: Active) -> float:
+        """Return the margin of the tree from those of its atoms.
+
+        It is the largest of an *and*, the least of an *or*, and infinite where `in` decides.
+        """
+
+        def margin(tree: Any) -> float:
+            if isinstance(tree, Within):
+                return -inf if active(tree.region, tree.state) == tree.holds else inf
+            if isinstance(tree, Every | Some):
+                return (max if isinstance(tree, Every) else min)(map(margin, tree.parts))
+            return values[tree]
+
+        return margin(self.root)
 
     def certificate(
         self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
