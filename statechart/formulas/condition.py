@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 MAX_ATOMS = 100
 """Most atoms of a relation; every `abs` in a sum doubles them."""
 
+# Atoms on the way there: sums of abs of one variable have many of them in common.
+_MOST_SPLITS = 10 * MAX_ATOMS
+
 Active = Callable[[str, str], bool]
 """Region, state -> whether the state is active."""
 
@@ -210,14 +213,18 @@ def condition_of(tree: Any, source: Source) -> Condition:
     import sympy
 
     places: dict[Atom, int] = {}
+    seen: dict[Atom, Any] = {}
 
-    def placed(atom: Atom) -> int:
-        place = places.setdefault(atom, len(places))
-        if place >= MAX_ATOMS:
+    def check(count: int, most: int) -> None:
+        if count > most:
             source.fail(
                 f"without min, max and abs it has more than {MAX_ATOMS} comparisons",
                 advice="write fewer of them in one relation; each abs in a sum doubles them",
             )
+
+    def placed(atom: Atom) -> int:
+        place = places.setdefault(atom, len(places))
+        check(len(places), MAX_ATOMS)
         return place
 
     def split(tree: Any) -> Any:
@@ -225,9 +232,13 @@ def condition_of(tree: Any, source: Source) -> Condition:
             return _joined(type(tree), tuple(split(part) for part in tree.parts))
         if isinstance(tree, Within):
             return tree
-        smooth = _split(tree)
-        if smooth is not tree:
-            return split(smooth)
+        if tree not in seen:
+            check(len(seen), _MOST_SPLITS)
+            smooth = _split(tree)
+            seen[tree] = leaf(tree) if smooth is tree else split(smooth)
+        return seen[tree]
+
+    def leaf(tree: Atom) -> Any:
         if tree.expression.is_number:
             value = float(tree.expression)
             return value < 0.0 or (value == 0.0 and not tree.strict)

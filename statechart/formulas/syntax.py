@@ -252,7 +252,7 @@ class Reader:
         found = "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
         key = "<" if token.text in RELATIONS else token.text
         if key == "=" and self.source.text[token.offset + 1 : token.offset + 2] in ("<", ">"):
-            key = "=="
+            key = "=>"
         self.source.fail(found, token.offset, advice.get(key) or advice.get(token.kind, ""))
 
 

@@ -70,6 +70,7 @@ def no_name(text: str) -> str:
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
     "=": "a formula is a value, not an assignment; compare with <=, <, >= or >",
+    "=>": "compare with <=, <, >= or >",
     "<": "a comparison stands only where a condition is expected",
     ",": "decimals have a point: 9.81; a list stands in brackets",
     "/": "write a quotient as a/b, and a comment after #; rounded down it is floor(a/b)",
