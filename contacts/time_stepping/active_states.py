@@ -40,7 +40,7 @@ class ActiveStates:
             if place >= codes.shape[1]:
                 now = state in region.active(controls[place - codes.shape[1]])
                 return np.full(len(codes), now)
-            table = [state in region.active(other) for other in STATES]
+            table = [state in region.active(other) for _, other in sorted(STATES.items())]
             return np.array(table)[codes[:, place]]
 
         return active

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.setup import SceneSetup
-from contacts.states import STATES
 from contacts.time_stepping.begun import Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
@@ -38,7 +37,8 @@ class StopConditions:
         self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
         self._stays, self._counts = self._tapes.counts
         self._rounded = setup.rounded
-        self._coded = len(stepping.regions) - len(stepping.controls)
+        # Those of the step in which a condition was met.
+        self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Which margins were zero at the end of the last step.
         self._near = np.zeros(len(self._stays), dtype=np.bool_)
 
@@ -67,6 +67,7 @@ class StopConditions:
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
+        self._modes = chunk.codes[k : k + 1], controls
         return k, int(np.argmax(below[k]))
 
     def _whole(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
@@ -145,8 +146,7 @@ class StopConditions:
         rows = np.hstack([arc.states(at), unknowns])
         margins = self._margins(rows, arc.start.later(local).high)
         stop, part = self._tapes.stops[condition], self._parts(margins)[condition]
-        codes = np.array([[STATES.index(state) for state in arc.mode[: self._coded]]])
-        active = self._tapes.active.at(codes, arc.mode[self._coded :])
+        active = self._tapes.active.at(*self._modes)
         return stop.condition.margin(part[0].tolist(), lambda *of: bool(active(*of)[0]))
 
     def _margins(self, rows: Array, times: Array | float) -> Array:

@@ -1,14 +1,16 @@
 """Guards judged at an instant, by the values and derivatives of their margins.
 
 On the boundary of an atom, within the rounding of the state, the first derivative in time that is
-not zero decides whether it holds; an atom that stays there holds if it is ``<=``. At the instant
-to which a flow came as an atom of a guard began to hold, boundaries of ``<=`` count as held.
+not zero decides whether it holds; an atom that stays there holds if it is ``<=``. A guard of
+several atoms that a flow came to fires also where it is true at that very instant and no longer,
+as ``abs(x) <= 0``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -156,7 +158,7 @@ class GuardWatch:
             for margin, part in zip(self.margins, parts.tolist(), strict=True)
         }
 
-    @property
+    @cached_property
     def singles(self) -> list[int]:
         """The places of atoms that are guards by themselves."""
         found = zip(self.conditions, self.firsts, strict=True)
@@ -235,12 +237,13 @@ class Judgement:
                 for known, margin in zip(self._tolerances, watch.margins, strict=True)
             ]
         self._atoms: dict[int, bool | None] = {}
+        self._rests = {k for k, still in enumerate(watch.still) if still}
 
     def due(self) -> dict[int, int]:
         """Return place -> the first transition whose guard is true."""
         found: dict[int, int] = {}
         for k, guard in enumerate(self._watch.guards):
-            if guard.place not in found and self._truth(k):
+            if guard.place not in found and (self._truth(k) or self._touched(k)):
                 found[guard.place] = guard.transition
         return found
 
@@ -260,31 +263,43 @@ class Judgement:
             places = range(len(condition.atoms))
             certificate = frozenset(places)
             if self._truth(k) is not None:
-                still = self._watch.still[first : first + len(places)]
-                certificate = condition.certificate(self._of(k), self._active, still.__getitem__)
+                rests = [first + atom in self._rests for atom in places]
+                certificate = condition.certificate(self._of(k), self._active, rests.__getitem__)
             for atom in places:
                 known = self._tolerances[first + atom] if atom in certificate else math.inf
                 found[self._watch.margins[first + atom]] = known
         return found
 
     def _truth(self, guard: int) -> bool | None:
+        """Return whether a guard is true from here on."""
         return self._watch.conditions[guard].truth(self._of(guard), self._active)
 
-    def _of(self, guard: int) -> Callable[[int], bool | None]:
+    def _touched(self, guard: int) -> bool:
+        """Whether a guard of several atoms is true at this very instant, to which a flow came."""
         condition, first = self._watch.conditions[guard], self._watch.firsts[guard]
-        names = self._watch.margins[first : first + len(condition.atoms)]
-        # A flow came to where the guard may be true: at this very instant boundaries count.
-        reached = not condition.single and any(name in self._fired for name in names)
+        places = range(first, first + len(condition.atoms))
+        if condition.single or not any(self._watch.margins[k] in self._fired for k in places):
+            return False
+
+        def of(atom: int) -> bool:
+            place = first + atom
+            margin, tolerance = self._rows[place][0], self._tolerances[place]
+            return margin <= (tolerance if self._watch.closed[place] else -tolerance)
+
+        return bool(condition.truth(of, self._active))
+
+    def _of(self, guard: int) -> Callable[[int], bool | None]:
+        first = self._watch.firsts[guard]
 
         def of(atom: int) -> bool | None:
             place = first + atom
             if place not in self._atoms:
-                self._atoms[place] = self._holds(place, reached)
+                self._atoms[place] = self._holds(place)
             return self._atoms[place]
 
         return of
 
-    def _holds(self, atom: int, reached: bool) -> bool | None:
+    def _holds(self, atom: int) -> bool | None:
         """Return whether an atom holds from here on; None where its margin has no value."""
         margin, first, second, _, slow, slower = self._rows[atom]
         name, tolerance = self._watch.margins[atom], self._tolerances[atom]
@@ -292,8 +307,6 @@ class Judgement:
         fell = name in self._fired
         if not (fell or margin <= tolerance):
             return None if math.isnan(margin) else False
-        if reached and not strict and abs(margin) <= tolerance:
-            return True
         if not abs(first) <= self._relative * slow:
             rate = first
         elif not abs(second) <= self._relative * slower:
@@ -302,6 +315,10 @@ class Judgement:
             rate = 0.0
         else:
             rate = self._later(name)
+        if rate == 0.0 and abs(margin) <= tolerance and atom not in self._watch.singles:
+            # An atom that stays on its boundary is no more watched in this flow.
+            self._rests.add(atom)
+            return not strict
         if fell:
             # What was found is a fall, or a touch too close to tell: then it must not rise.
             return margin < -tolerance or not rate > 0.0

@@ -81,7 +81,7 @@ class StandingStops:
             places = range(len(stop.condition.atoms))
             certificate = frozenset(places)
             if truth is not None:
-                certificate = stop.condition.certificate(of, active, lambda _: False)
+                certificate = stop.condition.certificate(of, active, partial(atoms.rests, first))
             for k in places:
                 name = atoms.names[first + k]
                 tolerances[name] = atoms.room[first + k] if k in certificate else math.inf
@@ -97,8 +97,9 @@ class StandingStops:
             (stop, first) for stop, first in self._stops() if stop is self._automaton.stop_of[fired]
         )
         active = self._automaton.active(at.flow.mode)
-        holds = stop.condition.disjoint or stop.condition.truth(
-            partial(atoms.holds, stop, first), active
+        holds = stop.condition.disjoint or any(
+            stop.condition.truth(partial(of, stop, first), active)
+            for of in (atoms.holds, atoms.touches)
         )
         return stop.name if holds else None
 
@@ -116,8 +117,8 @@ class _Atoms:
     def __init__(
         self, automaton: Automaton, courses: Courses, mode: Mode, guards: Tape, at: Instant
     ) -> None:
-        setup, clock, _, flow, state, fired = at
-        self._courses, self._at, self._fired = courses, at, fired
+        setup, clock, _, flow, state, _ = at
+        self._courses, self._at = courses, at
         time, count = clock.high, len(automaton.stop_margins)
         first = len(mode.margins) - count
         self._values = guards.values(state, setup.values, time)[first:].tolist()
@@ -142,14 +143,19 @@ class _Atoms:
         """Return whether atom k of a condition holds from here on; None if it has no value."""
         place, strict = first + k, stop.condition.atoms[k].strict
         value = self._values[place]
-        if self.names[place] in self._fired:
-            return True
         if not self.near(place):
             return None if math.isnan(value) else value < 0.0
-        if self._fired and not strict:
-            return True
         way = self.way(place)
         return way < 0.0 or (way == 0.0 and not strict)
+
+    def rests(self, first: int, k: int) -> bool:
+        """Whether atom k of a condition stays on its boundary."""
+        return self.near(first + k) and self.way(first + k) == 0.0
+
+    def touches(self, stop: StopCondition, first: int, k: int) -> bool:
+        """Whether atom k of a condition holds at this very instant."""
+        place, strict = first + k, stop.condition.atoms[k].strict
+        return bool(self._values[place] <= (-1.0 if strict else 1.0) * self.room[place])
 
 
 def _sizes(setup: Setup, flow: Flow, state: Array) -> Array:

@@ -247,8 +247,8 @@ def condition_of(tree: Any, source: Source) -> Condition:
     root = split(tree)
     if isinstance(root, bool):
         # A comparison of numbers is a margin as any other.
-        single = tree if isinstance(tree, Atom) else Atom(sympy.Integer(1 - 2 * root), False)
-        return Condition((single,), 0)
+        plain = isinstance(tree, Atom) and tree.expression.is_number
+        return Condition((tree if plain else Atom(sympy.Integer(1 - 2 * root), False),), 0)
     atoms = tuple(places)
     used = {place: k for k, place in enumerate(dict.fromkeys(leaves(root)))}
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))

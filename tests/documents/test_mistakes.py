@@ -121,7 +121,7 @@ MISTAKES = {
     "minus of a word processor": ("-L]", "\u2212L]", "'\u2212'; a minus is -"),
     "or equal by a sign": ("<= -pi/2", "\u2264 0", "compare with <=, <, >= or >"),
     "two conditions in one": ("<= -pi/2", "< 0 & rod.y < 1", "where both must hold, write `and`"),
-    "one condition of two sides": ("<= -pi/2", "< 0 < 1", "two sides; write rod.angle < 0 and 0 < 1"),
+    "one condition of two sides": ("<= -pi/2", "< 0 < 1", "write rod.angle < 0 and 0 < 1"),
     "comment of C": ("gravity: g", "gravity: g // down", "write a quotient as a/b, and a comm"),
     "name of a library": ("angle: 0.3", "angle: math.pi/4", "unknown name 'math.pi'; write pi"),
     "capitals of a constant": ("angle: 0.3", "angle: PI/4", "unknown name 'PI'; write pi"),
