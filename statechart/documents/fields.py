@@ -142,12 +142,13 @@ FiniteConstantText = Annotated[ConstantText, AfterValidator(_without_infinity)]
 FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
 """A formula that does not name infinity: it is computed with, not compared."""
 
+OneRelation = Annotated[str, AfterValidator(_relation)]
+"""A relation, kept as written."""
+
 RelationText = Annotated[
-    str,
-    BeforeValidator(_all_of, json_schema_input_type=str | list[str]),
-    AfterValidator(_relation),
+    OneRelation, BeforeValidator(_all_of, json_schema_input_type=str | list[str])
 ]
-"""A relation, kept as written; of a list of them, all joined by `and`."""
+"""A relation, or a list of them that is kept as one, joined by `and`."""
 
 NameText = Annotated[str, AfterValidator(_name)]
 """A name that formulas can use."""
