@@ -8,6 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.conditions import (
+    FAILS,
+    HOLDS,
+    PER_CONDITION,
+    UNSURE,
+    conditions_at,
+    judge,
+    round_off,
+)
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.bounces import DIGITS, EPS
@@ -21,6 +30,7 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.engines.mode_table import Program, tape_of
+from statechart.engines.whole_flow import Watch
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part, seldom
 from statechart.kernels.tapes import tape_values
@@ -33,8 +43,15 @@ class SceneWatch(NamedTuple):
     ----------
     numbers, conditions : (9,) array of int64
         Tapes of the scene's numbers, and of the margins of contacts' conditions.
-    owners : (k,) array of int64, bands : (k,) array
-        Of every condition: its contact, and how near zero it is on the edge.
+    owners : (k,) array of int64
+        Contact of every condition.
+    slots : (k + c,) array of int64
+        Places in `Watch.bands` of the margins of conditions, and of those that bring contacts back;
+        -1 for none.
+    sizes : (n,) array
+        Of the state.
+    relative : float
+        What is so small in parts of its terms is zero.
     allowed : (c, 5) array of bool
     cones : (c, 2) array
     restitution : (c,) array
@@ -48,7 +65,9 @@ class SceneWatch(NamedTuple):
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
     owners: Ints
-    bands: Array
+    slots: Ints
+    sizes: Array
+    relative: float
     allowed: Bools
     cones: Array
     restitution: Array
@@ -98,19 +117,41 @@ def classified(
 
 
 @part
+def hold_conditions(
+    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float
+) -> None:
+    """Write how far below zero a flow from a state lets the margins of conditions go.
+
+    See `contacts.dynamics.conditions.Conditions.tolerances`.
+    """
+    conditions = scene.owners.shape[0]
+    for slot in scene.slots[conditions:]:
+        if slot >= 0:
+            watch.bands[slot] = math.inf
+    code, constants, outputs, _, _ = tape_of(program, scene.conditions)
+    values = conditions_at(code, constants, outputs, scene.sizes, state, watch.parameters, time)
+    for k in range(conditions):
+        band = round_off(values[PER_CONDITION * k + 2], scene.relative)
+        own, off = scene.slots[k], scene.slots[conditions + scene.owners[k]]
+        if own >= 0:
+            watch.bands[own] = band
+        if off >= 0:
+            watch.bands[off] = min(watch.bands[off], band)
+
+
+@part
 def switched(
     scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
     taken: Ints,
 ) -> int:  # fmt: skip
     """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
 
-    -2 where none is and one touches on the edge of its conditions: which way that goes is not known
-    here.
+    -2 where further derivatives of a condition decide.
 
     Parameters
     ----------
-    values : (k,) array
-        Of the conditions' margins.
+    values : (4 k,) array
+        Numbers of the conditions.
     numbers : (o,) array
         The scene's, those of contacts from `first` on.
     fired : int
@@ -119,31 +160,32 @@ def switched(
     kept, taken : (c,) array
         State of every contact; the latter is to be filled.
 
-    See `contacts.dynamics.conditions.Conditions.switched`.
+    See `contacts.dynamics.conditions.Conditions.failing`.
     """
-    place, at, edge = -1, 0, False
+    place, at, unsure = -1, 0, False
     for c in range(kept.shape[0]):
         taken[c] = kept[c]
     for c in range(kept.shape[0]):
-        begin, holds, fails, met = at, True, False, True
-        while at < values.shape[0] and scene.owners[at] == c:
-            value, band = values[at], scene.bands[at]
-            holds = holds and value > (-band if fired == -1 - c else band)
-            fails = fails or value < (band if fired == at + 1 else -band)
-            met = met and value >= -band
+        begin, fails, open_ = at, False, False
+        while at < scene.owners.shape[0] and scene.owners[at] == c:
+            k = PER_CONDITION * at
+            verdict = judge(values[k], values[k + 1], values[k + 2], values[k + 3], scene.relative)
+            if verdict == UNSURE and fired == at + 1:
+                verdict = FAILS
+            elif verdict == UNSURE and fired == -1 - c:
+                verdict = HOLDS
+            fails, open_ = fails or verdict == FAILS, open_ or verdict == UNSURE
             at += 1
-        if at == begin:
-            continue
-        if kept[c] == OFF_CODE:
-            gap = numbers[first + SCALARS * c]
-            if holds and gap >= -scene.gap:
-                taken[c] = FREE
-            edge = edge or (met and not holds and abs(gap) <= scene.gap)
-        elif fails:
+        gap = numbers[first + SCALARS * c]
+        if at > begin and fails:
             taken[c] = OFF_CODE
+        elif kept[c] == OFF_CODE and gap >= -scene.gap:
+            taken[c] = FREE
+        # Where a gap has no value the laws say so.
+        unsure = unsure or (not fails and (open_ or (kept[c] == OFF_CODE and gap != gap)))
         if place < 0 and taken[c] != kept[c]:
             place = c
-    return -2 if place < 0 and edge else place
+    return -2 if unsure else place
 
 
 @part

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -14,7 +15,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_start
+from contacts.dynamics.starting import check_joints, check_places, check_start
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.impact_jump import (
@@ -48,7 +49,7 @@ from statechart.automaton.laws import (
 )
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Role, Roles
-from statechart.errors import NoConsistentMode, SingularMode
+from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -104,15 +105,21 @@ class SceneLaws:
             mode = fast_mode(setup, self._tape, state, 0.0, None)
             if mode is not None:
                 return flow_in(setup, mode[0]), state
+        flow, state = self._begun(setup, state)
+        return self._watched(setup, flow, state, 0.0), state
+
+    def _begun(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
+        """Return the first flow, and where it begins."""
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self._conditions.failing(setup.values, state, 0.0)
+        failing = self._failing(setup, snapshot, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
             for name, why, contact in zip(self._names, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
+        check_places(self._names, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
@@ -146,6 +153,31 @@ class SceneLaws:
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
+        made = self._jump(at)
+        if made is None or not self._conditions.present:
+            return made
+        setup, time, (jump, flow) = at.setup, at.clock.high, made
+        assert isinstance(setup, SceneSetup)
+        if jump is None:
+            state = at.state if flow.start is None else flow.start
+        else:
+            state = jump.after
+            # What a jump leaves may go another way from the boundary of a condition.
+            flow = flow._replace(
+                settled=flow.settled and not self._conditions.on_boundary(setup, state, time)
+            )
+        return jump, self._watched(setup, flow, state, time)
+
+    def tolerances(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
+        return {**setup.bands, **self._conditions.tolerances(setup, state, time)}
+
+    def _watched(self, setup: SceneSetup, flow: Flow, state: Array, time: float) -> Flow:
+        """Return a flow from a state, with the round-off of conditions there."""
+        own = self._conditions.tolerances(setup, state, time)
+        return flow._replace(tolerances={**flow.tolerances, **own}) if own else flow
+
+    def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
         usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
@@ -154,10 +186,7 @@ class SceneLaws:
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
-        where = setup.values, state, clock.high
-        switched = self._conditions.switched(
-            flow.mode, snapshot, *where, fired, setup.tolerances["gap"], setup.bands
-        )
+        switched = self._switched(at, setup, snapshot)
         if switched:
             return self._switch(at, snapshot, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
@@ -178,6 +207,56 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
+
+    def _failing(
+        self,
+        setup: SceneSetup,
+        snapshot: Snapshot,
+        state: Array,
+        time: float,
+        fired: tuple[str, ...] = (),
+    ) -> tuple[str, ...]:
+        """Return a failing condition of every contact; see `Conditions.failing`."""
+        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+
+        def motion(failing: Sequence[bool]) -> Roles | None:
+            off = tuple(
+                OFF if fails or (OFF in law.states and not contact.gap >= -near) else "free"
+                for fails, law, contact in zip(
+                    failing, setup.contacts, snapshot.contacts, strict=True
+                )
+            )
+            here = hidden(snapshot, off)
+            # What strikes is not held before it has.
+            touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in here.contacts]
+            try:
+                choice = decide(setup, here, touching, self._paradox, Before())
+            except SimulationError:
+                return None
+            return None if isinstance(choice, Jam) else choice.taken.roles
+
+        return self._conditions.failing(setup, state, time, fired, motion)
+
+    def _switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
+        """Return the contacts that go off, with a condition that fails, or come back, with ""."""
+        if not self._conditions.present:
+            return {}
+        time, near = at.clock.high, setup.tolerances["gap"]
+        failing = self._failing(setup, snapshot, at.state, time, at.fired)
+        result: dict[int, str] = {}
+        for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
+            gap = snapshot.contacts[i].gap
+            if why and now != OFF:
+                result[i] = why
+            elif not why and now == OFF:
+                if math.isnan(gap):
+                    raise NonFinite(
+                        f"the conditions of contact {self._names[i]!r} hold where its surface has "
+                        "no finite value; let one of them fail there"
+                    )
+                if gap >= -near:
+                    result[i] = why
+        return result
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
         """Bring the state back onto the constraints that the flow kept.
@@ -351,7 +430,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self._conditions.failing(setup.values, state, time)
+        failing = self._conditions.failing(setup, state, time)
         return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
@@ -373,20 +452,17 @@ class SceneLaws:
         """Take contacts off or back; what the others do then is asked next."""
         flow = at.flow
         mode, roles = list(flow.mode), list(flow.roles)
-        for place, target in switched.items():
-            mode[place], roles[place] = target, Role(target)
-        place = next(iter(switched))
-        name, goes = self._names[place], mode[place] == OFF
+        for place, why in switched.items():
+            mode[place] = OFF if why else "free"
+            roles[place] = Role(mode[place])
+        place, why = next(iter(switched.items()))
+        name = self._names[place]
         reason = "its conditions hold, and its gap is open"
-        if goes:
-            margins = [margin.name for margin in self._mechanics.conditions(name)]
-            failing = [margin for margin in margins if margin in at.fired]
-            now = at.setup.values, at.state, at.clock.high
-            failing = failing or [self._conditions.failing(*now)[place]]
-            reason = f"does not hold: {failing[0].removeprefix(f'{name}: ')}"
+        if why:
+            reason = f"does not hold: {why.removeprefix(f'{name}: ')}"
         jump = at.jump(
             name,
-            "disable" if goes else "enable",
+            "disable" if why else "enable",
             tuple(mode),
             considered={
                 f"{name}:{flow.mode[place]}": reason,

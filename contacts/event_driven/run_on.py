@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.event_driven.hit import SceneWatch, classified, hit, switched
+from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
+from contacts.event_driven.hit import SceneWatch, classified, hit, hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
@@ -212,11 +213,13 @@ def _instant(
     energy_at = n * n + n
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
     first = energy_at + 1 + (2 * n + 2) * contacts
-    found = False
+    found = boundary = False
     if scene.owners.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, scene.conditions)
-        values = np.empty(outputs.shape[0])
-        tape_values(code, constants, outputs, state, watch.parameters, high, values)
+        values = conditions_at(code, constants, outputs, scene.sizes, state, watch.parameters, high)
+        for k in range(scene.owners.shape[0]):
+            band = round_off(values[PER_CONDITION * k + 2], scene.relative)
+            boundary = boundary or abs(values[PER_CONDITION * k]) <= band
         laws_at = program.modes[mode, LAWS_AT]
         fired = program.ints[laws_at + contacts + margin] if margin >= 0 else 0
         switching = switched(scene, values, numbers, first, fired, kept, taken)
@@ -257,7 +260,8 @@ def _instant(
     block.used[EVENTS] += 1
     place[N_MODE] = target
     place[N_JUMPS] += 1
-    place[N_ASKED] = 1 if switches else 0
+    # What an impact leaves may go another way from the boundary of a condition.
+    place[N_ASKED] = 1 if switches or (struck >= 0 and boundary) else 0
     now[T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN
     if struck < 0:
@@ -345,6 +349,8 @@ def run_on(
         for c in range(contacts):
             kept[c] = program.ints[at + c]
         _hold(program, watch, scene, kept, state, high)
+        if scene.owners.shape[0] > 0:
+            hold_conditions(program, watch, scene, state, high)
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]
         )

@@ -12,7 +12,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.controls import ControlState
 from contacts.scene.scene import Scene
 from statechart.arrays import Array, Bools
-from statechart.charts.firing import size_of
+from statechart.automaton.course import size_of
 from statechart.charts.transitions import nested
 from statechart.formulas.formula import parse_relation
 from statechart.formulas.tape import Tape

@@ -25,6 +25,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array
+from statechart.automaton.course import UNDERFLOW, along, size_of
 from statechart.automaton.events import happened
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Edge, Margin, Region
@@ -33,9 +34,6 @@ from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.formulas.formula import Relation, parse_relation
 from statechart.formulas.writer import compile_tape
 
-# Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
-# at zero and rises from there with slope zero undecided.
-_UNDERFLOW = 1e-290
 # Of its terms, a margin that is so small is zero, however exactly a run is computed.
 _ROUNDED = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
@@ -103,32 +101,6 @@ def guard_margins(
     )
 
 
-def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return what the rounding of an expression is relative to.
-
-    Parameters
-    ----------
-    expression : Expr
-        Its terms count, and those of its parts: each is rounded when it is computed.
-    sizes : mapping
-        What inputs were summed from; others (parameters, time) are as large as they are.
-    """
-    if not expression.args:
-        return sizes.get(expression, abs(expression))
-    # A number is exact: an exponent, a factor.
-    parts = [part for part in expression.args if not part.is_Number]
-    if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
-        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
-    slots = {part: sp.Dummy(real=True) for part in parts}
-    form = expression.func(*(slots.get(part, part) for part in expression.args))
-    whole = {slot: part for part, slot in slots.items()}
-    changes = (
-        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
-        for part, slot in slots.items()
-    )
-    return sp.Add(abs(expression), *changes)
-
-
 def considered(region: Region) -> tuple[dict[str, str], ...]:
     """Return, for each transition of a region that is taken, what else could have been, and why."""
     leaving: dict[str, list[Edge]] = {}
@@ -188,8 +160,8 @@ class GuardWatch:
         for guard in self.guards:
             margin = guard.relation.margin(known)
             timed.append(margin.free_symbols <= {time, *timers, *parameters})
-            first = _along(margin, rates, time)
-            second = _along(first, rates, time)
+            first = along(margin, rates, time)
+            second = along(first, rates, time)
             outputs += [margin, first, second]
             outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
         self._tape = compile_tape(
@@ -216,7 +188,7 @@ class GuardWatch:
         sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
         parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
         return {
-            guard.margin: max(part, _UNDERFLOW)
+            guard.margin: max(part, UNDERFLOW)
             for guard, part in zip(self.guards, parts.tolist(), strict=True)
         }
 
@@ -353,48 +325,3 @@ class Listening:
                 left = {**pending, name: ()} if queue else pending
                 return Firing(place, guarded[place], left)
         return None
-
-
-def _numbers(expression: sp.Expr) -> list[sp.Expr]:
-    return [part for part in expression.args if part.is_Number]
-
-
-def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
-
-    SymPy does so only where it can prove that what is inside is real, which a root is not.
-    """
-    kinks = {
-        node: sp.Dummy(real=True)
-        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
-        if symbol in node.free_symbols
-    }
-    if not kinks:
-        return sp.diff(expression, symbol)
-    if expression not in kinks:
-        form = expression.xreplace(kinks)
-        inner = {dummy: node for node, dummy in kinks.items()}
-        found = sp.diff(form, symbol)
-        for dummy, node in inner.items():
-            if dummy in form.free_symbols:
-                found += sp.diff(form, dummy) * _slope(node, symbol)
-        return found.xreplace(inner)
-    if isinstance(expression, sp.sign):
-        return sp.S.Zero
-    first, *others = expression.args
-    if isinstance(expression, sp.Abs):
-        return sp.sign(first) * _slope(first, symbol)
-    rest = expression.func(*others)
-    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
-    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2
-
-
-def _along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
-    return sp.Add(
-        _slope(expression, time),
-        *(
-            _slope(expression, v) * rate
-            for v, rate in rates.items()
-            if v in expression.free_symbols
-        ),
-    )

@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses
+from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Margin, Region, State, stop_margins
 from statechart.automaton.trace import Jump, Role, Roles
@@ -33,7 +33,6 @@ from statechart.charts.firing import (
     considered,
     guard_margins,
     guards,
-    size_of,
 )
 from statechart.charts.flat_region import FlatRegion, Updates
 from statechart.documents.declaration import TIME

@@ -6,15 +6,12 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.course import Courses
+from statechart.automaton.course import UNDERFLOW, Courses
 from statechart.automaton.laws import Flow, Instant, Setup
 from statechart.automaton.regions import Mode
 from statechart.formulas.formula import parse_relation
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
-
-# Terms that are all zero leave no rounding; a margin that stays at zero is given some room.
-_UNDERFLOW = 1e-290
 
 
 class StandingStops:
@@ -65,7 +62,7 @@ class StandingStops:
         names = [margin.name for margin in mode.margins[first:]]
         tolerances: dict[str, float] = {}
         for name, value, term, strict in zip(names, values, terms, self._strict, strict=True):
-            near = max(setup.precision * term, _UNDERFLOW)
+            near = max(setup.precision * term, UNDERFLOW)
             if not abs(value) <= near:
                 continue
             way = self._courses.sign(setup, flow.roles, name, state, sizes, time, setup.precision)
