@@ -11,7 +11,7 @@ relation itself decides: f >= 0 holds, f > 0 does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,8 +27,7 @@ from statechart.automaton.course import UNDERFLOW, Courses, along, size_of
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Key, Roles
 from statechart.formulas.formula import parse_relation
-from statechart.formulas.tape import Tape
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
 if TYPE_CHECKING:
@@ -147,7 +146,7 @@ class Conditions:
         state, time
             Where and when.
         fired : collection of str
-            Margins that fell: where the first derivative is zero they decide.
+            Margins that fell: they decide where all derivatives are zero.
         motion : callable, optional
             Contacts (c,) whose conditions fail -> the roles in which the scene then moves; None
             where that is not known. Further derivatives are taken along it, until what holds and
@@ -156,13 +155,9 @@ class Conditions:
         found, unsure = [], []
         for k, numbers in enumerate(self._at(setup, state, time)):
             verdict, one = judge(*numbers, setup.precision), self._conditions[k]
-            if verdict == UNSURE and one.name in fired:
-                verdict = FAILS
-            elif verdict == UNSURE and self.off[one.contact] in fired:
-                verdict = HOLDS
             if verdict == UNSURE:
-                unsure.append(k)
-                verdict = HOLDS if one.closed else FAILS
+                unsure.append((k, self._standing(one, fired)))
+                verdict = unsure[-1][1]
             found.append(verdict)
         for _ in range(_ROUNDS if unsure and setup.modes is not None else 0):
             failing = self._first(found)
@@ -170,8 +165,9 @@ class Conditions:
             if roles is None:
                 return failing
             before = [*found]
-            for k in unsure:
-                found[k] = self._goes(setup, roles, self._conditions[k], state, time)
+            for k, standing in unsure:
+                way = self._way(setup, roles, self._conditions[k], state, time)
+                found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else standing
             if found == before:
                 break
         return self._first(found)
@@ -180,8 +176,14 @@ class Conditions:
         """Return the numbers of every condition; see `tape`."""
         if not self.present:
             return []
-        sizes = np.maximum(np.abs(state), setup.scales.sizes)
-        numbers = self.tape.at(np.concatenate([state, sizes]), setup.values, time)
+        numbers = conditions_at(
+            *self.tape.program,
+            setup.scales.with_time,
+            setup.precision,
+            state,
+            setup.values,
+            time,
+        )
         return numbers.reshape(-1, PER_CONDITION).tolist()
 
     def _first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
@@ -192,15 +194,21 @@ class Conditions:
                 result[one.contact] = one.name
         return tuple(result)
 
-    def _goes(
+    def _standing(self, one: _Condition, fired: Collection[str]) -> int:
+        """Judge a condition that stays on its boundary as far as its derivatives tell."""
+        if one.name in fired:
+            return FAILS
+        return HOLDS if one.closed or self.off[one.contact] in fired else FAILS
+
+    def _way(
         self, setup: SceneSetup, roles: Roles, one: _Condition, state: Array, time: float
-    ) -> int:
-        """Judge a condition by its derivatives in a mode."""
+    ) -> float:
+        """Return the sign of the first derivative of a condition in a mode that is not zero."""
         memory, values = setup.values[: self._memory], setup.values[self._memory :]
         whole = np.concatenate([state, memory])
         assert setup.sizes is not None
         sizes = np.maximum(np.abs(whole), setup.sizes)
-        way = self._courses.sign(
+        return self._courses.sign(
             replace(setup, values=values),
             (*roles, *self._roles),
             one.margin,
@@ -209,7 +217,6 @@ class Conditions:
             time,
             setup.precision,
         )
-        return HOLDS if way > 0.0 or (one.closed and not way < 0.0) else FAILS
 
 
 def _listed(mechanics: Mechanics, set_: dict[sp.Symbol, sp.Expr]) -> list[_Condition]:
@@ -276,15 +283,33 @@ def judge(value: float, rate: float, size: float, slow: float, relative: float) 
     return UNSURE
 
 
-@part
+@seldom
 def conditions_at(
-    code: Ints32, constants: Array, outputs: Ints32, sizes: Array, state: Array,
-    parameters: Array, time: float,
-) -> Array:  # fmt: skip
-    """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`."""
-    n, found = state.shape[0], np.empty(outputs.shape[0])
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    sizes: Array,
+    relative: float,
+    state: Array,
+    parameters: Array,
+    time: float,
+) -> Array:
+    """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`.
+
+    `sizes` (2 n + 1,) are those of the state and of time, which are known to `relative` of them.
+    The sizes of terms are the larger ones of those in the state and within its round-off: at a
+    multiple zero, as of ``x**3``, they vanish.
+    """
+    n, found, beside = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
     both = np.empty(2 * n)
     for i in range(n):
         both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
     tape_values(code, constants, outputs, both, parameters, time, found)
+    for i in range(n):
+        both[i] += relative * both[n + i]
+    later = time + relative * max(abs(time), sizes[n])
+    tape_values(code, constants, outputs, both, parameters, later, beside)
+    for k in range(2, found.shape[0], PER_CONDITION):
+        found[k] = max(found[k], beside[k])
+        found[k + 1] = max(found[k + 1], beside[k + 1])
     return found

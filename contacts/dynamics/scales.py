@@ -39,6 +39,11 @@ class Scales:
     force: float
     sizes: Array
 
+    @property
+    def with_time(self) -> Array:
+        """The sizes of coordinates and rates, and of time behind them."""
+        return np.append(self.sizes, self.length / self.speed)
+
     def state(self, memory: Array) -> Array:
         """Return the sizes of coordinates, rates and what controllers remember, at its start."""
         # What begins at zero does not tell how large it gets.

@@ -8,15 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.conditions import (
-    FAILS,
-    HOLDS,
-    PER_CONDITION,
-    UNSURE,
-    conditions_at,
-    judge,
-    round_off,
-)
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.bounces import DIGITS, EPS
@@ -30,7 +21,6 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.engines.mode_table import Program, tape_of
-from statechart.engines.whole_flow import Watch
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part, seldom
 from statechart.kernels.tapes import tape_values
@@ -48,8 +38,8 @@ class SceneWatch(NamedTuple):
     slots : (k + c,) array of int64
         Places in `Watch.bands` of the margins of conditions, and of those that bring contacts back;
         -1 for none.
-    sizes : (n,) array
-        Of the state.
+    sizes : (n + 1,) array
+        Of the state, and of time.
     relative : float
         What is so small in parts of its terms is zero.
     allowed : (c, 5) array of bool
@@ -114,78 +104,6 @@ def classified(
         scene.acceleration,
         taken,
     )
-
-
-@part
-def hold_conditions(
-    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float
-) -> None:
-    """Write how far below zero a flow from a state lets the margins of conditions go.
-
-    See `contacts.dynamics.conditions.Conditions.tolerances`.
-    """
-    conditions = scene.owners.shape[0]
-    for slot in scene.slots[conditions:]:
-        if slot >= 0:
-            watch.bands[slot] = math.inf
-    code, constants, outputs, _, _ = tape_of(program, scene.conditions)
-    values = conditions_at(code, constants, outputs, scene.sizes, state, watch.parameters, time)
-    for k in range(conditions):
-        band = round_off(values[PER_CONDITION * k + 2], scene.relative)
-        own, off = scene.slots[k], scene.slots[conditions + scene.owners[k]]
-        if own >= 0:
-            watch.bands[own] = band
-        if off >= 0:
-            watch.bands[off] = min(watch.bands[off], band)
-
-
-@part
-def switched(
-    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
-    taken: Ints,
-) -> int:  # fmt: skip
-    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
-
-    -2 where further derivatives of a condition decide.
-
-    Parameters
-    ----------
-    values : (4 k,) array
-        Numbers of the conditions.
-    numbers : (o,) array
-        The scene's, those of contacts from `first` on.
-    fired : int
-        Number of the condition whose margin fell, from 1 on; minus that of the contact that is
-        off, where that is what fell.
-    kept, taken : (c,) array
-        State of every contact; the latter is to be filled.
-
-    See `contacts.dynamics.conditions.Conditions.failing`.
-    """
-    place, at, unsure = -1, 0, False
-    for c in range(kept.shape[0]):
-        taken[c] = kept[c]
-    for c in range(kept.shape[0]):
-        begin, fails, open_ = at, False, False
-        while at < scene.owners.shape[0] and scene.owners[at] == c:
-            k = PER_CONDITION * at
-            verdict = judge(values[k], values[k + 1], values[k + 2], values[k + 3], scene.relative)
-            if verdict == UNSURE and fired == at + 1:
-                verdict = FAILS
-            elif verdict == UNSURE and fired == -1 - c:
-                verdict = HOLDS
-            fails, open_ = fails or verdict == FAILS, open_ or verdict == UNSURE
-            at += 1
-        gap = numbers[first + SCALARS * c]
-        if at > begin and fails:
-            taken[c] = OFF_CODE
-        elif kept[c] == OFF_CODE and gap >= -scene.gap:
-            taken[c] = FREE
-        # Where a gap has no value the laws say so.
-        unsure = unsure or (not fails and (open_ or (kept[c] == OFF_CODE and gap != gap)))
-        if place < 0 and taken[c] != kept[c]:
-            place = c
-    return -2 if unsure else place
 
 
 @part

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 
@@ -26,6 +25,7 @@ from contacts.event_driven.impact_jump import (
     shown_roles,
 )
 from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
@@ -48,8 +48,8 @@ from statechart.automaton.laws import (
     uncaptured,
 )
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Jump, Key, Role, Roles
-from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
+from statechart.automaton.trace import Jump, Key, Roles
+from statechart.errors import NoConsistentMode, SingularMode
 
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
@@ -74,10 +74,11 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
         self._tape = SnapshotTape(mechanics)
-        self._conditions = self.numbers.conditions
+        self.conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
-        self._plain = not mechanics.joint_rows and not self._conditions.present
+        self._plain = not mechanics.joint_rows and not self.conditions.present
         self._projection = Projection(mechanics, self._tape)
+        self._switching = Switching(self._names, self.conditions, self._paradox)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.ordinary: Ordinary | None = None
         if not mechanics.joint_rows:
@@ -88,7 +89,8 @@ class SceneLaws:
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
-        laws._tape, laws._conditions = tape, conditions
+        laws._tape, laws.conditions = tape, conditions
+        laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = self._rules._replace(tape=tape)
         laws.ordinary = None
         return laws
@@ -106,13 +108,15 @@ class SceneLaws:
             if mode is not None:
                 return flow_in(setup, mode[0]), state
         flow, state = self._begun(setup, state)
-        return self._watched(setup, flow, state, 0.0), state
+        if self.conditions.present:
+            _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
+        return flow, state
 
     def _begun(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
         """Return the first flow, and where it begins."""
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self._failing(setup, snapshot, state, 0.0)
+        failing = self._switching.failing(setup, snapshot, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
@@ -154,28 +158,13 @@ class SceneLaws:
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
         made = self._jump(at)
-        if made is None or not self._conditions.present:
+        if made is None or not self.conditions.present:
             return made
-        setup, time, (jump, flow) = at.setup, at.clock.high, made
-        assert isinstance(setup, SceneSetup)
-        if jump is None:
-            state = at.state if flow.start is None else flow.start
-        else:
-            state = jump.after
-            # What a jump leaves may go another way from the boundary of a condition.
-            flow = flow._replace(
-                settled=flow.settled and not self._conditions.on_boundary(setup, state, time)
-            )
-        return jump, self._watched(setup, flow, state, time)
-
-    def tolerances(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
-        return {**setup.bands, **self._conditions.tolerances(setup, state, time)}
-
-    def _watched(self, setup: SceneSetup, flow: Flow, state: Array, time: float) -> Flow:
-        """Return a flow from a state, with the round-off of conditions there."""
-        own = self._conditions.tolerances(setup, state, time)
-        return flow._replace(tolerances={**flow.tolerances, **own}) if own else flow
+        jump, flow = made
+        state = flow.start if jump is None else jump.after
+        assert isinstance(at.setup, SceneSetup)
+        where = at.state if state is None else state
+        return self._switching.watched(at.setup, where, at.clock.high, made)
 
     def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
@@ -186,9 +175,9 @@ class SceneLaws:
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
-        switched = self._switched(at, setup, snapshot)
+        switched = self._switching.switched(at, setup, snapshot)
         if switched:
-            return self._switch(at, snapshot, switched)
+            return self._switching.jump(at, snapshot.energy, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
         contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
@@ -207,56 +196,6 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
-
-    def _failing(
-        self,
-        setup: SceneSetup,
-        snapshot: Snapshot,
-        state: Array,
-        time: float,
-        fired: tuple[str, ...] = (),
-    ) -> tuple[str, ...]:
-        """Return a failing condition of every contact; see `Conditions.failing`."""
-        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-
-        def motion(failing: Sequence[bool]) -> Roles | None:
-            off = tuple(
-                OFF if fails or (OFF in law.states and not contact.gap >= -near) else "free"
-                for fails, law, contact in zip(
-                    failing, setup.contacts, snapshot.contacts, strict=True
-                )
-            )
-            here = hidden(snapshot, off)
-            # What strikes is not held before it has.
-            touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in here.contacts]
-            try:
-                choice = decide(setup, here, touching, self._paradox, Before())
-            except SimulationError:
-                return None
-            return None if isinstance(choice, Jam) else choice.taken.roles
-
-        return self._conditions.failing(setup, state, time, fired, motion)
-
-    def _switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
-        """Return the contacts that go off, with a condition that fails, or come back, with ""."""
-        if not self._conditions.present:
-            return {}
-        time, near = at.clock.high, setup.tolerances["gap"]
-        failing = self._failing(setup, snapshot, at.state, time, at.fired)
-        result: dict[int, str] = {}
-        for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
-            gap = snapshot.contacts[i].gap
-            if why and now != OFF:
-                result[i] = why
-            elif not why and now == OFF:
-                if math.isnan(gap):
-                    raise NonFinite(
-                        f"the conditions of contact {self._names[i]!r} hold where its surface has "
-                        "no finite value; let one of them fail there"
-                    )
-                if gap >= -near:
-                    result[i] = why
-        return result
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
         """Bring the state back onto the constraints that the flow kept.
@@ -430,7 +369,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self._conditions.failing(setup, state, time)
+        failing = self.conditions.failing(setup, state, time)
         return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
@@ -445,30 +384,3 @@ class SceneLaws:
             if done is not None:
                 return done
         return jump, flow
-
-    def _switch(
-        self, at: Instant, snapshot: Snapshot, switched: Mapping[int, str]
-    ) -> tuple[Jump, Flow]:
-        """Take contacts off or back; what the others do then is asked next."""
-        flow = at.flow
-        mode, roles = list(flow.mode), list(flow.roles)
-        for place, why in switched.items():
-            mode[place] = OFF if why else "free"
-            roles[place] = Role(mode[place])
-        place, why = next(iter(switched.items()))
-        name = self._names[place]
-        reason = "its conditions hold, and its gap is open"
-        if why:
-            reason = f"does not hold: {why.removeprefix(f'{name}: ')}"
-        jump = at.jump(
-            name,
-            "disable" if why else "enable",
-            tuple(mode),
-            considered={
-                f"{name}:{flow.mode[place]}": reason,
-                f"{name}:{mode[place]}": "taken",
-            },
-            energy=(snapshot.energy, snapshot.energy),
-        )
-        following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
-        return jump, following

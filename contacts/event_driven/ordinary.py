@@ -133,7 +133,7 @@ class SceneInstants:
             conditions,
             self._conditions.owners,
             self._conditions.slots(loop.margins),
-            setup.scales.sizes,
+            setup.scales.with_time,
             setup.precision,
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),

@@ -152,7 +152,7 @@ def _memory(
         loop.tapes[2],
         numbers.conditions.owners,
         numbers.conditions.slots(loop.margins),
-        np.empty(variables),
+        np.empty(variables + 1),
         scene.gap,
         scene.allowed,
         np.empty((contacts, 2)),

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
 from contacts.dynamics.conditions import conditions_at
-from contacts.event_driven.hit import SceneWatch, classified, switched
+from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
+from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
+from contacts.event_driven.switching import switched
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.recording import ARCS, EVENTS, Block
@@ -129,7 +130,8 @@ def _watches(
         watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
     for i in range(watch.floors.shape[0]):
         watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
-    put(numbers.sizes, instants.sizes)
+    put(numbers.sizes, instants.sizes[:-1])
+    instants.sizes[-1] = length / speed
     for c in range(scene.places.shape[0]):
         for k in range(3):
             place = scene.places[c, k]
@@ -168,7 +170,14 @@ def _start(
     if instants.owners.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, instants.conditions)
         values = conditions_at(
-            code, constants, outputs, instants.sizes, state, watch.parameters, 0.0
+            code,
+            constants,
+            outputs,
+            instants.sizes,
+            instants.relative,
+            state,
+            watch.parameters,
+            0.0,
         )
         first = state.shape[0] // 2
         first = first * first + first + 1 + (2 * first + 2) * contacts
