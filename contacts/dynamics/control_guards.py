@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneSetup
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
@@ -17,6 +17,9 @@ from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.charts.guard_watch import GuardWatch
 from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
+
+if TYPE_CHECKING:
+    from contacts.dynamics.setup import SceneSetup
 
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:

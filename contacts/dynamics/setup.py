@@ -59,8 +59,7 @@ class SceneSetup(Setup):
     capture : float
         Rebounds slower than this are summed instead of simulated.
     bands : mapping
-        Stop condition, or condition of a contact -> how near zero its margin counts as met; from
-        its value at the start.
+        Stop condition -> how near zero its margin counts as met; from its value at the start.
     start_depth : float
         How deep bodies with shapes start in what they touch.
     rounded : float
@@ -211,11 +210,8 @@ class SceneNumbers:
             contacts=self.contacts(values),
             capture=doubtful(relative) * scales.speed,
             bands={
-                **{
-                    n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
-                    for n, v in zip(self.stops, margins, strict=True)
-                },
-                **self.conditions.bands(known, initial, scales.sizes),
+                n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
+                for n, v in zip(self.stops, margins, strict=True)
             },
         )
 

@@ -262,11 +262,13 @@ class ControlledLaws:
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
+        inner, motion = self._memory.within(setup, state), self._memory.parted(state)
+        own = self._at(states).conditions.tolerances(inner, motion, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),
             settled=False,
-            tolerances={**setup.bands, **tolerances},
+            tolerances={**setup.bands, **own, **tolerances},
             terms=None if flow.terms is None or before is None else before.terms,
             pending=before.pending if before is not None else {},
         )

@@ -73,10 +73,8 @@ class SceneInstants:
         if limits is not None:
             self.tapes += limits, numbers.scale_tape.tape, numbers.stop_tape
         owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
-        off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
-        self._of_margins = {**owners, **off}
+        self._of_margins = {**owners, **{name: -1 - c for c, name in conditions.off.items()}}
         self._conditions = conditions
-        self._owners = np.array([contact for contact, _ in conditions.listed], np.int64)
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
@@ -93,15 +91,18 @@ class SceneInstants:
         states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
         return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
-    def tolerances(self, setup: Setup) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a run, with it."""
+    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         assert isinstance(setup, SceneSetup)
-        return setup.bands
+        own = self._conditions.tolerances(setup, state, time)
+        return {**setup.bands, **own} if own else setup.bands
 
     def takes(self, setup: Setup, flow: Flow) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
-        usual = flow.tolerances is setup.bands or flow.tolerances == setup.bands
+        own = {name for _, name in self._conditions.listed} | {*self._conditions.off.values()}
+        special = {n: t for n, t in flow.tolerances.items() if n not in own}
+        usual = flow.tolerances is setup.bands or special == setup.bands
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:
@@ -127,12 +128,13 @@ class SceneInstants:
             unseen_room(tolerances, setup.scales),
         )
         near, creep = landing(tolerances)
-        bands = [setup.bands[name] for _, name in self._conditions.listed]
         scene = SceneWatch(
             numbers,
             conditions,
-            self._owners,
-            np.array(bands),
+            self._conditions.owners,
+            self._conditions.slots(loop.margins),
+            setup.scales.with_time,
+            setup.precision,
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),
             np.array([law.restitution for law in setup.contacts]),

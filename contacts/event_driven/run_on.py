@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.event_driven.hit import SceneWatch, classified, hit, switched
+from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
+from contacts.event_driven.hit import SceneWatch, classified, hit
+from contacts.event_driven.switching import hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
@@ -189,6 +191,7 @@ def _instant(
     state: Array,
     series: Array,
     margin: int,
+    fired: int,
     kept: Ints,
 ) -> tuple[int, int, float]:
     """Jump, where that is as simple as most jumps are.
@@ -197,6 +200,8 @@ def _instant(
     ----------
     margin : int
         That fell; -1 where the instant goes on after a jump.
+    fired : int
+        Condition that fell, see `switched`; 0 for none, and after an impact.
     kept : (c,) array of int64
         State of every contact; brought up to date.
 
@@ -212,13 +217,15 @@ def _instant(
     energy_at = n * n + n
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
     first = energy_at + 1 + (2 * n + 2) * contacts
-    found = False
+    found = boundary = False
     if scene.owners.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, scene.conditions)
-        values = np.empty(outputs.shape[0])
-        tape_values(code, constants, outputs, state, watch.parameters, high, values)
-        laws_at = program.modes[mode, LAWS_AT]
-        fired = program.ints[laws_at + contacts + margin] if margin >= 0 else 0
+        values = conditions_at(
+            code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, high
+        )
+        for k in range(scene.owners.shape[0]):
+            band = round_off(values[PER_CONDITION * k + 2], scene.relative)
+            boundary = boundary or abs(values[PER_CONDITION * k]) <= band
         switching = switched(scene, values, numbers, first, fired, kept, taken)
         if switching == -2:
             return FELL, margin, 0.0
@@ -257,7 +264,8 @@ def _instant(
     block.used[EVENTS] += 1
     place[N_MODE] = target
     place[N_JUMPS] += 1
-    place[N_ASKED] = 1 if switches else 0
+    # What an impact leaves may go another way from the boundary of a condition.
+    place[N_ASKED] = 1 if switches else 2 if struck >= 0 and boundary else 0
     now[T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN
     if struck < 0:
@@ -345,6 +353,8 @@ def run_on(
         for c in range(contacts):
             kept[c] = program.ints[at + c]
         _hold(program, watch, scene, kept, state, high)
+        if scene.owners.shape[0] > 0:
+            hold_conditions(program, watch, scene, state, high)
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]
         )
@@ -367,10 +377,10 @@ def run_on(
         high = now[T_HIGH]
         if margin >= program.modes[mode, STOPS]:
             return FELL, margin, 0.0
-        asked = 0
+        asked, fired = 0, program.ints[at + contacts + margin]
         while True:
             reason, row, rest = _instant(
-                program, watch, scene, block, now, place, state, series, margin, kept
+                program, watch, scene, block, now, place, state, series, margin, fired, kept
             )
             if reason != GOES_ON:
                 return reason, row, rest
@@ -378,6 +388,7 @@ def run_on(
                 break
             asked += 1
             margin = -1
+            fired = fired if place[N_ASKED] == 1 else 0
             if asked > MOST_AT_ONCE:
                 return FELL, -1, 0.0
         at_stop = stands(program, place[N_MODE], watch.parameters, watch.floors, state, now[T_HIGH])

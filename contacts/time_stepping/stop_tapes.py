@@ -11,8 +11,8 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.time_stepping.active_states import ActiveStates
 from statechart.arrays import Array, Bools
+from statechart.automaton.course import size_of
 from statechart.automaton.regions import Region, StopCondition
-from statechart.charts.guard_watch import size_of
 from statechart.formulas.tape import Tape
 
 

@@ -17,45 +17,17 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Bools
+from statechart.automaton.course import UNDERFLOW, along, size_of
 from statechart.automaton.laws import Setup
 from statechart.charts.firing import Guard
 from statechart.formulas.condition import Active
 from statechart.formulas.writer import compile_tape
 
-# Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
-# at zero and rises from there with slope zero undecided.
-_UNDERFLOW = 1e-290
 # Of its terms, a margin that is so small is zero, however exactly a run is computed.
 _ROUNDED = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
 _OF_TIME = 8.0 * float(np.finfo(float).eps)
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
-
-
-def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return what the rounding of an expression is relative to.
-
-    Parameters
-    ----------
-    expression : Expr
-        Its terms count, and those of its parts: each is rounded when it is computed.
-    sizes : mapping
-        What inputs were summed from; others (parameters, time) are as large as they are.
-    """
-    if not expression.args:
-        return sizes.get(expression, abs(expression))
-    # A number is exact: an exponent, a factor.
-    parts = [part for part in expression.args if not part.is_Number]
-    if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
-        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
-    slots = {part: sp.Dummy(real=True) for part in parts}
-    form = expression.func(*(slots.get(part, part) for part in expression.args))
-    whole = {slot: part for part, slot in slots.items()}
-    changes = (
-        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
-        for part, slot in slots.items()
-    )
-    return sp.Add(abs(expression), *changes)
 
 
 class GuardWatch:
@@ -123,8 +95,8 @@ class GuardWatch:
             names += condition.names(guard.name)
             for atom in condition.atoms:
                 margin = atom.expression.xreplace(given)
-                first = _along(margin, rates, time)
-                second = _along(first, rates, time)
+                first = along(margin, rates, time)
+                second = along(first, rates, time)
                 outputs += [margin, first, second]
                 outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
                 timed.append(margin.free_symbols <= {time, *timers, *parameters})
@@ -154,7 +126,7 @@ class GuardWatch:
         sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
         parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
         return {
-            margin: max(part, _UNDERFLOW)
+            margin: max(part, UNDERFLOW)
             for margin, part in zip(self.margins, parts.tolist(), strict=True)
         }
 
@@ -323,48 +295,3 @@ class Judgement:
             # What was found is a fall, or a touch too close to tell: then it must not rise.
             return margin < -tolerance or not rate > 0.0
         return margin < -tolerance or rate < 0.0 or (rate == 0.0 and not strict)
-
-
-def _numbers(expression: sp.Expr) -> list[sp.Expr]:
-    return [part for part in expression.args if part.is_Number]
-
-
-def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
-
-    SymPy does so only where it can prove that what is inside is real, which a root is not.
-    """
-    kinks = {
-        node: sp.Dummy(real=True)
-        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
-        if symbol in node.free_symbols
-    }
-    if not kinks:
-        return sp.diff(expression, symbol)
-    if expression not in kinks:
-        form = expression.xreplace(kinks)
-        inner = {dummy: node for node, dummy in kinks.items()}
-        found = sp.diff(form, symbol)
-        for dummy, node in inner.items():
-            if dummy in form.free_symbols:
-                found += sp.diff(form, dummy) * _slope(node, symbol)
-        return found.xreplace(inner)
-    if isinstance(expression, sp.sign):
-        return sp.S.Zero
-    first, *others = expression.args
-    if isinstance(expression, sp.Abs):
-        return sp.sign(first) * _slope(first, symbol)
-    rest = expression.func(*others)
-    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
-    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2
-
-
-def _along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
-    return sp.Add(
-        _slope(expression, time),
-        *(
-            _slope(expression, v) * rate
-            for v, rate in rates.items()
-            if v in expression.free_symbols
-        ),
-    )

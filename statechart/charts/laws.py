@@ -20,7 +20,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses
+from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.regions import Margin, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Jump, Role, Roles
@@ -28,7 +28,7 @@ from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.firing import Guard, Listening, considered, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, Updates
-from statechart.charts.guard_watch import GuardWatch, Judgement, size_of
+from statechart.charts.guard_watch import GuardWatch, Judgement
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno

@@ -136,7 +136,7 @@ class Execution:
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
         if self.begun and self.ahead:
-            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind)
+            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind, self.state, 0.0)
         else:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state

@@ -10,14 +10,11 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.course import Courses
+from statechart.automaton.course import UNDERFLOW, Courses
 from statechart.automaton.laws import Flow, Instant, Setup
 from statechart.automaton.regions import Mode, StopCondition
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
-
-# Terms that are all zero leave no rounding; a margin that stays at zero is given some room.
-_UNDERFLOW = 1e-290
 
 
 class StandingStops:
@@ -125,7 +122,7 @@ class _Atoms:
         self._sizes = _sizes(setup, flow, state)
         places = tuple(range(first, len(mode.margins)))
         terms = sizes_at(guards, places, state, self._sizes, setup.values, time)
-        self.room = [max(setup.precision * term, _UNDERFLOW) for term in terms]
+        self.room = [max(setup.precision * term, UNDERFLOW) for term in terms]
         self.names = [margin.name for margin in automaton.stop_margins]
 
     def near(self, k: int) -> bool:
