@@ -26,7 +26,7 @@ from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.course import UNDERFLOW, Courses, along, size_of
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Key, Roles
-from statechart.formulas.formula import parse_relation
+from statechart.formulas.relation import parse_relation
 from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
@@ -224,7 +224,7 @@ def _listed(mechanics: Mechanics, set_: dict[sp.Symbol, sp.Expr]) -> list[_Condi
     found = []
     for place, (name, contact) in enumerate(mechanics.scene.contacts.items()):
         # Ends of edges, which stand last, belong to them.
-        closed = [parse_relation(text).operator in ("<=", ">=") for text in contact.enabled]
+        closed = [not parse_relation(text).comparisons[0].strict for text in contact.enabled]
         for k, margin in enumerate(mechanics.conditions(name)):
             satisfied = k >= len(closed) or closed[k]
             formula = margin.expression.xreplace(set_)
