@@ -37,6 +37,9 @@ HOLDS, FAILS, UNSURE = 1, -1, 0
 """Judgements of a condition; the last where its first derivative is zero, or not known."""
 PER_CONDITION = 4
 """Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
+# At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
+# relative round-off, so that what rounds to zero there does not.
+_BESIDE = 0.75
 # More often than this, what contacts are on and how they move do not come to agree.
 _ROUNDS = 8
 
@@ -297,17 +300,18 @@ def conditions_at(
     """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`.
 
     `sizes` (2 n + 1,) are those of the state and of time, which are known to `relative` of them.
-    The sizes of terms are the larger ones of those in the state and within its round-off: at a
-    multiple zero, as of ``x**3``, they vanish.
+    The sizes of terms are the larger ones of those in the state and beside it: at a multiple zero,
+    as of ``x**3``, they vanish.
     """
     n, found, beside = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
     both = np.empty(2 * n)
     for i in range(n):
         both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
     tape_values(code, constants, outputs, both, parameters, time, found)
+    moved = relative**_BESIDE
     for i in range(n):
-        both[i] += relative * both[n + i]
-    later = time + relative * max(abs(time), sizes[n])
+        both[i] += moved * both[n + i]
+    later = time + moved * max(abs(time), sizes[n])
     tape_values(code, constants, outputs, both, parameters, later, beside)
     for k in range(2, found.shape[0], PER_CONDITION):
         found[k] = max(found[k], beside[k])

@@ -106,22 +106,19 @@ class SceneStepper(Stepper):
     def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
+        memory = Memory(self._mechanics)
+        within = memory.within(setup, setup.initial)
+        within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
-            snapshots = SnapshotTape(self._mechanics)
-            memory = Memory(self._mechanics)
-            within = memory.within(setup, setup.initial)
-            within = replace(within, initial=memory.parted(setup.initial))
-            check_joints(self._mechanics, snapshots, within, RELATIVE)
+            check_joints(self._mechanics, SnapshotTape(self._mechanics), within, RELATIVE)
+        failing = self._numbers.conditions.failing(within, within.initial, 0.0)
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
-            gap, *_, condition = row
-            gated = OFF in law.states
-            off[i] = gated and (
-                condition < 0.0 or (gap < -near and self._scene.initial_modes.get(law.name) == OFF)
-            )
+            buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
+            off[i] = failing[i] != "" or (OFF in law.states and buried)
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
