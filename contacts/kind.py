@@ -13,7 +13,7 @@ from statechart.loading.kind import Kind
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.scene.modes import ContactSymbols
-    from statechart.automaton.regions import Region
+    from statechart.automaton.regions import Margin, Region
     from statechart.automaton.time_stepper import TimeStepper
     from statechart.pictures.stage import Stage
 
@@ -80,12 +80,21 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     def symbols(contact: str) -> ContactSymbols:
         return mechanics.contact(contact).symbols
 
+    def gates(contact: str) -> tuple[Margin, ...]:
+        gate = mechanics.gate(contact)
+        return () if gate is None else gate.margins
+
+    def back(contact: str) -> tuple[Margin, ...]:
+        gate = mechanics.gate(contact)
+        return () if gate is None else gate.back(symbols(contact).gap)
+
     of_contacts = (
         region(
             name,
             contact,
             partial(symbols, name),
-            partial(mechanics.conditions, name),
+            partial(gates, name),
+            partial(back, name),
             jams=scene.jams(name),
             bounces=scene.bounces(name),
             gate=scene.gate(name),

@@ -1,11 +1,12 @@
 """When contacts with conditions, or on edges that end, go off and come back.
 
-A contact is on while all its conditions hold, once its gap was open under them. Off, it bears no
+A contact is on while its gate holds, once its gap was open under it. Off, it bears no
 force and its gap is not watched: a foot inside the surface (scuffing) comes back once it is out.
 
-A condition is f >= 0 or f > 0. Beyond the round-off of its terms the sign of f decides; within, the
-first derivative of f in time that is not zero, along the motion. Where all derivatives are zero the
-relation itself decides: f >= 0 holds, f > 0 does not.
+A condition is an atom of a gate, f >= 0 or f > 0 (`contacts.dynamics.gates`). Beyond the round-off
+of its terms the sign of f decides; within, the first derivative of f in time that is not zero,
+along the motion. Where all derivatives are zero the relation itself decides: f >= 0 holds, f > 0
+does not.
 """
 
 from __future__ import annotations
@@ -19,6 +20,15 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.control_guards import given_in, memory_rates
+from contacts.dynamics.gates import (
+    FAILS,
+    HOLDS,
+    UNSURE,
+    GateAtom,
+    certificates,
+    tree,
+    truths,
+)
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.states import OFF
@@ -26,15 +36,12 @@ from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.course import UNDERFLOW, Courses, along, size_of
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Key, Roles
-from statechart.formulas.relation import parse_relation
 from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
 if TYPE_CHECKING:
     from contacts.dynamics.setup import SceneSetup
 
-HOLDS, FAILS, UNSURE = 1, -1, 0
-"""Judgements of a condition; the last where its first derivative is zero, or not known."""
 PER_CONDITION = 4
 """Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
 # At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
@@ -45,12 +52,11 @@ _ROUNDS = 8
 
 
 class _Condition(NamedTuple):
-    """A condition: its contact, the name and formula of its margin, and whether 0 satisfies it."""
+    """An atom of a gate: its contact, the atom, and its margin with what controllers set."""
 
     contact: int
-    name: str
+    atom: GateAtom
     margin: sp.Expr
-    closed: bool
 
 
 class Conditions:
@@ -67,28 +73,36 @@ class Conditions:
     ----------
     present : bool
         Whether any contact has a condition.
-    listed : tuple of (int, str)
-        Of every condition: the place of its contact, and the name of its margin.
-    owners : (k,) array of int64
-        Contact of every condition.
-    off : mapping
-        Place of a contact with conditions -> the name of the margin that brings it back.
+    names, back : tuple of str
+        Of the atoms of all gates: names of the margins that fall as one ceases to hold, and as it
+        begins to.
+    gaps : tuple of str
+        Of every contact: name of the margin that falls as its gap opens while it is off, or "".
+    nodes : (m, 3) array of int64
+        The gates' trees; see `contacts.dynamics.gates.tree`.
     tape : Tape
         Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
-        of each condition.
+        of each atom.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
-        self._names = tuple(mechanics.scene.contacts)
+        contacts = tuple(mechanics.scene.contacts)
+        self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
         set_: dict[sp.Symbol, sp.Expr] = {}
         for symbol, value in given_in(mechanics, initial if states is None else states):
             set_[symbol] = value.xreplace(set_)
-        self._conditions = tuple(_listed(mechanics, set_))
+        gates = [mechanics.gate(name) for name in contacts]
+        self._conditions = tuple(
+            _Condition(place, atom, atom.margin.xreplace(set_))
+            for place, gate in enumerate(gates)
+            for atom in (() if gate is None else gate.atoms)
+        )
         self.present = bool(self._conditions)
-        self.listed = tuple((one.contact, one.name) for one in self._conditions)
-        self.owners = np.array([one.contact for one in self._conditions], np.int64)
-        self.off = {place: f"{self._names[place]}.{OFF}" for place, _ in self.listed}
+        self.names = tuple(one.atom.name for one in self._conditions)
+        self.back = tuple(one.atom.back for one in self._conditions)
+        self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
+        self.nodes = tree(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.memory)
         memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
@@ -108,21 +122,39 @@ class Conditions:
         )
 
     def slots(self, margins: Sequence[str]) -> Ints:
-        """Return (k + c,): places among `margins` of conditions and of what brings contacts back.
-
-        -1 where there is none.
-        """
-        names = [name for _, name in self.listed]
-        names += [self.off.get(place, "") for place in range(len(self._names))]
-        return np.array([margins.index(n) if n in margins else -1 for n in names], np.int64)
+        """Return (2 k + c,): places among `margins` of `names`, `back` and `gaps`, or -1."""
+        places = {margin: place for place, margin in enumerate(margins)}
+        names = (*self.names, *self.back, *self.gaps)
+        return np.array([places.get(name, -1) for name in names], np.int64)
 
     def tolerances(self, setup: SceneSetup, state: Array, time: float) -> dict[str, float]:
-        """Return margin -> its round-off in a state: how far below zero a flow lets it go."""
-        found: dict[str, float] = {}
-        for one, numbers in zip(self._conditions, self._at(setup, state, time), strict=True):
-            band, off = round_off(numbers[2], setup.precision), self.off[one.contact]
-            found[one.name] = band
-            found[off] = min(band, found.get(off, band))
+        """Return margin -> how far below zero a flow lets it go: its round-off in a state.
+
+        Infinitely far, if no certificate needs it.
+        """
+        numbers = self._at(setup, state, time)
+        if not numbers:
+            return {}
+        verdicts = [judge(*one, setup.precision) for one in numbers]
+        watched = np.empty(len(verdicts), np.int64)
+        found = self._truths(verdicts)
+        certificates(self.nodes, found, watched)
+        tolerances: dict[str, float] = {}
+        for one, verdict, needed, (_, _, size, _) in zip(
+            self._conditions, verdicts, watched.tolist(), numbers, strict=True
+        ):
+            band = round_off(size, setup.precision)
+            tolerances[one.atom.name] = band if needed and verdict != FAILS else math.inf
+            tolerances[one.atom.back] = band if needed and verdict != HOLDS else math.inf
+        for (_, above, contact), verdict in zip(self.nodes.tolist(), found.tolist(), strict=True):
+            if above < 0:
+                tolerances[self.gaps[contact]] = math.inf if verdict == FAILS else UNDERFLOW
+        return tolerances
+
+    def _truths(self, verdicts: Sequence[int]) -> Ints:
+        """Return the verdicts of the nodes of all gates."""
+        found = np.empty(len(self.nodes), np.int64)
+        truths(self.nodes, np.array(verdicts, np.int64), found)
         return found
 
     def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
@@ -190,18 +222,27 @@ class Conditions:
         return numbers.reshape(-1, PER_CONDITION).tolist()
 
     def _first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
-        """Return, for every contact, its first condition that fails."""
-        result = [""] * len(self._names)
-        for one, verdict in zip(self._conditions, verdicts, strict=True):
-            if verdict == FAILS and not result[one.contact]:
-                result[one.contact] = one.name
+        """Return, for every contact, the first relation of a gate that fails; else ""."""
+        result = [""] * self._count
+        found = self._truths(verdicts).tolist() if verdicts else []
+        top = -1
+        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
+            top = k if above < 0 else top
+            # The parts of the topmost node are the relations.
+            if above == top and found[k] == FAILS and not result[contact]:
+                atom = kind
+                for below in range(k + 1, len(self.nodes)):
+                    if atom >= 0:
+                        break
+                    atom = int(self.nodes[below, 0])
+                result[contact] = self._conditions[atom].atom.words
         return tuple(result)
 
     def _standing(self, one: _Condition, fired: Collection[str]) -> int:
         """Judge a condition that stays on its boundary as far as its derivatives tell."""
-        if one.name in fired:
+        if one.atom.name in fired:
             return FAILS
-        return HOLDS if one.closed or self.off[one.contact] in fired else FAILS
+        return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
 
     def _way(
         self, setup: SceneSetup, roles: Roles, one: _Condition, state: Array, time: float
@@ -220,19 +261,6 @@ class Conditions:
             time,
             setup.precision,
         )
-
-
-def _listed(mechanics: Mechanics, set_: dict[sp.Symbol, sp.Expr]) -> list[_Condition]:
-    """Return the conditions of all contacts, with what controllers set."""
-    found = []
-    for place, (name, contact) in enumerate(mechanics.scene.contacts.items()):
-        # Ends of edges, which stand last, belong to them.
-        closed = [not parse_relation(text).comparisons[0].strict for text in contact.enabled]
-        for k, margin in enumerate(mechanics.conditions(name)):
-            satisfied = k >= len(closed) or closed[k]
-            formula = margin.expression.xreplace(set_)
-            found.append(_Condition(place, margin.name, formula, satisfied))
-    return found
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

@@ -33,11 +33,11 @@ class SceneWatch(NamedTuple):
     ----------
     numbers, conditions : (9,) array of int64
         Tapes of the scene's numbers, and of the margins of contacts' conditions.
-    owners : (k,) array of int64
-        Contact of every condition.
-    slots : (k + c,) array of int64
-        Places in `Watch.bands` of the margins of conditions, and of those that bring contacts back;
-        -1 for none.
+    nodes : (m, 3) array of int64
+        Trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
+    slots : (2 k + c,) array of int64
+        Places in `Watch.bands` of the margins that fall as conditions cease to hold, of those that
+        do as they begin to, and as gaps of contacts that are off open; -1 for none.
     sizes : (n + 1,) array
         Of the state, and of time.
     relative : float
@@ -54,7 +54,7 @@ class SceneWatch(NamedTuple):
 
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
-    owners: Ints
+    nodes: Ints
     slots: Ints
     sizes: Array
     relative: float

@@ -48,11 +48,14 @@ class Rules(NamedTuple):
             return hidden(found, at.flow.mode)
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
-        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip", OFF))
+        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
         fell = [
             i
             for i, name in enumerate(names)
-            if any(f.startswith(f"{name}.") and f not in others for f in at.fired)
+            if any(
+                f.startswith(f"{name}.") and f not in others and not f.startswith(f"{name}.{OFF}:")
+                for f in at.fired
+            )
         ]
         state = at.state if after is None else after
         return Doubt(numbers, here.setup, state, sure, fell)

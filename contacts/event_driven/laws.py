@@ -158,11 +158,13 @@ class SceneLaws:
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
         made = self._jump(at)
-        if made is None or not self.conditions.present:
+        if not self.conditions.present:
             return made
+        assert isinstance(at.setup, SceneSetup)
+        if made is None:
+            return self._switching.kept(at, at.setup)
         jump, flow = made
         state = flow.start if jump is None else jump.after
-        assert isinstance(at.setup, SceneSetup)
         where = at.state if state is None else state
         return self._switching.watched(at.setup, where, at.clock.high, made)
 

@@ -72,8 +72,8 @@ class SceneInstants:
         self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
         if limits is not None:
             self.tapes += limits, numbers.scale_tape.tape, numbers.stop_tape
-        owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
-        self._of_margins = {**owners, **{name: -1 - c for c, name in conditions.off.items()}}
+        self._of_margins = {name: k for k, name in enumerate(conditions.names, 1)}
+        self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
@@ -83,6 +83,8 @@ class SceneInstants:
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the states of the contacts, and of which conditions the margins are.
+
+        Those are numbered from 1 on; minus the number stands for the margin that brings one back.
 
         None where a contact moves as another.
         """
@@ -100,7 +102,7 @@ class SceneInstants:
     def takes(self, setup: Setup, flow: Flow) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
-        own = {name for _, name in self._conditions.listed} | {*self._conditions.off.values()}
+        own = {*self._conditions.names, *self._conditions.back}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
@@ -131,7 +133,7 @@ class SceneInstants:
         scene = SceneWatch(
             numbers,
             conditions,
-            self._conditions.owners,
+            self._conditions.nodes,
             self._conditions.slots(loop.margins),
             setup.scales.with_time,
             setup.precision,

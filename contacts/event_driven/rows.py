@@ -150,7 +150,7 @@ def _memory(
     instants = SceneWatch(
         loop.tapes[0],
         loop.tapes[2],
-        numbers.conditions.owners,
+        numbers.conditions.nodes,
         numbers.conditions.slots(loop.margins),
         np.empty(variables + 1),
         scene.gap,

@@ -218,12 +218,12 @@ def _instant(
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
     first = energy_at + 1 + (2 * n + 2) * contacts
     found = boundary = False
-    if scene.owners.shape[0] > 0:
+    if scene.nodes.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, scene.conditions)
         values = conditions_at(
             code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, high
         )
-        for k in range(scene.owners.shape[0]):
+        for k in range((scene.slots.shape[0] - contacts) // 2):
             band = round_off(values[PER_CONDITION * k + 2], scene.relative)
             boundary = boundary or abs(values[PER_CONDITION * k]) <= band
         switching = switched(scene, values, numbers, first, fired, kept, taken)
@@ -353,7 +353,7 @@ def run_on(
         for c in range(contacts):
             kept[c] = program.ints[at + c]
         _hold(program, watch, scene, kept, state, high)
-        if scene.owners.shape[0] > 0:
+        if scene.nodes.shape[0] > 0:
             hold_conditions(program, watch, scene, state, high)
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]

@@ -144,7 +144,7 @@ def _watches(
         watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
         watch.weights, max(scene.unseen * length, gap),
     ), SceneWatch(
-        instants.numbers, instants.conditions, instants.owners, instants.slots, instants.sizes,
+        instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         instants.relative, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
@@ -167,7 +167,7 @@ def _start(
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, watch.parameters, 0.0, numbers)
     kept, lowest = np.full(contacts, FREE), np.zeros(contacts)
-    if instants.owners.shape[0] > 0:
+    if instants.nodes.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, instants.conditions)
         values = conditions_at(
             code,

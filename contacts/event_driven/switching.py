@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from contacts.dynamics.conditions import (
-    FAILS,
-    HOLDS,
     PER_CONDITION,
-    UNSURE,
     Conditions,
     conditions_at,
     hidden,
     judge,
     round_off,
 )
+from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, truths
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.event_driven.decision import decide
@@ -25,6 +25,7 @@ from contacts.modes.classification import Before
 from contacts.scene.parts import Resolution
 from contacts.states import FREE, OFF, OFF_CODE
 from statechart.arrays import Array, Ints
+from statechart.automaton.course import UNDERFLOW
 from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Role, Roles
 from statechart.engines.mode_table import Program, tape_of
@@ -126,7 +127,7 @@ class Switching:
     def watched(
         self, setup: SceneSetup, state: Array, time: float, made: tuple[Jump | None, Flow]
     ) -> tuple[Jump | None, Flow]:
-        """Give a flow from a state the round-off of conditions there.
+        """Give a flow from a state the round-off of the conditions that decide there.
 
         What a jump leaves on the boundary of a condition may go another way: it is judged again.
         """
@@ -137,6 +138,15 @@ class Switching:
         )
         return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
 
+    def kept(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
+        """Let a mode that holds go on, if other conditions decide that it does; else None."""
+        own, flow = self._conditions.tolerances(setup, at.state, at.clock.high), at.flow
+        same = all(
+            (flow.tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
+            for name, tolerance in own.items()
+        )
+        return None if same else (None, flow._replace(tolerances={**flow.tolerances, **own}))
+
 
 @part
 def hold_conditions(
@@ -146,21 +156,31 @@ def hold_conditions(
 
     See `contacts.dynamics.conditions.Conditions.tolerances`.
     """
-    conditions = scene.owners.shape[0]
-    for slot in scene.slots[conditions:]:
-        if slot >= 0:
-            watch.bands[slot] = math.inf
+    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
+    verdicts, watched = np.empty(conditions, np.int64), np.empty(conditions, np.int64)
     code, constants, outputs, _, _ = tape_of(program, scene.conditions)
     values = conditions_at(
         code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, time
     )
     for k in range(conditions):
+        at = PER_CONDITION * k
+        verdicts[k] = judge(
+            values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative
+        )
+    found = np.empty(scene.nodes.shape[0], np.int64)
+    truths(scene.nodes, verdicts, found)
+    certificates(scene.nodes, found, watched)
+    for k in range(conditions):
         band = round_off(values[PER_CONDITION * k + 2], scene.relative)
-        own, off = scene.slots[k], scene.slots[conditions + scene.owners[k]]
+        own, back = scene.slots[k], scene.slots[conditions + k]
         if own >= 0:
-            watch.bands[own] = band
-        if off >= 0:
-            watch.bands[off] = min(watch.bands[off], band)
+            watch.bands[own] = band if watched[k] == 1 and verdicts[k] != FAILS else math.inf
+        if back >= 0:
+            watch.bands[back] = band if watched[k] == 1 and verdicts[k] != HOLDS else math.inf
+    for i in range(scene.nodes.shape[0]):
+        slot = scene.slots[2 * conditions + scene.nodes[i, 2]]
+        if scene.nodes[i, 1] < 0 and slot >= 0:
+            watch.bands[slot] = math.inf if found[i] == FAILS else UNDERFLOW
 
 
 @part
@@ -179,35 +199,38 @@ def switched(
     numbers : (o,) array
         The scene's, those of contacts from `first` on.
     fired : int
-        Number of the condition whose margin fell, from 1 on; minus that of the contact that is
-        off, where that is what fell. It decides where the first derivative does not: a flow on
-        whose way a margin falls did not begin on its boundary.
+        Number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides
+        where the first derivative does not: a flow on whose way a margin falls did not begin on
+        its boundary.
     kept, taken : (c,) array
         State of every contact; the latter is to be filled.
 
     See `contacts.dynamics.conditions.Conditions.failing`.
     """
-    place, at, unsure = -1, 0, False
+    place, unsure = -1, False
+    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
+    verdicts, found = np.empty(conditions, np.int64), np.empty(scene.nodes.shape[0], np.int64)
+    for k in range(conditions):
+        at = PER_CONDITION * k
+        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
+        if verdict == UNSURE and abs(fired) == k + 1:
+            verdict = FAILS if fired > 0 else HOLDS
+        verdicts[k] = verdict
+    truths(scene.nodes, verdicts, found)
     for c in range(kept.shape[0]):
         taken[c] = kept[c]
-    for c in range(kept.shape[0]):
-        begin, fails, open_ = at, False, False
-        while at < scene.owners.shape[0] and scene.owners[at] == c:
-            k = PER_CONDITION * at
-            verdict = judge(values[k], values[k + 1], values[k + 2], values[k + 3], scene.relative)
-            if verdict == UNSURE and fired == at + 1:
-                verdict = FAILS
-            elif verdict == UNSURE and fired == -1 - c:
-                verdict = HOLDS
-            fails, open_ = fails or verdict == FAILS, open_ or verdict == UNSURE
-            at += 1
+    for i in range(scene.nodes.shape[0]):
+        if scene.nodes[i, 1] >= 0:
+            continue
+        c = scene.nodes[i, 2]
         gap = numbers[first + SCALARS * c]
-        if at > begin and fails:
+        if found[i] == FAILS:
             taken[c] = OFF_CODE
         elif kept[c] == OFF_CODE and gap >= -scene.gap:
             taken[c] = FREE
         # Where a gap has no value the laws say so.
-        unsure = unsure or (not fails and (open_ or (kept[c] == OFF_CODE and gap != gap)))
+        nowhere = kept[c] == OFF_CODE and gap != gap
+        unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
         if place < 0 and taken[c] != kept[c]:
             place = c
     return -2 if unsure else place
