@@ -26,6 +26,7 @@ from contacts.dynamics.gates import (
     UNSURE,
     GateAtom,
     certificates,
+    opens,
     tree,
     truths,
 )
@@ -82,7 +83,7 @@ class Conditions:
         The gates' trees; see `contacts.dynamics.gates.tree`.
     tape : Tape
         Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
-        of each atom.
+        of each atom; then as many of each contact, of which the first is its gap.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
@@ -114,6 +115,9 @@ class Conditions:
             of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
             rate = sp.S.Zero if of_rates else along(one.margin, rates, mechanics.time)
             outputs += [one.margin, rate, size_of(one.margin, sizes), size_of(rate, sizes)]
+        for name, gate in zip(contacts, gates, strict=True):
+            gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
+            outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
         self.tape = mechanics.tape(outputs, unknowns=tuple(sizes.values()))
         self._courses = Courses(
             (*mechanics.variables, *mechanics.memory.values()),
@@ -132,23 +136,25 @@ class Conditions:
 
         Infinitely far, if no certificate needs it.
         """
-        numbers = self._at(setup, state, time)
-        if not numbers:
+        if not self.present:
             return {}
+        numbers, gaps = self._at(setup, state, time)
         verdicts = [judge(*one, setup.precision) for one in numbers]
-        watched = np.empty(len(verdicts), np.int64)
+        on, off = np.empty((2, len(verdicts)), np.int64)
         found = self._truths(verdicts)
-        certificates(self.nodes, found, watched)
+        certificates(self.nodes, found, on, off)
         tolerances: dict[str, float] = {}
-        for one, verdict, needed, (_, _, size, _) in zip(
-            self._conditions, verdicts, watched.tolist(), numbers, strict=True
+        for one, holds, back, (_, _, size, _) in zip(
+            self._conditions, on.tolist(), off.tolist(), numbers, strict=True
         ):
             band = round_off(size, setup.precision)
-            tolerances[one.atom.name] = band if needed and verdict != FAILS else math.inf
-            tolerances[one.atom.back] = band if needed and verdict != HOLDS else math.inf
+            tolerances[one.atom.name] = band if holds else math.inf
+            tolerances[one.atom.back] = band if back else math.inf
+        near = setup.tolerances["gap"]
         for (_, above, contact), verdict in zip(self.nodes.tolist(), found.tolist(), strict=True):
             if above < 0:
-                tolerances[self.gaps[contact]] = math.inf if verdict == FAILS else UNDERFLOW
+                holds = opens(verdict, gaps[contact], near)
+                tolerances[self.gaps[contact]] = UNDERFLOW if holds else math.inf
         return tolerances
 
     def _truths(self, verdicts: Sequence[int]) -> Ints:
@@ -161,7 +167,7 @@ class Conditions:
         """Whether a condition is zero within its round-off."""
         return any(
             abs(numbers[0]) <= round_off(numbers[2], setup.precision)
-            for numbers in self._at(setup, state, time)
+            for numbers in self._at(setup, state, time)[0]
         )
 
     def failing(
@@ -188,7 +194,7 @@ class Conditions:
             how it moves agree.
         """
         found, unsure = [], []
-        for k, numbers in enumerate(self._at(setup, state, time)):
+        for k, numbers in enumerate(self._at(setup, state, time)[0]):
             verdict, one = judge(*numbers, setup.precision), self._conditions[k]
             if verdict == UNSURE:
                 unsure.append((k, self._standing(one, fired)))
@@ -207,10 +213,12 @@ class Conditions:
                 break
         return self._first(found)
 
-    def _at(self, setup: SceneSetup, state: Array, time: float) -> list[list[float]]:
-        """Return the numbers of every condition; see `tape`."""
+    def _at(
+        self, setup: SceneSetup, state: Array, time: float
+    ) -> tuple[list[list[float]], list[float]]:
+        """Return the numbers of every atom, and the gaps of contacts; see `tape`."""
         if not self.present:
-            return []
+            return [], []
         numbers = conditions_at(
             *self.tape.program,
             setup.scales.with_time,
@@ -219,7 +227,9 @@ class Conditions:
             setup.values,
             time,
         )
-        return numbers.reshape(-1, PER_CONDITION).tolist()
+        found = numbers.reshape(-1, PER_CONDITION)
+        count = len(self._conditions)
+        return found[:count].tolist(), found[count:, 0].tolist()
 
     def _first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
         """Return, for every contact, the first relation of a gate that fails; else ""."""

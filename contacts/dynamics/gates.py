@@ -193,8 +193,20 @@ def truths(nodes: Ints, verdicts: Ints, found: Ints) -> None:
 
 
 @seldom
-def certificates(nodes: Ints, found: Ints, watched: Ints) -> None:
-    """Write which atoms (k,) decide the verdicts of gates: 1 for those, 0 for others.
+def opens(whole: int, gap: float, near: float) -> bool:
+    """Whether the gap of a contact that is off is watched, by the verdict of its gate.
+
+    A gate that is open to doubt fails if the contact is off though its gap is not below -`near`.
+    """
+    return whole == HOLDS or (whole == UNSURE and gap < -near)
+
+
+@seldom
+def certificates(nodes: Ints, found: Ints, on: Ints, off: Ints) -> None:
+    """Write which atoms (k,) decide whether gates go on to hold, and to fail: 1, else 0.
+
+    An atom that fails is watched by a contact that is on only if its gate fails as a whole: then
+    its margin falls at once.
 
     Parameters
     ----------
@@ -202,17 +214,22 @@ def certificates(nodes: Ints, found: Ints, watched: Ints) -> None:
         See `tree`.
     found : (m,) array of int64
         From `truths`.
+    on, off : (k,) array of int64
+        To be filled: watched while the contact is on, and while it is off.
     """
     needed = np.zeros(nodes.shape[0], np.int64)
-    watched[:] = 0
+    on[:] = 0
+    off[:] = 0
+    whole = UNSURE
     for i in range(nodes.shape[0]):
         kind = nodes[i, 0]
         if nodes[i, 1] < 0:
-            needed[i] = 1
+            needed[i], whole = 1, found[i]
         if needed[i] == 0:
             continue
         if kind >= 0:
-            watched[kind] = 1
+            on[kind] = 1 if found[i] != FAILS or whole == FAILS else 0
+            off[kind] = 1 if found[i] != HOLDS else 0
             continue
         one = found[i] == (FAILS if kind == EVERY else HOLDS)
         for j in range(i + 1, nodes.shape[0]):

@@ -15,7 +15,7 @@ from contacts.dynamics.conditions import (
     judge,
     round_off,
 )
-from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, truths
+from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, opens, truths
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.event_driven.decision import decide
@@ -157,7 +157,8 @@ def hold_conditions(
     See `contacts.dynamics.conditions.Conditions.tolerances`.
     """
     conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
-    verdicts, watched = np.empty(conditions, np.int64), np.empty(conditions, np.int64)
+    verdicts = np.empty(conditions, np.int64)
+    on, off = np.empty(conditions, np.int64), np.empty(conditions, np.int64)
     code, constants, outputs, _, _ = tape_of(program, scene.conditions)
     values = conditions_at(
         code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, time
@@ -169,18 +170,19 @@ def hold_conditions(
         )
     found = np.empty(scene.nodes.shape[0], np.int64)
     truths(scene.nodes, verdicts, found)
-    certificates(scene.nodes, found, watched)
+    certificates(scene.nodes, found, on, off)
     for k in range(conditions):
         band = round_off(values[PER_CONDITION * k + 2], scene.relative)
         own, back = scene.slots[k], scene.slots[conditions + k]
         if own >= 0:
-            watch.bands[own] = band if watched[k] == 1 and verdicts[k] != FAILS else math.inf
+            watch.bands[own] = band if on[k] == 1 else math.inf
         if back >= 0:
-            watch.bands[back] = band if watched[k] == 1 and verdicts[k] != HOLDS else math.inf
+            watch.bands[back] = band if off[k] == 1 else math.inf
     for i in range(scene.nodes.shape[0]):
         slot = scene.slots[2 * conditions + scene.nodes[i, 2]]
         if scene.nodes[i, 1] < 0 and slot >= 0:
-            watch.bands[slot] = math.inf if found[i] == FAILS else UNDERFLOW
+            gap = values[PER_CONDITION * (conditions + scene.nodes[i, 2])]
+            watch.bands[slot] = UNDERFLOW if opens(found[i], gap, scene.gap) else math.inf
 
 
 @part
