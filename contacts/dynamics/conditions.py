@@ -131,15 +131,18 @@ class Conditions:
         names = (*self.names, *self.back, *self.gaps)
         return np.array([places.get(name, -1) for name in names], np.int64)
 
-    def tolerances(self, setup: SceneSetup, state: Array, time: float) -> dict[str, float]:
+    def tolerances(
+        self, setup: SceneSetup, state: Array, time: float, verdicts: Sequence[int] = ()
+    ) -> dict[str, float]:
         """Return margin -> how far below zero a flow lets it go: its round-off in a state.
 
-        Infinitely far, if no certificate needs it.
+        Infinitely far, if no certificate needs it. `verdicts` are those of the atoms there, where
+        further derivatives have told them.
         """
         if not self.present:
             return {}
         numbers, gaps = self._at(setup, state, time)
-        verdicts = [judge(*one, setup.precision) for one in numbers]
+        verdicts = verdicts or [judge(*one, setup.precision) for one in numbers]
         on, off = np.empty((2, len(verdicts)), np.int64)
         found = self._truths(verdicts)
         certificates(self.nodes, found, on, off)
@@ -180,6 +183,20 @@ class Conditions:
     ) -> tuple[str, ...]:
         """Return, for every contact, a condition that fails; "" where none does.
 
+        See `verdicts` for the parameters.
+        """
+        return self.first(self.verdicts(setup, state, time, fired, motion))
+
+    def verdicts(
+        self,
+        setup: SceneSetup,
+        state: Array,
+        time: float,
+        fired: Collection[str] = (),
+        motion: Callable[[Sequence[bool]], Roles | None] | None = None,
+    ) -> list[int]:
+        """Return the verdict of every atom.
+
         Parameters
         ----------
         setup : SceneSetup
@@ -201,17 +218,17 @@ class Conditions:
                 verdict = unsure[-1][1]
             found.append(verdict)
         for _ in range(_ROUNDS if unsure and setup.modes is not None else 0):
-            failing = self._first(found)
+            failing = self.first(found)
             roles = None if motion is None else motion([name != "" for name in failing])
             if roles is None:
-                return failing
+                return found
             before = [*found]
             for k, standing in unsure:
                 way = self._way(setup, roles, self._conditions[k], state, time)
                 found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else standing
             if found == before:
                 break
-        return self._first(found)
+        return found
 
     def _at(
         self, setup: SceneSetup, state: Array, time: float
@@ -231,7 +248,7 @@ class Conditions:
         count = len(self._conditions)
         return found[:count].tolist(), found[count:, 0].tolist()
 
-    def _first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
+    def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
         """Return, for every contact, the first relation of a gate that fails; else ""."""
         result = [""] * self._count
         found = self._truths(verdicts).tolist() if verdicts else []

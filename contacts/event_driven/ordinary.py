@@ -21,6 +21,7 @@ from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.rows import RowCall
 from contacts.event_driven.run_on import CAUSES, run_on
 from contacts.event_driven.run_rows import INSTANTS, run_rows
+from contacts.event_driven.switching import alike
 from contacts.impacts.bounces import FAST
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
@@ -99,9 +100,11 @@ class SceneInstants:
         own = self._conditions.tolerances(setup, state, time)
         return {**setup.bands, **own} if own else setup.bands
 
-    def takes(self, setup: Setup, flow: Flow) -> bool:
+    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
+        if not alike(self._conditions.tolerances(setup, state, time), flow.tolerances):
+            return False
         own = {*self._conditions.names, *self._conditions.back}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands

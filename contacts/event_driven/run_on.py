@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
@@ -192,6 +194,7 @@ def _instant(
     series: Array,
     margin: int,
     fired: int,
+    flowed: bool,
     kept: Ints,
 ) -> tuple[int, int, float]:
     """Jump, where that is as simple as most jumps are.
@@ -202,12 +205,15 @@ def _instant(
         That fell; -1 where the instant goes on after a jump.
     fired : int
         Condition that fell, see `switched`; 0 for none, and after an impact.
+    flowed : bool
+        Whether time has passed since the last instant.
     kept : (c,) array of int64
         State of every contact; brought up to date.
 
     Returns
     -------
-    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`.
+    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`, and in the place of
+    the margin `fired`, if the mode goes on, else 0.
     """
     contacts, n, high, mode = kept.shape[0], state.shape[0] // 2, now[T_HIGH], place[N_MODE]
     code, constants, outputs, _, _ = tape_of(program, scene.numbers)
@@ -246,7 +252,15 @@ def _instant(
     target = row_of(program, taken) if found or struck >= 0 else -1
     if target == mode and struck < 0 and margin < 0:
         place[N_ASKED] = 0
-        return GOES_ON, -1, 0.0
+        return GOES_ON, 0, 0.0
+    if target == mode and struck < 0 and flowed and fired != 0:
+        # The gates hold or fail as before: other conditions decide that from here on.
+        hold_conditions(program, watch, scene, state, high, fired)
+        count = (scene.slots.shape[0] - contacts) // 2
+        slot = scene.slots[fired - 1 if fired > 0 else count - fired - 1]
+        if watch.bands[slot] == math.inf:
+            place[N_ASKED] = 0
+            return GOES_ON, fired, 0.0
     if target < 0 or (target == mode and struck < 0):
         put(before, state)
         return FELL, margin, 0.0
@@ -282,7 +296,7 @@ def _instant(
     steady = count >= STEADY and count & (count - 1) == 0
     if count >= place[N_MOST] or steady:
         return COUNTED, -1, 0.0
-    return GOES_ON, -1, 0.0
+    return GOES_ON, 0, 0.0
 
 
 @kernel
@@ -332,6 +346,7 @@ def run_on(
     most = memory.coefficients.shape[0]
     most_terms = memory.coefficients.size
     begun_steps, begun_boxes = place[N_STEPS], place[N_BOXES]
+    decided = 0  # by what fell as a mode went on without a jump
     while True:
         used = block.used
         if (
@@ -345,6 +360,7 @@ def run_on(
             return PAUSED, -1, 0.0
         mode = place[N_MODE]
         high, low = now[T_HIGH], now[T_LOW]
+        begun = high
         duration = (now[T_END] - high) - low
         if duration <= 0.0:
             return OVER, -1, 0.0
@@ -354,7 +370,8 @@ def run_on(
             kept[c] = program.ints[at + c]
         _hold(program, watch, scene, kept, state, high)
         if scene.nodes.shape[0] > 0:
-            hold_conditions(program, watch, scene, state, high)
+            hold_conditions(program, watch, scene, state, high, decided)
+        decided = 0
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]
         )
@@ -380,11 +397,13 @@ def run_on(
         asked, fired = 0, program.ints[at + contacts + margin]
         while True:
             reason, row, rest = _instant(
-                program, watch, scene, block, now, place, state, series, margin, fired, kept
-            )
+                program, watch, scene, block, now, place, state, series, margin, fired,
+                high > begun, kept,
+            )  # fmt: skip
             if reason != GOES_ON:
                 return reason, row, rest
             if place[N_ASKED] == 0:
+                decided = row
                 break
             asked += 1
             margin = -1

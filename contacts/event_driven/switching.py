@@ -49,6 +49,7 @@ class Switching:
 
     def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
         self._names, self._conditions, self._paradox = names, conditions, paradox
+        self._verdicts: list[int] = []  # of the instant that was asked about last
 
     def failing(
         self,
@@ -77,7 +78,8 @@ class Switching:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
 
-        return self._conditions.failing(setup, state, time, fired, motion)
+        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion)
+        return self._conditions.first(self._verdicts)
 
     def switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
         """Return the contacts that go off, with a condition that fails, or come back, with ""."""
@@ -140,19 +142,28 @@ class Switching:
 
     def kept(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
         """Let a mode that holds go on, if other conditions decide that it does; else None."""
-        own, flow = self._conditions.tolerances(setup, at.state, at.clock.high), at.flow
-        same = all(
-            (flow.tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
-            for name, tolerance in own.items()
-        )
-        return None if same else (None, flow._replace(tolerances={**flow.tolerances, **own}))
+        flow = at.flow
+        own = self._conditions.tolerances(setup, at.state, at.clock.high, self._verdicts)
+        if alike(own, flow.tolerances):
+            return None
+        return None, flow._replace(tolerances={**flow.tolerances, **own})
+
+
+def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
+    """Whether the margins of conditions that are watched are those of `tolerances`."""
+    return all(
+        (tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
+        for name, tolerance in own.items()
+    )
 
 
 @part
 def hold_conditions(
-    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float
+    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
 ) -> None:
     """Write how far below zero a flow from a state lets the margins of conditions go.
+
+    `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
 
     See `contacts.dynamics.conditions.Conditions.tolerances`.
     """
@@ -165,9 +176,10 @@ def hold_conditions(
     )
     for k in range(conditions):
         at = PER_CONDITION * k
-        verdicts[k] = judge(
-            values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative
-        )
+        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
+        if verdict == UNSURE and abs(fired) == k + 1:
+            verdict = FAILS if fired > 0 else HOLDS
+        verdicts[k] = verdict
     found = np.empty(scene.nodes.shape[0], np.int64)
     truths(scene.nodes, verdicts, found)
     certificates(scene.nodes, found, on, off)

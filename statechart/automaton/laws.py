@@ -293,7 +293,7 @@ class Ordinary(Protocol):
         """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         ...
 
-    def takes(self, setup: Setup, flow: Flow) -> bool:
+    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
         """Whether it can go on from the start of a flow in a mode that it knows."""
         ...
 

@@ -116,7 +116,7 @@ class Ahead:
         """
         while True:
             if made is None:
-                if not self._ordinary.takes(self._setup, run.flow):
+                if not self._ordinary.takes(self._setup, run.flow, run.state, run.clock.high):
                     return None
                 loop = self.modes.loop(run.flow.mode, run.flow.roles)
                 if loop is None:
