@@ -103,11 +103,11 @@ class SceneInstants:
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
-        if not alike(self._conditions.tolerances(setup, state, time), flow.tolerances):
-            return False
-        own = {*self._conditions.names, *self._conditions.back}
+        conditions = self._conditions
+        own = {*conditions.names, *conditions.back, *conditions.gaps}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands
+        usual = usual and alike(conditions.tolerances(setup, state, time), flow.tolerances)
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:

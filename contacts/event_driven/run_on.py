@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
+from contacts.event_driven.arc_record import record_arc
 from contacts.event_driven.hit import SceneWatch, classified, hit
 from contacts.event_driven.switching import hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
@@ -124,35 +125,6 @@ def row_of(program: Program, states: Ints) -> int:
         if same:
             return row
     return -1
-
-
-@part
-def _record_arc(
-    block: Block, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
-) -> None:
-    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
-    coeffs, used = memory.coefficients, block.used
-    n, width = coeffs.shape[1], coeffs.shape[2]
-    zero = True
-    while zero and width > 1:
-        for i in range(steps):
-            for v in range(n):
-                zero = zero and coeffs[i, v, width - 1] == 0.0
-        if zero:
-            width -= 1
-    arc, at, place = used[ARCS], used[TIMES], used[TERMS]
-    block.arcs[arc, 0], block.arcs[arc, 1] = mode, j
-    block.arcs[arc, 2], block.arcs[arc, 3] = steps, width
-    block.places[arc, 0], block.places[arc, 1] = at, place
-    block.starts[arc, 0], block.starts[arc, 1] = high, low
-    for i in range(steps + 1):
-        block.times[at + i] = memory.times[i]
-    for i in range(steps):
-        for v in range(n):
-            for k in range(width):
-                block.coefficients[place + k] = coeffs[i, v, k]
-            place += width
-    used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 
 @part
@@ -380,7 +352,7 @@ def run_on(
         place[N_STEPS] += steps
         place[N_BOXES] += boxes
         if steps > 0:
-            _record_arc(block, memory, mode, place[N_JUMPS], steps, high, low)
+            record_arc(block, memory, mode, place[N_JUMPS], steps, high, low)
             elapsed = memory.times[steps]
             total = high + elapsed
             error = total - high
