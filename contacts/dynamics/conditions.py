@@ -156,8 +156,9 @@ class Conditions:
             how it moves agree.
         """
         found, unsure = [], []
-        for k, numbers in enumerate(self._at(setup, state, time)):
-            verdict, one = judge(*numbers, setup.precision), self._conditions[k]
+        for k, (value, rate, size, slow) in enumerate(self._at(setup, state, time)):
+            verdict = judge(value, rate, size, slow, setup.precision)
+            one = self._conditions[k]
             if verdict == UNSURE:
                 unsure.append((k, self._standing(one, fired)))
                 verdict = unsure[-1][1]
