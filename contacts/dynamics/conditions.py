@@ -142,7 +142,9 @@ class Conditions:
         if not self.present:
             return {}
         numbers, gaps = self._at(setup, state, time)
-        verdicts = verdicts or [judge(*one, setup.precision) for one in numbers]
+        verdicts = verdicts or [
+            judge(value, rate, size, slow, setup.precision) for value, rate, size, slow in numbers
+        ]
         on, off = np.empty((2, len(verdicts)), np.int64)
         found = self._truths(verdicts)
         certificates(self.nodes, found, on, off)
@@ -211,8 +213,9 @@ class Conditions:
             how it moves agree.
         """
         found, unsure = [], []
-        for k, numbers in enumerate(self._at(setup, state, time)[0]):
-            verdict, one = judge(*numbers, setup.precision), self._conditions[k]
+        for k, (value, rate, size, slow) in enumerate(self._at(setup, state, time)[0]):
+            verdict = judge(value, rate, size, slow, setup.precision)
+            one = self._conditions[k]
             if verdict == UNSURE:
                 unsure.append((k, self._standing(one, fired)))
                 verdict = unsure[-1][1]

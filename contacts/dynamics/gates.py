@@ -7,8 +7,10 @@ says which of them are watched (see `statechart.formulas.condition`).
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -146,7 +148,7 @@ def gate_of(
         backs = condition.names(f"{contact}.{OFF}: {text}")
         for name, back, atom in zip(condition.names(words), backs, condition.atoms, strict=True):
             atoms.append(GateAtom(name, back, words, -atom.expression, not atom.strict))
-        parts.append(replaced(condition.root, lambda k, first=first: first + k))
+        parts.append(replaced(condition.root, partial(operator.add, first)))
     for end, margin in ends.items():
         parts.append(len(atoms))
         words = f"{contact}: {end}"

@@ -305,11 +305,6 @@ def hit(
         flying = taken.copy()
         if not classified(scene, numbers, n, False, flying, lowest, taken):
             return -1, 0, 0
-        for k in range(count):
-            i = group[k]
-            low = numbers[scalars + SCALARS * i + 1] <= scene.speed
-            if low and scene.restitution[i] == 0.0 and taken[i] == FREE:
-                return -1, 0, 0
     put(after, state)
     return c, path, bits
 

@@ -108,7 +108,7 @@ class Courses:
         """Return which variables a margin depends on, whether on time, their rates and it."""
         tapes = self._tapes.setdefault(mode, {})
         if margin not in tapes:
-            expression = margin
+            expression: sp.Expr = margin
             if isinstance(margin, str):
                 expression = next(m.expression for m in mode.margins if m.name == margin)
             rates = dict(zip(self._variables, mode.rates, strict=True))

@@ -254,7 +254,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
 
 
-def _joined(kind: type, parts: tuple[Any, ...]) -> Any:
+def _joined(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
     """Return parts joined, without those that are always true or false."""
     decisive, neutral = (True, False) if kind is Some else (False, True)
     rest: dict[Any, None] = {}

@@ -1,4 +1,4 @@
-"""Guards and stop conditions with several comparisons fire at the first instant at which they hold."""
+"""Guards and stop conditions with several comparisons fire when they first hold."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ regions:
       - {name: hurries, from: slow, to: fast, after: 0.25}
 """
 GUARD = """
-  e: {initial: w, states: {w: {}, d: {}}, transitions: [{name: hit, from: w, to: d, guard: "RELATION"}]}
+  e: {initial: w, states: {w: {}, d: {}}, transitions: [
+    {name: hit, from: w, to: d, guard: "RELATION"}]}
 stop: {time: 7}
 """
 STOP = """
