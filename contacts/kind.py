@@ -13,7 +13,7 @@ from statechart.loading.kind import Kind
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
     from contacts.scene.modes import ContactSymbols
-    from statechart.automaton.regions import Region
+    from statechart.automaton.regions import Margin, Region
     from statechart.automaton.time_stepper import TimeStepper
     from statechart.pictures.stage import Stage
 
@@ -30,7 +30,7 @@ def automaton(scene: Scene) -> Automaton:
     from contacts.dynamics.setup import SceneNumbers
     from contacts.event_driven.laws import SceneLaws
     from statechart.automaton.laws import Laws
-    from statechart.automaton.regions import stop_margins
+    from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
         from contacts.time_stepping.scene_stepper import SceneStepper
@@ -39,7 +39,7 @@ def automaton(scene: Scene) -> Automaton:
 
     mechanics = Mechanics(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
-    stops = stop_margins(scene.stop.conditions, observables)
+    stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
@@ -80,12 +80,21 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     def symbols(contact: str) -> ContactSymbols:
         return mechanics.contact(contact).symbols
 
+    def gates(contact: str) -> tuple[Margin, ...]:
+        gate = mechanics.gate(contact)
+        return () if gate is None else gate.margins
+
+    def back(contact: str) -> tuple[Margin, ...]:
+        gate = mechanics.gate(contact)
+        return () if gate is None else gate.back(symbols(contact).gap)
+
     of_contacts = (
         region(
             name,
             contact,
             partial(symbols, name),
-            partial(mechanics.conditions, name),
+            partial(gates, name),
+            partial(back, name),
             jams=scene.jams(name),
             bounces=scene.bounces(name),
             gate=scene.gate(name),

@@ -7,7 +7,7 @@ equations are composed: what moves a body are gravity and the impulses of its co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import get_args
 
@@ -41,7 +41,7 @@ from contacts.time_stepping.refused import DEEPEST
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.regions import Margin, Region, State, stop_margins
+from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
 from statechart.automaton.time_stepper import USUAL
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.kernels.jit import by_python, is_ready
@@ -59,7 +59,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
     declared, mechanics = scene, BodyMechanics(scene)
     scene, superstates = mechanics.scene, superstates_of(BODY_STATES)
     observables = mechanics.observables
-    stops = stop_margins(scene.stop.conditions, observables)
+    stops = stop_conditions(scene.stop.conditions, observables)
     of_bodies = (
         Region(
             name,
@@ -110,8 +110,7 @@ class BodyStepper(Stepper):
         Copies as one.
     mechanics : BodyMechanics
         Of it.
-    stops : mapping
-        Stop condition -> margin.
+    stops : sequence of StopCondition
     regions : tuple of Region
         One per body, then one per controller.
     """
@@ -120,7 +119,7 @@ class BodyStepper(Stepper):
         self,
         declared: Scene,
         mechanics: BodyMechanics,
-        stops: Mapping[str, Margin],
+        stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
         self._controllers = Controllers(mechanics)
@@ -129,7 +128,7 @@ class BodyStepper(Stepper):
             stops,
             mechanics.energy,
             (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=tuple(region.name for region in regions),
+            regions=regions,
             controls=self._controllers.initial,
             again=BODY_BLOW,
             forces=None,

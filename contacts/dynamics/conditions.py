@@ -1,31 +1,63 @@
 """When contacts with conditions, or on edges that end, go off and come back.
 
-Off, a contact bears no force and its gap is not watched. It comes back when all its conditions hold
-and its gap is open: a foot that is inside the surface then (scuffing) comes back once it is out.
-One that touches while a condition begins to hold comes back at once: a point that slides from an
-edge onto the next would be below that by the time anything is seen of it.
+A contact is on while its gate holds, once its gap was open under it. Off, it bears no
+force and its gap is not watched: a foot inside the surface (scuffing) comes back once it is out.
+
+A condition is an atom of a gate, f >= 0 or f > 0 (`contacts.dynamics.gates`). Beyond the round-off
+of its terms the sign of f decides; within, the first derivative of f in time that is not zero,
+along the motion. Where all derivatives are zero the relation itself decides: f >= 0 holds, f > 0
+does not.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.control_guards import given_in, memory_rates
+from contacts.dynamics.gates import (
+    FAILS,
+    HOLDS,
+    UNSURE,
+    GateAtom,
+    certificates,
+    opens,
+    tree,
+    truths,
+)
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.snapshot import Snapshot
+from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.states import OFF
-from statechart.arrays import Array, Ints32
-from statechart.automaton.trace import Key
-from statechart.formulas.tape import Tape
+from statechart.arrays import Array, Ints, Ints32
+from statechart.automaton.course import UNDERFLOW, Courses, along, size_of
+from statechart.automaton.laws import roles_in
+from statechart.automaton.trace import Key, Roles
 from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 
-# A condition as near zero as this, of what the state's own sizes change it by, is on the edge.
-_BAND = 1e-13
+if TYPE_CHECKING:
+    from contacts.dynamics.setup import SceneSetup
+
+PER_CONDITION = 4
+"""Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
+# At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
+# relative round-off, so that what rounds to zero there does not.
+_BESIDE = 0.75
+# More often than this, what contacts are on and how they move do not come to agree.
+_ROUNDS = 8
+
+
+class _Condition(NamedTuple):
+    """An atom of a gate: its contact, the atom, and its margin with what controllers set."""
+
+    contact: int
+    atom: GateAtom
+    margin: sp.Expr
 
 
 class Conditions:
@@ -42,178 +74,304 @@ class Conditions:
     ----------
     present : bool
         Whether any contact has a condition.
-    listed : tuple of (int, str)
-        Of every condition: the place of its contact, and the name of its margin.
+    names, back : tuple of str
+        Of the atoms of all gates: names of the margins that fall as one ceases to hold, and as it
+        begins to.
+    gaps : tuple of str
+        Of every contact: name of the margin that falls as its gap opens while it is off, or "".
+    nodes : (m, 3) array of int64
+        The gates' trees; see `contacts.dynamics.gates.tree`.
     tape : Tape
-        Outputs: the margins.
+        Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
+        of each atom; then as many of each contact, of which the first is its gap.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
-        self._names = tuple(mechanics.scene.contacts)
-        self._margins = [mechanics.conditions(name) for name in self._names]
-        self.present = any(self._margins)
-        self.listed = tuple(
-            (contact, margin.name)
-            for contact, margins in enumerate(self._margins)
-            for margin in margins
+        contacts = tuple(mechanics.scene.contacts)
+        self._count = len(contacts)
+        initial = mechanics.scene.controlled.initial
+        set_: dict[sp.Symbol, sp.Expr] = {}
+        for symbol, value in given_in(mechanics, initial if states is None else states):
+            set_[symbol] = value.xreplace(set_)
+        gates = [mechanics.gate(name) for name in contacts]
+        self._conditions = tuple(
+            _Condition(place, atom, atom.margin.xreplace(set_))
+            for place, gate in enumerate(gates)
+            for atom in (() if gate is None else gate.atoms)
         )
-        self._mechanics, self._states = mechanics, states
-        self.tape = self._tape(lambda margin: margin)
-
-    def _tape(self, of: Callable[[sp.Expr], sp.Expr]) -> Tape:
-        return self._mechanics.tape(
-            [of(margin.expression) for margins in self._margins for margin in margins],
-            definitions=self._mechanics.controlled(self._states),
+        self.present = bool(self._conditions)
+        self.names = tuple(one.atom.name for one in self._conditions)
+        self.back = tuple(one.atom.back for one in self._conditions)
+        self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
+        self.nodes = tree(gates)
+        self._roles = roles_in(tuple((initial if states is None else states).values()))
+        self._memory = len(mechanics.memory)
+        memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
+        rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
+        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
+        outputs: list[sp.Expr] = []
+        for one in self._conditions:
+            # How rates go on depends on the mode.
+            of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
+            rate = sp.S.Zero if of_rates else along(one.margin, rates, mechanics.time)
+            outputs += [one.margin, rate, size_of(one.margin, sizes), size_of(rate, sizes)]
+        for name, gate in zip(contacts, gates, strict=True):
+            gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
+            outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
+        self.tape = mechanics.tape(outputs, unknowns=tuple(sizes.values()))
+        self._courses = Courses(
+            (*mechanics.variables, *mechanics.memory.values()),
+            mechanics.parameters.ordered,
+            mechanics.time,
         )
 
-    @cached_property
-    def _rates(self) -> Tape:
-        """The rates of the margins; 0 where they depend on more than where bodies are, and when."""
-        mechanics = self._mechanics
-        unknown = {*mechanics.v, *mechanics.memory.values(), *mechanics.controls}
-        return self._tape(lambda m: sp.S.Zero if m.free_symbols & unknown else mechanics.rate(m))
+    def slots(self, margins: Sequence[str]) -> Ints:
+        """Return (2 k + c,): places among `margins` of `names`, `back` and `gaps`, or -1."""
+        places = {margin: place for place, margin in enumerate(margins)}
+        names = (*self.names, *self.back, *self.gaps)
+        return np.array([places.get(name, -1) for name in names], np.int64)
 
-    def bands(self, values: Array, initial: Array, sizes: Array) -> dict[str, float]:
-        """Return how near zero each condition counts as on the edge: name -> band."""
+    def tolerances(
+        self, setup: SceneSetup, state: Array, time: float, verdicts: Sequence[int] = ()
+    ) -> dict[str, float]:
+        """Return margin -> how far below zero a flow lets it go: its round-off in a state.
+
+        Infinitely far, if no certificate needs it. `verdicts` are those of the atoms there, where
+        further derivatives have told them.
+        """
         if not self.present:
             return {}
-        found = np.empty(len(self.listed))
-        edges(*self.tape.program, values, initial, sizes, found)
-        bands = found.tolist()
-        names = [margin.name for margins in self._margins for margin in margins]
-        result = dict(zip(names, bands, strict=True))
-        for name, margins in zip(self._names, self._margins, strict=True):
-            if margins:
-                result[f"{name}.{OFF}"] = min(result[margin.name] for margin in margins)
-        return result
+        numbers, gaps = self._at(setup, state, time)
+        verdicts = verdicts or [
+            judge(value, rate, size, slow, setup.precision) for value, rate, size, slow in numbers
+        ]
+        on, off = np.empty((2, len(verdicts)), np.int64)
+        found = self._truths(verdicts)
+        certificates(self.nodes, found, on, off)
+        tolerances: dict[str, float] = {}
+        for one, holds, back, (_, _, size, _) in zip(
+            self._conditions, on.tolist(), off.tolist(), numbers, strict=True
+        ):
+            band = round_off(size, setup.precision)
+            tolerances[one.atom.name] = band if holds else math.inf
+            tolerances[one.atom.back] = band if back else math.inf
+        near = setup.tolerances["gap"]
+        for (_, above, contact), verdict in zip(self.nodes.tolist(), found.tolist(), strict=True):
+            if above < 0:
+                holds = opens(verdict, gaps[contact], near)
+                tolerances[self.gaps[contact]] = UNDERFLOW if holds else math.inf
+        return tolerances
 
-    def failing(self, values: Array, state: Array, time: float) -> tuple[str, ...]:
-        """Return, for every contact, the condition that fails most; "" where none does."""
-        return tuple(
-            min(found)[1] if found and min(found)[0] < 0.0 else ""
-            for found in self._numbers(values, state, time)
+    def _truths(self, verdicts: Sequence[int]) -> Ints:
+        """Return the verdicts of the nodes of all gates."""
+        found = np.empty(len(self.nodes), np.int64)
+        truths(self.nodes, np.array(verdicts, np.int64), found)
+        return found
+
+    def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
+        """Whether a condition is zero within its round-off."""
+        return any(
+            abs(numbers[0]) <= round_off(numbers[2], setup.precision)
+            for numbers in self._at(setup, state, time)[0]
         )
 
-    def switched(
+    def failing(
         self,
-        mode: Key,
-        snapshot: Snapshot,
-        values: Array,
+        setup: SceneSetup,
         state: Array,
         time: float,
-        fired: tuple[str, ...],
-        near: float,
-        bands: Mapping[str, float],
-    ) -> dict[int, str]:
-        """Return the contacts that go off or come back, and the state that each takes.
+        fired: Collection[str] = (),
+        motion: Callable[[Sequence[bool]], Roles | None] | None = None,
+    ) -> tuple[str, ...]:
+        """Return, for every contact, a condition that fails; "" where none does.
+
+        See `verdicts` for the parameters.
+        """
+        return self.first(self.verdicts(setup, state, time, fired, motion))
+
+    def verdicts(
+        self,
+        setup: SceneSetup,
+        state: Array,
+        time: float,
+        fired: Collection[str] = (),
+        motion: Callable[[Sequence[bool]], Roles | None] | None = None,
+    ) -> list[int]:
+        """Return the verdict of every atom.
 
         Parameters
         ----------
-        mode : Key
-            Now.
-        snapshot : Snapshot
-            Numbers at `state`.
-        values, state, time
-            Where.
-        fired : tuple of str
-            Margins that fell: on the edge of a condition they tell the sides apart.
-        near : float
-            The gap's tolerance.
-        bands : mapping
-            As `bands` returned them.
+        setup : SceneSetup
+            The numbers of the run.
+        state, time
+            Where and when.
+        fired : collection of str
+            Margins that fell: they decide where all derivatives are zero.
+        motion : callable, optional
+            Contacts (c,) whose conditions fail -> the roles in which the scene then moves; None
+            where that is not known. Further derivatives are taken along it, until what holds and
+            how it moves agree.
         """
-        result: dict[int, str] = {}
-        if not self.present:
-            return result
-        for i, found in enumerate(self._numbers(values, state, time)):
-            if not found:
-                continue
-            if mode[i] == OFF:
-                sign = -1.0 if f"{self._names[i]}.{OFF}" in fired else 1.0
-                holds = all(value > sign * bands[name] for value, name in found)
-                if holds and snapshot.contacts[i].gap >= -near:
-                    result[i] = "free"
-            elif any(
-                value < (bands[name] if name in fired else -bands[name]) for value, name in found
-            ):
-                result[i] = OFF
-        return result or self._met(mode, snapshot, values, state, time, near, bands)
+        found, unsure = [], []
+        for k, (value, rate, size, slow) in enumerate(self._at(setup, state, time)[0]):
+            verdict = judge(value, rate, size, slow, setup.precision)
+            one = self._conditions[k]
+            if verdict == UNSURE:
+                unsure.append((k, self._standing(one, fired)))
+                verdict = unsure[-1][1]
+            found.append(verdict)
+        for _ in range(_ROUNDS if unsure and setup.modes is not None else 0):
+            failing = self.first(found)
+            roles = None if motion is None else motion([name != "" for name in failing])
+            if roles is None:
+                return found
+            before = [*found]
+            for k, standing in unsure:
+                way = self._way(setup, roles, self._conditions[k], state, time)
+                found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else standing
+            if found == before:
+                break
+        return found
 
-    def _met(
-        self,
-        mode: Key,
-        snapshot: Snapshot,
-        values: Array,
-        state: Array,
-        time: float,
-        near: float,
-        bands: Mapping[str, float],
-    ) -> dict[int, str]:
-        """Return the contacts that touch while the last of their conditions begin to hold."""
-        result: dict[int, str] = {}
-        for i, found in enumerate(self._numbers(values, state, time)):
-            touches = mode[i] == OFF and abs(snapshot.contacts[i].gap) <= near
-            if touches and found and all(value >= -bands[name] for value, name in found):
-                rates = self._numbers(values, state, time, self._rates)[i]
-                if all(
-                    value > bands[name] or rate > 0.0
-                    for (value, name), (rate, _) in zip(found, rates, strict=True)
-                ):
-                    result[i] = "free"
-        return result
-
-    def _numbers(
-        self, values: Array, state: Array, time: float, tape: Tape | None = None
-    ) -> list[list[tuple[float, str]]]:
+    def _at(
+        self, setup: SceneSetup, state: Array, time: float
+    ) -> tuple[list[list[float]], list[float]]:
+        """Return the numbers of every atom, and the gaps of contacts; see `tape`."""
         if not self.present:
-            return [[] for _ in self._names]
-        numbers = iter((tape or self.tape).at(state, values, time).tolist())
-        return [[(next(numbers), margin.name) for margin in margins] for margins in self._margins]
+            return [], []
+        numbers = conditions_at(
+            *self.tape.program,
+            setup.scales.with_time,
+            setup.precision,
+            state,
+            setup.values,
+            time,
+        )
+        found = numbers.reshape(-1, PER_CONDITION)
+        count = len(self._conditions)
+        return found[:count].tolist(), found[count:, 0].tolist()
+
+    def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
+        """Return, for every contact, the first relation of a gate that fails; else ""."""
+        result = [""] * self._count
+        found = self._truths(verdicts).tolist() if verdicts else []
+        top = -1
+        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
+            top = k if above < 0 else top
+            # The parts of the topmost node are the relations.
+            if above == top and found[k] == FAILS and not result[contact]:
+                atom = kind
+                for below in range(k + 1, len(self.nodes)):
+                    if atom >= 0:
+                        break
+                    atom = int(self.nodes[below, 0])
+                result[contact] = self._conditions[atom].atom.words
+        return tuple(result)
+
+    def _standing(self, one: _Condition, fired: Collection[str]) -> int:
+        """Judge a condition that stays on its boundary as far as its derivatives tell."""
+        if one.atom.name in fired:
+            return FAILS
+        return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
+
+    def _way(
+        self, setup: SceneSetup, roles: Roles, one: _Condition, state: Array, time: float
+    ) -> float:
+        """Return the sign of the first derivative of a condition in a mode that is not zero."""
+        memory, values = setup.values[: self._memory], setup.values[self._memory :]
+        whole = np.concatenate([state, memory])
+        assert setup.sizes is not None
+        sizes = np.maximum(np.abs(whole), setup.sizes)
+        return self._courses.sign(
+            replace(setup, values=values),
+            (*roles, *self._roles),
+            one.margin,
+            whole,
+            sizes,
+            time,
+            setup.precision,
+        )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
-    """Return the snapshot with the contacts that are off infinitely far away."""
+    """Return the snapshot with the contacts that are off infinitely far away.
+
+    Their other numbers, which need not be finite, are 0.
+    """
     if OFF not in mode:
         return snapshot
-    contacts = tuple(
-        contact._replace(gap=math.inf) if name == OFF else contact
-        for contact, name in zip(snapshot.contacts, mode, strict=True)
+    jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
+    contacts = [*snapshot.contacts]
+    for i, state in enumerate(mode):
+        if state == OFF:
+            jacobians[i] = biases[i] = 0.0
+            zeros = dict.fromkeys(PerContact._fields[1:-1], 0.0)
+            contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)
+    held = snapshot.held
+    if held is not None:
+        held = replace(held, whole=hidden(held.whole, mode))
+    return snapshot._replace(
+        contacts=tuple(contacts), jacobians=jacobians, biases=biases, held=held
     )
-    return snapshot._replace(contacts=contacts)
 
 
 @seldom
-def edges(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    values: Array,
-    initial: Array,
-    sizes: Array,
-    bands: Array,
-) -> None:
-    """Write how near zero each condition (k,) counts as on the edge.
+def round_off(size: float, relative: float) -> float:
+    """Return up to which amount a condition is zero whose terms are so large."""
+    return max(relative * size, UNDERFLOW) if size < math.inf else UNDERFLOW
+
+
+@seldom
+def judge(value: float, rate: float, size: float, slow: float, relative: float) -> int:
+    """Judge a condition by its margin and the first derivative of that.
 
     Parameters
     ----------
-    code, constants, outputs
-        Tape of the conditions' margins.
-    values, initial
-        Parameters, and the state at the start.
-    sizes : (n,) array
-        How large the variables are.
+    value, rate : float
+        Margin and first derivative.
+    size, slow : float
+        Sizes of their terms.
+    relative : float
+        What is so small in parts of its terms is zero.
     """
-    count = outputs.shape[0]
-    first, moved = np.empty(count), np.empty(count)
-    state = initial.copy()
-    tape_values(code, constants, outputs, state, values, 0.0, first)
-    for k in range(count):
-        bands[k] = abs(first[k])
-    for i in range(sizes.shape[0]):
-        state[i] = initial[i] + sizes[i]
-        tape_values(code, constants, outputs, state, values, 0.0, moved)
-        state[i] = initial[i]
-        for k in range(count):
-            bands[k] += abs(moved[k] - first[k])
-    for k in range(count):
-        bands[k] = _BAND * bands[k] if abs(bands[k]) < math.inf else 0.0
+    band = round_off(size, relative)
+    if value > band:
+        return HOLDS
+    if value < -band:
+        return FAILS
+    if abs(rate) > relative * slow:
+        return HOLDS if rate > 0.0 else FAILS
+    return UNSURE
+
+
+@seldom
+def conditions_at(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    sizes: Array,
+    relative: float,
+    state: Array,
+    parameters: Array,
+    time: float,
+) -> Array:
+    """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`.
+
+    `sizes` (2 n + 1,) are those of the state and of time, which are known to `relative` of them.
+    The sizes of terms are the larger ones of those in the state and beside it: at a multiple zero,
+    as of ``x**3``, they vanish.
+    """
+    n, found, beside = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
+    both = np.empty(2 * n)
+    for i in range(n):
+        both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
+    tape_values(code, constants, outputs, both, parameters, time, found)
+    moved = relative**_BESIDE
+    for i in range(n):
+        both[i] += moved * both[n + i]
+    later = time + moved * max(abs(time), sizes[n])
+    tape_values(code, constants, outputs, both, parameters, later, beside)
+    for k in range(2, found.shape[0], PER_CONDITION):
+        found[k] = max(found[k], beside[k])
+        found[k + 1] = max(found[k + 1], beside[k + 1])
+    return found

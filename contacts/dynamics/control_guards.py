@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import SceneSetup
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.claims import guard_claims
-from statechart.charts.firing import Guard, GuardWatch, guard_margins, guards
+from statechart.charts.firing import Guard, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, FlatTransition
+from statechart.charts.guard_watch import GuardWatch
 from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
+
+if TYPE_CHECKING:
+    from contacts.dynamics.setup import SceneSetup
 
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
@@ -138,7 +142,7 @@ class ControlGuards:
         unknown = sp.Symbol("unknown", real=True)
         self.watch = GuardWatch(
             watched,
-            {n: e.xreplace(set_) for n, e in mechanics.observables.items() if n in names},
+            {n: e for n, e in mechanics.observables.items() if n in names},
             {
                 **dict(zip(mechanics.q, mechanics.v, strict=True)),
                 **dict(zip(mechanics.v, mechanics.a, strict=True)),
@@ -149,6 +153,7 @@ class ControlGuards:
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[mechanics.memory[timer] for timer in mechanics.scene.controlled.timers],
+            given=set_,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 
@@ -159,7 +164,7 @@ class ControlGuards:
     def rows(
         self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
     ) -> Array:
-        """Return what `Watch.at` does; `solved` are accelerations and forces."""
+        """Return what `GuardWatch.at` does; `solved` are accelerations and forces."""
         found = self._unsolved if solved is None else solved
         inputs = np.concatenate([state, found, [np.nan]])
         return self.watch.at(setup, inputs, self._sizes(setup), time)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from contacts.dynamics.free_motion import FreeMotion
+from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
@@ -20,9 +21,8 @@ from contacts.dynamics.rims import Vector
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Contact, Surface
 from contacts.scene.scene import Scene
-from statechart.automaton.regions import Hold, Margin
+from statechart.automaton.regions import Hold
 from statechart.formulas.determinants import Definition
-from statechart.formulas.formula import parse_relation
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -100,7 +100,7 @@ class Mechanics(FreeMotion):
             *controls.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
-        self._conditions: dict[str, tuple[Margin, ...]] = {}
+        self._gates: dict[str, Gate | None] = {}
 
     def tape(
         self,
@@ -263,30 +263,27 @@ class Mechanics(FreeMotion):
         result["energy"] = self.energy
         return result
 
-    def conditions(self, name: str) -> tuple[Margin, ...]:
-        """Return the conditions without which a contact is off; those of its edge last."""
+    def gate(self, name: str) -> Gate | None:
+        """Return what keeps a contact on; None where it has no conditions and no ends."""
         contact = self.scene.contacts[name]
-        if name not in self._conditions:
+        if name not in self._gates:
             known = self.known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
                 for other in self.scene.contacts
                 for quantity in ("gap", "slip")
                 if contact.enabled
             }
-            found = [
-                Margin(f"{name}: {text}", -parse_relation(text).margin(known))
-                for text in contact.enabled
-            ]
+            ends: dict[str, sp.Expr] = {}
             edge = self.scene.surfaces[contact.surface].edge
             if edge is not None:
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
                 length = sp.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
                 along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
-                found.append(Margin(f"{name}: begin of its edge", along))
-                found.append(Margin(f"{name}: end of its edge", length - along))
-            self._conditions[name] = tuple(found)
-        return self._conditions[name]
+                ends = {"begin of its edge": along, "end of its edge": length - along}
+            gated = contact.enabled or ends
+            self._gates[name] = gate_of(name, contact.enabled, known, ends) if gated else None
+        return self._gates[name]
 
     def _stuck(
         self, name: str, contact: Contact, anchor: Vector, tangent: Vector

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.conditions import edges
 from contacts.dynamics.scales import horizon, measure
 from contacts.dynamics.setup import FAR, POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -39,8 +38,6 @@ class Rules(NamedTuple):
         See `contacts.dynamics.scales.ScaleTape`.
     forced : (s,) array of bool
         Which stop conditions have no value before forces are known.
-    owners : (k,) array of int64
-        Contact of every condition.
     """
 
     inertias: Ints
@@ -51,7 +48,6 @@ class Rules(NamedTuple):
     gravity: int
     paths: int
     forced: Bools
-    owners: Ints
 
 
 class Numbers(NamedTuple):
@@ -64,9 +60,8 @@ class Numbers(NamedTuple):
     initial : (n,) array
     scales : (5,), sizes : (n,) array
         See `contacts.dynamics.scales.Scales`.
-    bands : (s + k + c,) array
-        How near zero stop conditions, conditions of contacts, and the return of contacts that are
-        off count as met.
+    bands : (s,) array
+        How near zero stop conditions count as met.
     """
 
     values: Array
@@ -89,19 +84,17 @@ def rules(numbers: SceneNumbers) -> Rules | None:
         numbers.scale_tape.gravity,
         numbers.scale_tape.paths,
         np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
-        np.array([contact for contact, _ in numbers.conditions.listed], np.int64),
     )
 
 
-def room(parameters: int, variables: int, rules: Rules, contacts: int) -> Numbers:
+def room(parameters: int, variables: int, rules: Rules) -> Numbers:
     """Return memory for the numbers of a run."""
-    bands = len(rules.forced) + len(rules.owners) + contacts
     return Numbers(
         np.empty(parameters),
         np.empty(variables),
         np.empty(5),
         np.empty(variables),
-        np.empty(bands),
+        np.empty(len(rules.forced)),
     )
 
 
@@ -109,7 +102,6 @@ def room(parameters: int, variables: int, rules: Rules, contacts: int) -> Number
 def run_numbers(
     program: Program,
     tapes: NDArray[np.int64],
-    conditions: NDArray[np.int64],
     rules: Rules,
     code: Ints32,
     constants: Array,
@@ -125,7 +117,6 @@ def run_numbers(
         Holds the tapes.
     tapes : (4, 9) array of int64
         Limits, scales, motions, stops.
-    conditions : (9,) array of int64
     rules : Rules
     code, constants, outputs
         Tape of the parameters, the initial state and the levers of bodies.
@@ -173,19 +164,10 @@ def run_numbers(
     if made.scales[4] > FAR * made.scales[0]:
         return False
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
-    stops, bands = outputs.shape[0], made.bands
-    tape_values(code, constants, outputs, initial, values, 0.0, bands[:stops])
-    for i in range(stops):
+    bands = made.bands
+    tape_values(code, constants, outputs, initial, values, 0.0, bands)
+    for i in range(bands.shape[0]):
         if bands[i] != bands[i] and not rules.forced[i]:
             return False
         bands[i] = ROUNDING * abs(bands[i]) if abs(bands[i]) < math.inf else 0.0
-    count = rules.owners.shape[0]
-    if count > 0:
-        code, constants, outputs, _, _ = tape_of(program, conditions)
-        edges(code, constants, outputs, values, initial, made.sizes, bands[stops : stops + count])
-    for c in range(stops + count, bands.shape[0]):
-        bands[c] = -1.0
-    for k in range(count):
-        at, band = stops + count + rules.owners[k], bands[stops + k]
-        bands[at] = band if bands[at] < 0.0 else min(bands[at], band)
     return True

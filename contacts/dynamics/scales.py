@@ -54,6 +54,11 @@ class Scales:
     rounding: float
     sizes: Array
 
+    @property
+    def with_time(self) -> Array:
+        """The sizes of coordinates and rates, and of time behind them."""
+        return np.append(self.sizes, self.length / self.speed)
+
     def state(self, memory: Array) -> Array:
         """Return the sizes of coordinates, rates and what controllers remember, at its start."""
         # What begins at zero does not tell how large it gets.
@@ -156,6 +161,8 @@ class ScaleTape:
         groups += [_radii(mechanics), levers, *gravity, *moves]
         self.gravity = len(gravity)
         self._owners, self._movers = owners, movers
+        # Their places are looked at where they are not off.
+        self._gated = {("contacts", name) for name in scene.contacts if scene.gate(name)}
         self.places = len(owners) + len(movers)
         self.begins = np.array([*accumulate(map(len, groups), initial=0)])
         self.tape = mechanics.tape(
@@ -197,6 +204,8 @@ class ScaleTape:
         owners += [("speed", owner) for owner in self._movers]
         for (what, owner), number in zip(owners, numbers, strict=False):
             if not math.isfinite(number):
+                if owner in self._gated:
+                    continue
                 raise DeclarationProblem(
                     f"its {what} at the start is not finite",
                     advice="look for a logarithm, a root or a quotient without a value there",

@@ -21,7 +21,7 @@ from contacts.solvers.dependence import implied
 from contacts.states import implied_joints
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -63,8 +63,7 @@ class SceneSetup(Setup):
     lowest, fast : float
         Bounces lower than the first are summed, too; none is that is faster than the second.
     bands : mapping
-        Stop condition, or condition of a contact -> how near zero its margin counts as met; from
-        its value at the start.
+        Stop condition -> how near zero its margin counts as met; from its value at the start.
     start_depth : float
         How deep bodies with shapes start in what they touch.
     rounded : float
@@ -113,7 +112,9 @@ class SceneNumbers:
     scale_tape : ScaleTape
     conditions : Conditions
     stops, of_forces : collection of str
-        Stop conditions; those that have no value before forces are known.
+        Margins of stop conditions; those that have no value before forces are known.
+    disjoint : bool
+        Whether every stop condition holds as soon as one of its margins falls.
     stop_tape : Tape
         Outputs: their margins.
     inertias : list of (str, int or None)
@@ -122,7 +123,7 @@ class SceneNumbers:
         What is surely physical between `bounds` (2, l); None where that cannot be told so.
     """
 
-    def __init__(self, mechanics: Mechanics, stops: Mapping[str, Margin]) -> None:
+    def __init__(self, mechanics: Mechanics, stops: Sequence[StopCondition]) -> None:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
@@ -131,15 +132,16 @@ class SceneNumbers:
         self.scale_tape = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
-        self.stops = tuple(stops)
+        margins = [margin for stop in stops for margin in stop.margins]
+        self.stops = tuple(margin.name for margin in margins)
+        self.disjoint = all(stop.condition.disjoint for stop in stops)
+        self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
         self.of_forces = {
-            name
-            for name, stop in stops.items()
-            if stop.expression.free_symbols.intersection(forces)
+            margin.name for margin in margins if margin.expression.free_symbols.intersection(forces)
         }
         self.stop_tape = mechanics.tape(
-            [margin.expression for margin in stops.values()],
+            [margin.expression for margin in margins],
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
         rows = mechanics.joint_rows
@@ -188,7 +190,7 @@ class SceneNumbers:
             raise
         margins = self.stop_tape.at(initial, known, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):
-            if math.isnan(margin) and name not in self.of_forces:
+            if math.isnan(margin) and name in self._single - self.of_forces:
                 raise DeclarationProblem(
                     "it has no value at the start, so that nobody could watch it",
                     advice="look for a logarithm, a root or a quotient without a value there",
@@ -217,11 +219,8 @@ class SceneNumbers:
             lowest=lowest,
             fast=fast,
             bands={
-                **{
-                    n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
-                    for n, v in zip(self.stops, margins, strict=True)
-                },
-                **self.conditions.bands(known, initial, scales.sizes),
+                n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
+                for n, v in zip(self.stops, margins, strict=True)
             },
         )
 

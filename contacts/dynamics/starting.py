@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.scene.parts import Point, Surface
 from contacts.solvers.dependence import least
 from contacts.states import OFF
@@ -22,6 +23,17 @@ _ACCELERATION = 1e-8
 # Joints whose part in a contradiction is smaller than this take none.
 _PART = 1e-6
 _MOST_NAMED = 6
+
+
+def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
+    """Refuse a start at which a contact has no place or velocity; one that is off has."""
+    for name, contact in zip(names, snapshot.contacts, strict=True):
+        if not all(map(math.isfinite, contact[1:5])) or math.isnan(contact.gap):
+            raise DeclarationProblem(
+                "its place at the start is not finite",
+                advice="look for a logarithm, a root or a quotient without a value there",
+                loc=("contacts", name),
+            )
 
 
 def check_start(

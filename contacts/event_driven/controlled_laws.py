@@ -28,9 +28,10 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.charts.firing import Guard, Listening, considered
+from statechart.charts.firing import Listening, considered
+from statechart.charts.guard_watch import Judgement
 
 
 class ControlledLaws:
@@ -59,6 +60,7 @@ class ControlledLaws:
         self._mechanics = mechanics
         self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
+        self._regions = regions
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
@@ -112,10 +114,14 @@ class ControlledLaws:
             )
             flow = flow._replace(pending=self._listening.heard(flow.pending, jump))
             return jump, self._joined(setup, clock, following, own, after, flow)
-        guarded, rows = self._due(setup, clock, flow, state, fired)
+        judged, rows = self._judged(setup, clock, flow, state, fired)
+        guarded = {} if judged is None else judged.due()
         firing = self._listening.first(self._names, own, flow.pending, guarded)
         if firing is None:
-            return None
+            tolerances = flow.tolerances if judged is None else judged.watched()
+            if tolerances == flow.tolerances:
+                return None
+            return None, flow._replace(tolerances=tolerances)
         name = self._names[firing.place]
         taken = self._controllers[name].transitions[firing.transition]
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
@@ -196,17 +202,20 @@ class ControlledLaws:
         named = self._states.named(states)
         return replace(inner, contacts=self._contacts.numbers.contacts(setup.values, named))
 
-    def _due(
+    def _judged(
         self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array, fired: tuple[str, ...]
-    ) -> tuple[dict[int, int], Array]:
-        """Return place -> transition whose guard is due, and what was known of the guards."""
+    ) -> tuple[Judgement | None, Array]:
+        """Return the guards, judged, or None if none is near its boundary; and their rows."""
         own = flow.mode[self._count :]
         guarded = self._states.guards(own)
-        watched = guarded.watch.guards
-        tolerances = np.array([flow.tolerances[guard.margin] for guard in watched])
+        tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.rows(setup, clock.high, state)
-        if (rows[:, 0] > tolerances).all():
-            return {}, rows
+        watched = tolerances < np.inf
+        # Of a guard with several atoms the first flow in a mode watches all, and is judged.
+        if (rows[watched, 0] > tolerances[watched]).all() and (
+            guarded.watch.single or not watched.all()
+        ):
+            return None, rows
         inner = self._within(setup, own, state)
         snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
         modes = moving_mode(flow.roles[: self._count])
@@ -225,12 +234,12 @@ class ControlledLaws:
         assert setup.sizes is not None
         sizes = setup.sizes
 
-        def later(guard: Guard) -> float:
-            return self._courses.sign(
-                setup, flow.roles, guard.margin, state, sizes, clock.high, relative
-            )
+        def later(margin: str) -> float:
+            return self._courses.sign(setup, flow.roles, margin, state, sizes, clock.high, relative)
 
-        return guarded.watch.due(rows, flow.tolerances, fired, relative, later), rows
+        active = active_in(self._regions, flow.mode)
+        judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
+        return judged, rows
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""
@@ -257,11 +266,13 @@ class ControlledLaws:
         # The size of a guard's terms is asked for, not its value: forces of the scene's size do.
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
+        inner, motion = self._memory.within(setup, state), self._memory.parted(state)
+        own = self._at(states).conditions.tolerances(inner, motion, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),
             settled=False,
-            tolerances={**setup.bands, **tolerances},
+            tolerances={**setup.bands, **own, **tolerances},
             terms=None if flow.terms is None or before is None else before.terms,
             pending=before.pending if before is not None else {},
         )

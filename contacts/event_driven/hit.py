@@ -33,8 +33,15 @@ class SceneWatch(NamedTuple):
     ----------
     numbers, conditions : (9,) array of int64
         Tapes of the scene's numbers, and of the margins of contacts' conditions.
-    owners : (k,) array of int64, bands : (k,) array
-        Of every condition: its contact, and how near zero it is on the edge.
+    nodes : (m, 3) array of int64
+        Trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
+    slots : (2 k + c,) array of int64
+        Places in `Watch.bands` of the margins that fall as conditions cease to hold, of those that
+        do as they begin to, and as gaps of contacts that are off open; -1 for none.
+    sizes : (n + 1,) array
+        Of the state, and of time.
+    relative : float
+        What is so small in parts of its terms is zero.
     allowed : (c, 5) array of bool
     cones : (c, 2) array
     restitution : (c,) array
@@ -48,8 +55,10 @@ class SceneWatch(NamedTuple):
 
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
-    owners: Ints
-    bands: Array
+    nodes: Ints
+    slots: Ints
+    sizes: Array
+    relative: float
     allowed: Bools
     cones: Array
     restitution: Array
@@ -97,55 +106,6 @@ def classified(
         scene.acceleration,
         taken,
     )
-
-
-@part
-def switched(
-    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
-    taken: Ints,
-) -> int:  # fmt: skip
-    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
-
-    -2 where none is and one touches on the edge of its conditions: which way that goes is not known
-    here.
-
-    Parameters
-    ----------
-    values : (k,) array
-        Of the conditions' margins.
-    numbers : (o,) array
-        The scene's, those of contacts from `first` on.
-    fired : int
-        Number of the condition whose margin fell, from 1 on; minus that of the contact that is
-        off, where that is what fell.
-    kept, taken : (c,) array
-        State of every contact; the latter is to be filled.
-
-    See `contacts.dynamics.conditions.Conditions.switched`.
-    """
-    place, at, edge = -1, 0, False
-    for c in range(kept.shape[0]):
-        taken[c] = kept[c]
-    for c in range(kept.shape[0]):
-        begin, holds, fails, met = at, True, False, True
-        while at < values.shape[0] and scene.owners[at] == c:
-            value, band = values[at], scene.bands[at]
-            holds = holds and value > (-band if fired == -1 - c else band)
-            fails = fails or value < (band if fired == at + 1 else -band)
-            met = met and value >= -band
-            at += 1
-        if at == begin:
-            continue
-        if kept[c] == OFF_CODE:
-            gap = numbers[first + SCALARS * c]
-            if holds and gap >= -scene.gap:
-                taken[c] = FREE
-            edge = edge or (met and not holds and abs(gap) <= scene.gap)
-        elif fails:
-            taken[c] = OFF_CODE
-        if place < 0 and taken[c] != kept[c]:
-            place = c
-    return -2 if place < 0 and edge else place
 
 
 @part
@@ -354,11 +314,6 @@ def hit(
         flying = taken.copy()
         if not classified(scene, numbers, n, False, flying, lowest, taken):
             return -1, 0, 0
-        for k in range(count):
-            i = group[k]
-            low = numbers[scalars + SCALARS * i + 1] <= scene.speed
-            if low and scene.restitution[i] == 0.0 and taken[i] == FREE:
-                return -1, 0, 0
     put(after, state)
     return c, path, bits
 

@@ -15,7 +15,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
-from contacts.impacts.jamming import Jam, closed_state, listed, without_collision
+from contacts.impacts.jamming import Jam, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before
 from contacts.modes.doubt import Doubt
@@ -48,11 +48,14 @@ class Rules(NamedTuple):
             return hidden(found, at.flow.mode)
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
-        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip", OFF))
+        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
         fell = [
             i
             for i, name in enumerate(names)
-            if any(f.startswith(f"{name}.") and f not in others for f in at.fired)
+            if any(
+                f.startswith(f"{name}.") and f not in others and not f.startswith(f"{name}.{OFF}:")
+                for f in at.fired
+            )
         ]
         state = at.state if after is None else after
         return Doubt(numbers, here.setup, state, sure, fell)
@@ -170,8 +173,6 @@ def impact_jump(
         shut and contact.gap_rate <= slow for shut, contact in zip(closed, contacts, strict=True)
     ]
     entered = _entered(rules, here, struck, touching)
-    if jam is None and not rests:
-        entered = _closed_first(entered, struck, [i for i in hitting if touching[i]], 2.0 * slow)
     target = listed(entered.target, laws, contacts, 2.0 * slow)
     left = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     rest = max(rests.values(), default=None)
@@ -276,20 +277,3 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
         return _Entered(target, roles, state, settled=False)
     said = choice.considered, (choice.warning,), choice.notes, choice.doubted
     return _Entered(target, roles, state, settled, *said)
-
-
-def _closed_first(
-    entered: _Entered, struck: _Struck, hitting: list[int], still_below: float
-) -> _Entered:
-    """Close what is hit without rebound and thrown off by the turning of its body."""
-    ended = tuple(
-        closed_state(law, contact, still_below)
-        if i in hitting and name == "free" and law.restitution == 0.0
-        else name
-        for i, (law, contact, name) in enumerate(
-            zip(struck.laws, struck.snapshot.contacts, entered.target, strict=True)
-        )
-    )
-    if ended == entered.target:
-        return entered
-    return entered._replace(target=ended, roles=roles_in(ended), settled=False)

@@ -14,7 +14,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_start
+from contacts.dynamics.starting import check_joints, check_places, check_start
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
@@ -26,6 +26,7 @@ from contacts.event_driven.impact_jump import (
     shown_roles,
 )
 from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
@@ -48,7 +49,7 @@ from statechart.automaton.laws import (
     uncaptured,
 )
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Jump, Key, Role, Roles
+from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 
 _EPS = float(np.finfo(float).eps)
@@ -74,14 +75,15 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
         self._tape = SnapshotTape(mechanics)
-        self._conditions = self.numbers.conditions
+        self.conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
-        self._plain = not mechanics.joint_rows and not self._conditions.present
+        self._plain = not mechanics.joint_rows and not self.conditions.present
         self._projection = Projection(mechanics, self._tape)
+        self._switching = Switching(self._names, self.conditions, self._paradox)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.remarks = Handovers(mechanics).remarks
         self.ordinary: Ordinary | None = None
-        if not mechanics.joint_rows:
+        if not mechanics.joint_rows and numbers.disjoint:
             self.ordinary = SceneInstants(
                 self._names, numbers, self._tape, self._projection, self.jump
             )
@@ -89,7 +91,8 @@ class SceneLaws:
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         laws = copy.copy(self)
-        laws._tape, laws._conditions = tape, conditions
+        laws._tape, laws.conditions = tape, conditions
+        laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = self._rules._replace(tape=tape)
         laws.ordinary = None
         return laws
@@ -106,15 +109,23 @@ class SceneLaws:
             mode = fast_mode(setup, self._tape, state, 0.0, None)
             if mode is not None:
                 return flow_in(setup, mode[0]), state
+        flow, state = self._begun(setup, state)
+        if self.conditions.present:
+            _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
+        return flow, state
+
+    def _begun(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
+        """Return the first flow, and where it begins."""
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
-        failing = self._conditions.failing(setup.values, state, 0.0)
+        failing = self._switching.failing(setup, snapshot, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
             OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
             for name, why, contact in zip(self._names, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
+        check_places(self._names, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
         for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
@@ -148,6 +159,18 @@ class SceneLaws:
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
+        made = self._jump(at)
+        if not self.conditions.present:
+            return made
+        assert isinstance(at.setup, SceneSetup)
+        if made is None:
+            return self._switching.kept(at, at.setup)
+        jump, flow = made
+        state = flow.start if jump is None else jump.after
+        where = at.state if state is None else state
+        return self._switching.watched(at.setup, where, at.clock.high, made)
+
+    def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
         usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
@@ -156,12 +179,9 @@ class SceneLaws:
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
-        where = setup.values, state, clock.high
-        switched = self._conditions.switched(
-            flow.mode, snapshot, *where, fired, setup.tolerances["gap"], setup.bands
-        )
+        switched = self._switching.switched(at, setup, snapshot)
         if switched:
-            return self._switch(at, snapshot, switched)
+            return self._switching.jump(at, snapshot.energy, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
         contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
@@ -353,7 +373,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self._conditions.failing(setup.values, state, time)
+        failing = self.conditions.failing(setup, state, time)
         return judged(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
@@ -368,33 +388,3 @@ class SceneLaws:
             if done is not None:
                 return done
         return jump, flow
-
-    def _switch(
-        self, at: Instant, snapshot: Snapshot, switched: Mapping[int, str]
-    ) -> tuple[Jump, Flow]:
-        """Take contacts off or back; what the others do then is asked next."""
-        flow = at.flow
-        mode, roles = list(flow.mode), list(flow.roles)
-        for place, target in switched.items():
-            mode[place], roles[place] = target, Role(target)
-        place = next(iter(switched))
-        name, goes = self._names[place], mode[place] == OFF
-        reason = "its conditions hold, and its gap is open"
-        if goes:
-            margins = [margin.name for margin in self._mechanics.conditions(name)]
-            failing = [margin for margin in margins if margin in at.fired]
-            now = at.setup.values, at.state, at.clock.high
-            failing = failing or [self._conditions.failing(*now)[place]]
-            reason = f"does not hold: {failing[0].removeprefix(f'{name}: ')}"
-        jump = at.jump(
-            name,
-            "disable" if goes else "enable",
-            tuple(mode),
-            considered={
-                f"{name}:{flow.mode[place]}": reason,
-                f"{name}:{mode[place]}": "taken",
-            },
-            energy=(snapshot.energy, snapshot.energy),
-        )
-        following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
-        return jump, following

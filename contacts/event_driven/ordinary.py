@@ -21,6 +21,7 @@ from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.rows import RowCall
 from contacts.event_driven.run_on import CAUSES, run_on
 from contacts.event_driven.run_rows import INSTANTS, run_rows
+from contacts.event_driven.switching import alike
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.modes.fast_classification import allowed
@@ -72,11 +73,9 @@ class SceneInstants:
         if limits is not None:
             scales = numbers.scale_tape
             self.tapes += limits, scales.tape, scales.motions, numbers.stop_tape
-        owners = {name: k + 1 for k, (_, name) in enumerate(conditions.listed)}
-        off = {f"{name}.{OFF}": -1 - c for c, name in enumerate(names)}
-        self._of_margins = {**owners, **off}
+        self._of_margins = {name: k for k, name in enumerate(conditions.names, 1)}
+        self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
-        self._owners = np.array([contact for contact, _ in conditions.listed], np.int64)
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
@@ -86,6 +85,8 @@ class SceneInstants:
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the states of the contacts, and of which conditions the margins are.
 
+        Those are numbered from 1 on; minus the number stands for the margin that brings one back.
+
         None where a contact moves as another.
         """
         if roles != roles_in(mode):
@@ -93,15 +94,20 @@ class SceneInstants:
         states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
         return [*states, *(self._of_margins.get(name, 0) for name in margins)]
 
-    def tolerances(self, setup: Setup) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a run, with it."""
+    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         assert isinstance(setup, SceneSetup)
-        return setup.bands
+        own = self._conditions.tolerances(setup, state, time)
+        return {**setup.bands, **own} if own else setup.bands
 
-    def takes(self, setup: Setup, flow: Flow) -> bool:
+    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
         """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
-        usual = flow.tolerances is setup.bands or flow.tolerances == setup.bands
+        conditions = self._conditions
+        own = {*conditions.names, *conditions.back, *conditions.gaps}
+        special = {n: t for n, t in flow.tolerances.items() if n not in own}
+        usual = flow.tolerances is setup.bands or special == setup.bands
+        usual = usual and alike(conditions.tolerances(setup, state, time), flow.tolerances)
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:
@@ -127,12 +133,13 @@ class SceneInstants:
             unseen_room(tolerances, setup.scales),
         )
         near, creep = landing(tolerances)
-        bands = [setup.bands[name] for _, name in self._conditions.listed]
         scene = SceneWatch(
             numbers,
             conditions,
-            self._owners,
-            np.array(bands),
+            self._conditions.nodes,
+            self._conditions.slots(loop.margins),
+            setup.scales.with_time,
+            setup.precision,
             allowed(tuple([law.states for law in setup.contacts])),
             cones(setup.contacts),
             np.array([law.restitution for law in setup.contacts]),

@@ -106,14 +106,13 @@ def _declared(
     places = [[-1 if place is None else place for place, _ in one] for one in found]
     fixed = [[value for _, value in one] for one in found]
     gap, speed, force = tolerated(relative)
-    bands = [*numbers.stops, *(name for _, name in numbers.conditions.listed)]
-    bands += [f"{law.name}.{OFF}" for law in laws]
+    stops = [*numbers.stops]
     return SceneRows(
         loop.tapes,
         rules,
         np.array(places, np.int64).reshape(count, 3),
         np.array(fixed, float).reshape(count, 3),
-        np.array([bands.index(m) if m in bands else -1 for m in loop.margins], np.int64),
+        np.array([stops.index(m) if m in stops else -1 for m in loop.margins], np.int64),
         allowed(tuple([law.states for law in laws])),
         np.array([meaning(law) for law in laws], np.int64),
         _starts([law.name for law in laws], numbers.scene.initial_modes),
@@ -149,8 +148,10 @@ def _memory(
     instants = SceneWatch(
         loop.tapes[0],
         loop.tapes[2],
-        rules.owners,
-        np.empty(len(rules.owners)),
+        numbers.conditions.nodes,
+        numbers.conditions.slots(loop.margins),
+        np.empty(variables + 1),
+        scene.gap,
         scene.allowed,
         np.empty((contacts, 2)),
         np.empty(contacts),
@@ -158,4 +159,4 @@ def _memory(
         *[0.0] * 12,
     )
     series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
-    return room(parameters, variables, rules, contacts), watch, instants, series
+    return room(parameters, variables, rules), watch, instants, series

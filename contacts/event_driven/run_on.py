@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from contacts.event_driven.hit import SceneWatch, classified, hit, switched
+from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
+from contacts.event_driven.arc_record import record_arc
+from contacts.event_driven.hit import SceneWatch, classified, hit
+from contacts.event_driven.switching import hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
@@ -124,35 +129,6 @@ def row_of(program: Program, states: Ints) -> int:
 
 
 @part
-def _record_arc(
-    block: Block, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
-) -> None:
-    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
-    coeffs, used = memory.coefficients, block.used
-    n, width = coeffs.shape[1], coeffs.shape[2]
-    zero = True
-    while zero and width > 1:
-        for i in range(steps):
-            for v in range(n):
-                zero = zero and coeffs[i, v, width - 1] == 0.0
-        if zero:
-            width -= 1
-    arc, at, place = used[ARCS], used[TIMES], used[TERMS]
-    block.arcs[arc, 0], block.arcs[arc, 1] = mode, j
-    block.arcs[arc, 2], block.arcs[arc, 3] = steps, width
-    block.places[arc, 0], block.places[arc, 1] = at, place
-    block.starts[arc, 0], block.starts[arc, 1] = high, low
-    for i in range(steps + 1):
-        block.times[at + i] = memory.times[i]
-    for i in range(steps):
-        for v in range(n):
-            for k in range(width):
-                block.coefficients[place + k] = coeffs[i, v, k]
-            place += width
-    used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
-
-
-@part
 def _in_turn(block: Block, row: int, jumps: int) -> bool:
     """Whether other contacts may have been hit since a contact last was: the laws are to know.
 
@@ -190,6 +166,8 @@ def _instant(
     state: Array,
     series: Array,
     margin: int,
+    fired: int,
+    flowed: bool,
     kept: Ints,
 ) -> tuple[int, int, float]:
     """Jump, where that is as simple as most jumps are.
@@ -198,12 +176,17 @@ def _instant(
     ----------
     margin : int
         That fell; -1 where the instant goes on after a jump.
+    fired : int
+        Condition that fell, see `switched`; 0 for none, and after an impact.
+    flowed : bool
+        Whether time has passed since the last instant.
     kept : (c,) array of int64
         State of every contact; brought up to date.
 
     Returns
     -------
-    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`.
+    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`, and in the place of
+    the margin `fired`, if the mode goes on, else 0.
     """
     contacts, n, high, mode = kept.shape[0], state.shape[0] // 2, now[T_HIGH], place[N_MODE]
     code, constants, outputs, _, _ = tape_of(program, scene.numbers)
@@ -213,13 +196,15 @@ def _instant(
     energy_at = n * n + n
     energy, struck, path, group = numbers[energy_at], -1, 0, 0
     first = energy_at + 1 + (2 * n + 2) * contacts
-    found = False
-    if scene.owners.shape[0] > 0:
+    found = boundary = False
+    if scene.nodes.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, scene.conditions)
-        values = np.empty(outputs.shape[0])
-        tape_values(code, constants, outputs, state, watch.parameters, high, values)
-        laws_at = program.modes[mode, LAWS_AT]
-        fired = program.ints[laws_at + contacts + margin] if margin >= 0 else 0
+        values = conditions_at(
+            code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, high
+        )
+        for k in range((scene.slots.shape[0] - contacts) // 2):
+            band = round_off(values[PER_CONDITION * k + 2], scene.relative)
+            boundary = boundary or abs(values[PER_CONDITION * k]) <= band
         switching = switched(scene, values, numbers, first, fired, kept, taken)
         if switching == -2:
             return FELL, margin, 0.0
@@ -240,7 +225,15 @@ def _instant(
     target = row_of(program, taken) if found or struck >= 0 else -1
     if target == mode and struck < 0 and margin < 0:
         place[N_ASKED] = 0
-        return GOES_ON, -1, 0.0
+        return GOES_ON, 0, 0.0
+    if target == mode and struck < 0 and flowed and fired != 0:
+        # The gates hold or fail as before: other conditions decide that from here on.
+        hold_conditions(program, watch, scene, state, high, fired)
+        count = (scene.slots.shape[0] - contacts) // 2
+        slot = scene.slots[fired - 1 if fired > 0 else count - fired - 1]
+        if watch.bands[slot] == math.inf:
+            place[N_ASKED] = 0
+            return GOES_ON, fired, 0.0
     if target < 0 or (target == mode and struck < 0):
         put(before, state)
         return FELL, margin, 0.0
@@ -258,7 +251,8 @@ def _instant(
     block.used[EVENTS] += 1
     place[N_MODE] = target
     place[N_JUMPS] += 1
-    place[N_ASKED] = 1 if switches else 0
+    # What an impact leaves may go another way from the boundary of a condition.
+    place[N_ASKED] = 1 if switches else 2 if struck >= 0 and boundary else 0
     now[T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN
     if struck < 0:
@@ -275,7 +269,7 @@ def _instant(
     steady = count >= STEADY and count & (count - 1) == 0
     if count >= place[N_MOST] or steady:
         return COUNTED, -1, 0.0
-    return GOES_ON, -1, 0.0
+    return GOES_ON, 0, 0.0
 
 
 @kernel
@@ -325,6 +319,7 @@ def run_on(
     most = memory.coefficients.shape[0]
     most_terms = memory.coefficients.size
     begun_steps, begun_boxes = place[N_STEPS], place[N_BOXES]
+    decided = 0  # by what fell as a mode went on without a jump
     while True:
         used = block.used
         if (
@@ -338,6 +333,7 @@ def run_on(
             return PAUSED, -1, 0.0
         mode = place[N_MODE]
         high, low = now[T_HIGH], now[T_LOW]
+        begun = high
         duration = (now[T_END] - high) - low
         if duration <= 0.0:
             return OVER, -1, 0.0
@@ -346,6 +342,9 @@ def run_on(
         for c in range(contacts):
             kept[c] = program.ints[at + c]
         _hold(program, watch, scene, kept, state, high)
+        if scene.nodes.shape[0] > 0:
+            hold_conditions(program, watch, scene, state, high, decided)
+        decided = 0
         verdict, margin, steps, boxes = flow_to_event(
             program, mode, pace, watch, memory, state, high, duration, now[T_HORIZON]
         )
@@ -354,7 +353,7 @@ def run_on(
         place[N_STEPS] += steps
         place[N_BOXES] += boxes
         if steps > 0:
-            _record_arc(block, memory, mode, place[N_JUMPS], steps, high, low)
+            record_arc(block, memory, mode, place[N_JUMPS], steps, high, low)
             elapsed = memory.times[steps]
             total = high + elapsed
             error = total - high
@@ -368,17 +367,20 @@ def run_on(
         high = now[T_HIGH]
         if margin >= program.modes[mode, STOPS]:
             return FELL, margin, 0.0
-        asked = 0
+        asked, fired = 0, program.ints[at + contacts + margin]
         while True:
             reason, row, rest = _instant(
-                program, watch, scene, block, now, place, state, series, margin, kept
-            )
+                program, watch, scene, block, now, place, state, series, margin, fired,
+                high > begun, kept,
+            )  # fmt: skip
             if reason != GOES_ON:
                 return reason, row, rest
             if place[N_ASKED] == 0:
+                decided = row
                 break
             asked += 1
             margin = -1
+            fired = fired if place[N_ASKED] == 1 else 0
             if asked > MOST_AT_ONCE:
                 return FELL, -1, 0.0
         at_stop = stands(program, place[N_MODE], watch.parameters, watch.floors, state, now[T_HIGH])

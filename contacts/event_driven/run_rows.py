@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.conditions import conditions_at
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
 from contacts.dynamics.scales import bounce_limits
 from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
-from contacts.states import FREE, OFF_CODE
+from contacts.event_driven.switching import switched
+from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.recording import ARCS, EVENTS, Block
 from statechart.engines.engine import Pace
@@ -131,9 +133,8 @@ def _watches(
         watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
     for i in range(watch.floors.shape[0]):
         watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
-    stops = scene.rules.forced.shape[0]
-    for k in range(instants.bands.shape[0]):
-        instants.bands[k] = numbers.bands[stops + k]
+    put(numbers.sizes, instants.sizes[:-1])
+    instants.sizes[-1] = length / speed
     for c in range(scene.places.shape[0]):
         for k in range(3):
             place = scene.places[c, k]
@@ -146,7 +147,8 @@ def _watches(
         watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
         watch.weights, max(scene.unseen * length, gap),
     ), SceneWatch(
-        instants.numbers, instants.conditions, instants.owners, instants.bands, instants.allowed,
+        instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
+        instants.relative, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
         acceleration, scene.short, fast, lowest, scene.doubtful * speed,
@@ -168,15 +170,22 @@ def _start(
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, watch.parameters, 0.0, numbers)
     kept, lowest = np.full(contacts, FREE), np.zeros(contacts)
-    if instants.owners.shape[0] > 0:
+    if instants.nodes.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, instants.conditions)
-        values = np.empty(outputs.shape[0])
-        tape_values(code, constants, outputs, state, watch.parameters, 0.0, values)
-        for k in range(values.shape[0]):
-            if values[k] != values[k]:
-                return -1
-            if values[k] < 0.0:
-                kept[instants.owners[k]] = OFF_CODE
+        values = conditions_at(
+            code,
+            constants,
+            outputs,
+            instants.sizes,
+            instants.relative,
+            state,
+            watch.parameters,
+            0.0,
+        )
+        first = state.shape[0] // 2
+        first = first * first + first + 1 + (2 * first + 2) * contacts
+        if switched(instants, values, numbers, first, 0, np.full(contacts, FREE), kept) == -2:
+            return -1
     if not classified(instants, numbers, state.shape[0] // 2, False, kept, lowest, taken):
         return -1
     for c in range(contacts):
@@ -293,8 +302,8 @@ def run_rows(
         ends[HOW] = UNUSUAL
         put_ints(used, before)
         if not rows.until[row] >= 0.0 or not run_numbers(
-            program, scene.tapes[INSTANTS:], scene.tapes[2], scene.rules, code, constants,
-            outputs, rows.inputs[row], numbers,
+            program, scene.tapes[INSTANTS:], scene.rules, code, constants, outputs,
+            rows.inputs[row], numbers,
         ):  # fmt: skip
             continue
         if _other(numbers.values, rows.zeros):

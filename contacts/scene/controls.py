@@ -19,7 +19,14 @@ from statechart.charts.transitions import (
     declared_transitions,
     nested,
 )
-from statechart.documents.fields import FiniteText, FormulaText, NameText, check_names, unit
+from statechart.documents.fields import (
+    FiniteText,
+    FormulaText,
+    NameText,
+    ValueName,
+    check_names,
+    unit,
+)
 from statechart.errors import DeclarationProblem, close_matches, undeclared
 from statechart.formulas.formula import Formula, parse
 
@@ -67,7 +74,7 @@ class ControlRegion(BaseRegion):
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
-    variables: dict[NameText, FiniteText] = Field(
+    variables: dict[ValueName, FiniteText] = Field(
         default={},
         description="What it remembers: variable to its initial value.",
         examples=[{"seen": 0}],

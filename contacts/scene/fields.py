@@ -25,7 +25,7 @@ from contacts.scene.shapes import INDEX, Collision
 from statechart.charts.flat_region import timed
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.dimensions import Fact, fields_of, per_time
-from statechart.documents.fields import FiniteText, FormulaText, NameText, unit, value_of
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, unit, value_of
 from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
@@ -64,7 +64,7 @@ class SceneFields(Declaration):
         examples=[9.81, ["g*sin(slope)", "-g*cos(slope)"]],
         json_schema_extra=unit("length/time**2"),
     )
-    coordinates: dict[NameText, Coordinate] = Field(
+    coordinates: dict[ValueName, Coordinate] = Field(
         default={},
         description="Name to a coordinate that positions of bodies are formulas of.",
         examples=[{"theta": {"start": 0.2}}],
@@ -123,7 +123,7 @@ class SceneFields(Declaration):
         "(Painleve): an impact without collision, or the end of the run.",
         examples=["stop"],
     )
-    controls: dict[NameText, FormulaText] = Field(
+    controls: dict[ValueName, FormulaText] = Field(
         default={},
         description="What states of regions set, to be used in forces and in coefficients of "
         "contacts: name to its value where no state sets it.",

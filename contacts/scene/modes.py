@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from contacts.states import OFF
 from statechart.automaton.regions import Hold, Loads, Margin, State
 from statechart.documents.fields import Part
 
@@ -106,13 +105,9 @@ class Pin(Part):
         return State(equations, tuple(margins), holds=(contact.sticking,))
 
 
-def off(contact: ContactSymbols, gates: tuple[Margin, ...]) -> State:
-    """Return the state of a contact that is off: no force, until it may come back."""
-    import sympy as sp
-
-    conditions = (margin.expression for margin in gates)
-    back = sp.Min(contact.gap, *conditions, evaluate=False)
-    return State((contact.V, contact.H), (Margin(f"{contact.name}.{OFF}", -back),))
+def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
+    """Return the state of a contact that is off: no force, until it may come `back`."""
+    return State((contact.V, contact.H), back)
 
 
 class Bearing(NamedTuple):

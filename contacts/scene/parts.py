@@ -13,8 +13,8 @@ from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
     FormulaText,
+    OneRelation,
     Part,
-    RelationText,
     unit,
 )
 from statechart.errors import DeclarationProblem
@@ -340,8 +340,8 @@ class Contact(Part):
         examples=["newton"],
     )
     enabled: Annotated[
-        tuple[RelationText, ...],
-        BeforeValidator(_as_list, json_schema_input_type=RelationText | list[RelationText]),
+        tuple[OneRelation, ...],
+        BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
     ] = Field(
         default=(),
         description="Conditions without which the contact is off: a relation, or several.",

@@ -53,6 +53,7 @@ def region(
     contact: Contact,
     symbols: Callable[[], ContactSymbols],
     gates: Callable[[], tuple[Margin, ...]],
+    back: Callable[[], tuple[Margin, ...]],
     *,
     jams: bool,
     bounces: bool,
@@ -69,8 +70,8 @@ def region(
         As declared.
     symbols : callable
         Its quantities as expressions, asked for when a state is built.
-    gates : callable
-        Its conditions, likewise.
+    gates, back : callable
+        Margins that take it off, and that bring it back, likewise.
     jams : bool
         Whether friction may press the point into the surface (see `Scene.jams`).
     bounces : bool
@@ -84,7 +85,7 @@ def region(
 
     def build(role: Role) -> State:
         if role.state == OFF:
-            return off(symbols(), gates())
+            return off(symbols(), back())
         mode: Free | Slide | Pin = modes[declared_state(role.state)]  # type: ignore[index]
         direction = _DIRECTIONS.get(role.state, 0)
         if isinstance(role.share, Bearing):

@@ -21,11 +21,11 @@ from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, check_names, value_of
+from statechart.documents.fields import FormulaText, check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
 from statechart.documents.uses import check_uses
 from statechart.errors import DeclarationProblem, Findings
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
 
 
 class Scene(SceneFields):
@@ -288,7 +288,8 @@ class Scene(SceneFields):
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         for place, text in enumerate(contact.enabled):
             with found:
-                check_names(parse_relation(text), seen | {*self.controls}, *at, "enabled", place)
+                known = seen | {*self.controls}
+                check_relation(text, known, {}, known - {*parameters}, *at, "enabled", place)
 
     def _coordinates_move_bodies(self, found: Findings) -> None:
         texts = [text for body in self.bodies.values() for text in body.position or ()]
@@ -316,6 +317,8 @@ class Scene(SceneFields):
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
         names |= {"energy", *self.controls}
+        kept = {v for region in self.regions.values() for v in region.variables}
+        changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
         gates = {c: self.gate(c) for c in self.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
             name: {*region.named} for name, region in self.controlled.flat.items()
@@ -333,7 +336,7 @@ class Scene(SceneFields):
             causes |= dict.fromkeys(self.owners(), causes_of_bodies)
         wrong = Findings()
         with wrong:
-            check_uses(self, names, found, causes)
+            check_uses(self, names, found, causes, changing)
         for name, region in self.regions.items():
             found_here = list(declared_transitions(region, "regions", name))
             with wrong:
@@ -341,7 +344,7 @@ class Scene(SceneFields):
             for transition, at in found_here:
                 with wrong:
                     if transition.guard is not None:
-                        check_names(parse_relation(transition.guard), names, *at, "guard")
+                        check_relation(transition.guard, names, found, changing, *at, "guard")
         wrong.check()
         return self
 

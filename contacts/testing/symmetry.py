@@ -23,7 +23,8 @@ from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
 from statechart.documents.settings import Stop
-from statechart.formulas.formula import Formula, Relation, parse, parse_relation
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tree import names_in
 from statechart.testing.stories import Reading
 
@@ -354,10 +355,7 @@ class _Change:
         roots = (
             [formula.root]
             if isinstance(formula, Formula)
-            else [
-                formula.left.root,
-                formula.right.root,
-            ]
+            else [side.root for side in formula.formulas]
         )
         names = {name.offset: name.name for root in roots for name in names_in(root)}
         text = formula.text

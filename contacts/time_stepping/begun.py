@@ -41,8 +41,6 @@ class Stepping:
         Which coordinates are angles.
     stops : StopTapes
     stop_names : tuple of str
-    stop_counts : (2, s) array of bool
-        Which of them hold on their boundary, too; see `counting`.
     energy : Tape
     """
 
@@ -57,7 +55,6 @@ class Stepping:
     angles: Bools
     stops: StopTapes
     stop_names: tuple[str, ...]
-    stop_counts: Bools
     energy: Tape
 
 

@@ -20,11 +20,12 @@ from contacts.dynamics.control_guards import Controllers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneSetup
+from contacts.time_stepping.active_states import ActiveStates
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stops import first_lost
-from statechart.arrays import Array, Bools
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.firing import Listening
@@ -102,6 +103,7 @@ class StepControl:
         self._states, self._setup, self._scene = controllers, setup, scene
         self._switch, self._memory = switch, Memory(mechanics)
         self._listening = Listening(regions, self._controllers)
+        self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
         c = 2 * len(mechanics.scene.contacts)
         # Guards take the forces of joints after those of contacts.
@@ -114,7 +116,8 @@ class StepControl:
 
         And whether there is one.
         """
-        due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h)
+        shown = recorder.shown(chunk)
+        due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
         asked: Bools = np.any(due, axis=1)
         if self._listening.waits(self._names, self.states):
             asked |= recorder.changes(chunk)
@@ -159,7 +162,7 @@ class StepControl:
                 )
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
-            due = self._due(time, state[None], solved[None], h)[0]
+            due = self._due(time, state[None], solved[None], h, recorder.row[None])[0]
             guarded: dict[int, int] = {}
             for guard, now in zip(watched, due.tolist(), strict=True):
                 if now:
@@ -170,7 +173,7 @@ class StepControl:
             name = self._names[firing.place]
             taken = self._controllers[name].transitions[firing.transition]
             fired = tuple(
-                guard.margin
+                guard.name
                 for guard in watched
                 if (guard.place, guard.transition) == (firing.place, firing.transition)
             )
@@ -196,11 +199,13 @@ class StepControl:
             return None
         guards, solved = self._states.guards(self.states), chunk.solved[:, self._order]
         rows = guards.table(self._setup, chunk.ends(start), chunk.states[1:], solved)
-        found = first_lost(rows[..., 0], np.hstack([chunk.states[1:], solved]))
-        return None if found is None else (found[0], guards.watch.guards[found[1]].margin)
+        singles = guards.watch.singles
+        margins = rows[:, singles, 0]
+        found = first_lost(margins, np.hstack([chunk.states[1:], solved]))
+        return None if found is None else (found[0], guards.watch.margins[singles[found[1]]])
 
-    def _due(self, times: Array, states: Array, solved: Array, h: float) -> Bools:
-        """Return which guards (m, g) are due."""
+    def _due(self, times: Array, states: Array, solved: Array, h: float, codes: Ints) -> Bools:
+        """Return which guards (m, g) are due; `codes` (m, r) are modes of contacts."""
         guards = self._states.guards(self.states)
         rows = guards.table(self._setup, times, states, solved[:, self._order])
         margin, rate, second, size = (rows[..., k] for k in range(4))
@@ -212,5 +217,5 @@ class StepControl:
         zero = self._setup.rounded * size
         near = ~guards.watch.timed & (np.abs(margin) <= zero)
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
-        due: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
-        return due
+        atoms: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
+        return guards.watch.hold(atoms, self._active.at(codes, self.states))

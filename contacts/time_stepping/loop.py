@@ -136,7 +136,7 @@ class SteppedRun:
 
     def _steps(self) -> Iterator[bool]:
         step, until = self.span.step, self.span.until
-        met = self.stops.at_start(self.state)
+        met = self.stops.at_start(self.state, self.recorder)
         if met is not None:
             self._stop(met)
             return
@@ -213,7 +213,7 @@ class SteppedRun:
                 f"the guard {lost[1]} cannot be evaluated a step of {chunk.h:g} later"
             )
             chunk = chunk.first(lost[0])
-        stopped = self.stops.met(chunk, start)
+        stopped = self.stops.met(chunk, start, self.recorder.controls)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):

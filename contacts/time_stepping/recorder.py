@@ -126,7 +126,7 @@ class Recorder:
             self._tail = self._counted(chunk)
 
     def _append(self, chunk: Chunk) -> None:
-        shown = self._shown(chunk)
+        shown = self.shown(chunk)
         hit: Bools = np.any(chunk.struck, axis=1)
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
         if self.forces is not None:
@@ -151,7 +151,7 @@ class Recorder:
     def _counted(self, chunk: Chunk) -> _Tail:
         """Count the jumps of steps; return the last of them as it can be appended."""
         last, half = len(chunk.codes) - 1, 0.5 * chunk.h
-        shown, hit = self._shown(chunk), np.any(chunk.struck, axis=1).tolist()
+        shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
         jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
         begin = self.clock.later(last * chunk.h).short
         tail = _Tail(
@@ -176,7 +176,7 @@ class Recorder:
 
     def changes(self, chunk: Chunk) -> Bools:
         """Return the steps (k,) in which `add` will record jumps."""
-        return self._changed(self._shown(chunk)) | np.any(chunk.struck, axis=1)
+        return self._changed(self.shown(chunk)) | np.any(chunk.struck, axis=1)
 
     def taken(self, *, looked_at: bool) -> tuple[Sequence[Arc], Sequence[Jump]]:
         """Hand over the arcs that have ended, and the jumps, since the last time."""
@@ -239,7 +239,7 @@ class Recorder:
             found = self._keys[row.tobytes()] = tuple(map(STATES.__getitem__, row.tolist()))
         return (*found, *self.controls) if self.controls else found
 
-    def _shown(self, chunk: Chunk) -> Ints:
+    def shown(self, chunk: Chunk) -> Ints:
         """Let a slip that comes to rest in a step last to its end, but for one that is struck."""
         codes = chunk.modes
         if not self._sticking:

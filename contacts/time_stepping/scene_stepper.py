@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from contacts.time_stepping.effort import INDETERMINATE
 from contacts.time_stepping.scene_steps import SteppedScene
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
-from statechart.automaton.regions import Margin, Region
+from statechart.automaton.regions import Region, StopCondition
 from statechart.errors import SimulationError
 from statechart.kernels.jit import by_python
 
@@ -38,8 +38,7 @@ class SceneStepper(Stepper):
     ----------
     mechanics : Mechanics
         The scene's equations.
-    stops : mapping
-        Stop condition -> margin.
+    stops : sequence of StopCondition
     regions : tuple of Region
         One per contact, then one per controller.
     """
@@ -47,7 +46,7 @@ class SceneStepper(Stepper):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Mapping[str, Margin],
+        stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
         contacts = mechanics.scene.contacts
@@ -57,7 +56,7 @@ class SceneStepper(Stepper):
             stops,
             mechanics.energy,
             (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=tuple(region.name for region in regions),
+            regions=regions,
             controls=self._tapes.initial,
             again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows),
@@ -107,22 +106,19 @@ class SceneStepper(Stepper):
     def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
+        memory = Memory(self._mechanics)
+        within = memory.within(setup, setup.initial)
+        within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
-            snapshots = SnapshotTape(self._mechanics)
-            memory = Memory(self._mechanics)
-            within = memory.within(setup, setup.initial)
-            within = replace(within, initial=memory.parted(setup.initial))
-            check_joints(self._mechanics, snapshots, within, RELATIVE)
+            check_joints(self._mechanics, SnapshotTape(self._mechanics), within, RELATIVE)
+        failing = self._numbers.conditions.failing(within, within.initial, 0.0)
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
-            gap, *_, condition = row
-            gated = OFF in law.states
-            off[i] = gated and (
-                condition < 0.0 or (gap < -near and self._scene.initial_modes.get(law.name) == OFF)
-            )
+            buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
+            off[i] = failing[i] != "" or (OFF in law.states and buried)
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)

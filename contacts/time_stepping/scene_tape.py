@@ -72,8 +72,8 @@ class SteppedTape:
             symbols = geometry.symbols
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
-            conditions = [margin.expression.xreplace(set_) for margin in mechanics.conditions(name)]
-            outputs.append(sp.Min(*conditions) if conditions else sp.S.One)
+            gate = mechanics.gate(name)
+            outputs.append(sp.S.One if gate is None else gate.by_steps(set_))
         rows = mechanics.joint_rows
         for row in rows:
             outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
@@ -84,9 +84,9 @@ class SteppedTape:
             [
                 sp.Max(
                     mechanics.contact(name).symbols.gap,
-                    *(-m.expression.xreplace(set_) for m in mechanics.conditions(name)),
+                    *(() if gate is None else (-gate.by_steps(set_),)),
                 )
-                for name in self.names
+                for name, gate in zip(self.names, map(mechanics.gate, self.names), strict=True)
             ]
         )
         outputs += [set_[symbol] for symbol in given(mechanics)]

@@ -14,11 +14,11 @@ from contacts.scene.other_laws import replaced
 from contacts.states import STATES
 from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.loop import made_ready
-from contacts.time_stepping.stop_tapes import StopTapes, counting
+from contacts.time_stepping.stop_tapes import StopTapes
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
 from statechart.automaton.keeping import EVERYTHING, Keeping
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.automaton.trace import Arc, Jump, Key, Trace
@@ -38,8 +38,7 @@ class Stepper(ABC):
     ----------
     mechanics : Mechanics
         The scene's equations, or no more than its names and symbols.
-    stops : mapping
-        Stop condition -> margin.
+    stops : sequence of StopCondition
     energy : Expr
     unknowns : sequence of Symbol
         What stop conditions may use that steps solve for.
@@ -50,11 +49,11 @@ class Stepper(ABC):
     def __init__(
         self,
         mechanics: Mechanics,
-        stops: Mapping[str, Margin],
+        stops: Sequence[StopCondition],
         energy: sp.Expr,
         unknowns: Sequence[sp.Symbol],
         *,
-        regions: tuple[str, ...],
+        regions: Sequence[Region],
         controls: Key = (),
         again: str,
         forces: int | None,
@@ -65,15 +64,14 @@ class Stepper(ABC):
             self._scene.name,
             (*mechanics.variable_names, *mechanics.memory),
             mechanics.parameters.names,
-            regions,
+            tuple(region.name for region in regions),
             controls,
             again,
             forces,
             sticks,
             np.array([name.endswith(".angle") for name in mechanics.names]),
-            StopTapes(mechanics, [stop.expression for stop in stops.values()], unknowns),
-            tuple(stops),
-            counting(self._scene),
+            StopTapes(mechanics, stops, unknowns, regions),
+            tuple(stop.name for stop in stops),
             mechanics.whole_tape([energy]),
         )
 

@@ -9,12 +9,10 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.scene.controls import ControlState
-from contacts.scene.scene import Scene
+from contacts.time_stepping.active_states import ActiveStates
 from statechart.arrays import Array, Bools
-from statechart.charts.firing import size_of
-from statechart.charts.transitions import nested
-from statechart.formulas.formula import parse_relation
+from statechart.automaton.course import size_of
+from statechart.automaton.regions import Region, StopCondition
 from statechart.formulas.tape import Tape
 
 
@@ -24,22 +22,41 @@ class StopTapes:
     Parameters
     ----------
     mechanics : Mechanics
-    conditions : sequence of Expr
-        Their margins.
+    stops : sequence of StopCondition
     unknowns : sequence of Symbol
         What they may use that steps solve for.
+    regions : sequence of Region
+        Whose states they may ask for.
 
     Attributes
     ----------
+    stops : tuple of StopCondition
     margins : Tape
-        Over variables and unknowns.
+        Those of the atoms, over variables and unknowns.
+    counts : (2, a) array of bool
+        Which atoms hold on their boundary, too, where they stay there for a step; and at once, of
+        what jumps alone change, so that no motion tells the way it goes.
+    active : ActiveStates
     """
 
     def __init__(
-        self, mechanics: Mechanics, conditions: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]
+        self,
+        mechanics: Mechanics,
+        stops: Sequence[StopCondition],
+        unknowns: Sequence[sp.Symbol],
+        regions: Sequence[Region],
     ) -> None:
-        self._mechanics, self._conditions, self._unknowns = mechanics, conditions, unknowns
-        self.margins: Tape = mechanics.whole_tape(conditions, unknowns=unknowns)
+        self._mechanics, self._unknowns, self.stops = mechanics, unknowns, tuple(stops)
+        atoms = [atom for stop in stops for atom in stop.condition.atoms]
+        self._conditions = [atom.expression for atom in atoms]
+        self.margins: Tape = mechanics.whole_tape(self._conditions, unknowns=unknowns)
+        flowing = mechanics.scene.controlled.flowing
+        still = {*mechanics.parameters.ordered}
+        still |= {symbol for name, symbol in mechanics.memory.items() if name not in flowing}
+        stays = np.array([not atom.strict for atom in atoms], np.bool_)
+        jumps = np.array([atom.expression.free_symbols <= still for atom in atoms], np.bool_)
+        self.counts: Bools = np.stack([stays, stays & jumps])
+        self.active = ActiveStates(regions)
 
     @cached_property
     def _of_terms(self) -> Tape:
@@ -67,27 +84,3 @@ class StopTapes:
         """
         inputs = np.hstack([rows, np.broadcast_to(sizes, rows.shape)])
         return np.nan_to_num(self._of_terms.table(inputs, values, times))
-
-
-def counting(scene: Scene) -> Bools:
-    """Return which stop conditions hold on their boundary, too, where their relation counts it.
-
-    Returns
-    -------
-    (2, s) array of bool
-        Those that do where they stay there for a step; and at once, of what jumps alone change,
-        so that no motion tells the way it goes.
-    """
-    flowing = {
-        variable
-        for name, region in scene.regions.items()
-        for _, state, _ in nested(region, name)
-        if isinstance(state, ControlState)
-        for variable in state.flows
-    }
-    kept = {variable for region in scene.regions.values() for variable in region.variables}
-    still = {*scene.parameters, *(kept - flowing)}
-    relations = [parse_relation(text) for text in scene.stop.conditions.values()]
-    stays = np.array([r.operator in ("<=", ">=") for r in relations], np.bool_)
-    jumps = np.array([{*r.left.names, *r.right.names} <= still for r in relations], np.bool_)
-    return np.stack([stays, stays & jumps])

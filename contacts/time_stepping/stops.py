@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.begun import Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
-from statechart.arrays import Array, Bools
-from statechart.automaton.trace import Arc
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.trace import Arc, Key
 
 # A condition is located within its step to this part of it.
 _BISECTIONS = 60
@@ -32,32 +35,55 @@ class StopConditions:
         assert setup.sizes is not None
         unknowns = self._tape.n_variables - len(setup.sizes)
         self._sizes = np.concatenate([setup.sizes, setup.scales.solved(unknowns)])
-        self._stays, self._counts = stepping.stop_counts
+        self._stays, self._counts = self._tapes.counts
         self._rounded = setup.rounded
+        # Those of the step in which a condition was met.
+        self._modes: tuple[Ints, Key] = np.zeros((1, 0), int), ()
         # Which margins were zero at the end of the last step.
-        self._near = np.zeros(len(self._names), dtype=np.bool_)
+        self._near = np.zeros(len(self._stays), dtype=np.bool_)
 
     def unknown(self, state: Array) -> Array:
         """Return what is solved for where it is not known yet, before the first step."""
         return np.full(self._tape.n_variables - len(state), np.nan)
 
-    def at_start(self, state: Array) -> int | None:
+    def at_start(self, state: Array, recorder: Recorder) -> int | None:
         """Return the condition that holds at the start; those on unknowns wait for a step."""
         if not self._names:
             return None
         rows = np.concatenate([state, self.unknown(state)])[None]
-        below = self._met(rows, self._margins(rows, 0.0), np.zeros(1))[0]
+        atoms = self._met(rows, self._margins(rows, 0.0), np.zeros(1))
+        below = self._whole(atoms, recorder.start[None], recorder.controls)[0]
         return int(np.argmax(below)) if below.any() else None
 
-    def met(self, chunk: Chunk, start: float) -> tuple[int, int] | None:
-        """Return (step, condition) of the first condition met, by the steps' ends."""
+    def met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
+        """Return (step, condition) of the first condition met, by the steps' ends.
+
+        `controls` are the states of the controllers in these steps.
+        """
         if not self._names:
             return None
-        below = self._met(*self._ends(chunk, start), chunk.ends(start))
+        atoms = self._met(*self._ends(chunk, start), chunk.ends(start))
+        below = self._whole(atoms, chunk.codes, controls)
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
+        self._modes = chunk.codes[k : k + 1], controls
         return k, int(np.argmax(below[k]))
+
+    def _whole(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
+        """Return which conditions (k, s) hold, from their atoms (k, a)."""
+        active = self._tapes.active.at(codes, controls)
+        parts = self._parts(atoms)
+        held = [
+            stop.condition.rows(part, active)
+            for stop, part in zip(self._tapes.stops, parts, strict=True)
+        ]
+        return np.stack(held, axis=1)
+
+    def _parts(self, atoms: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return what there is of all atoms (k, a), condition by condition."""
+        counts = [len(stop.margins) for stop in self._tapes.stops]
+        return np.split(atoms, np.cumsum(counts)[:-1], axis=1)
 
     def _met(self, rows: Array, margins: Array, times: Array) -> Bools:
         # What rests moves at what steps leave of its speed.
@@ -72,8 +98,17 @@ class StopConditions:
         if not self._names:
             return None
         rows, margins = self._ends(chunk, start)
-        found = first_lost(margins, rows)
-        return None if found is None else (found[0], self._names[found[1]])
+        single = [stop.condition.single for stop in self._tapes.stops]
+        # Of several atoms one may have a value where another needs none.
+        values = [
+            part if alone else np.where(np.isnan(part).all(axis=1, keepdims=True), part, 0.0)
+            for part, alone in zip(self._parts(margins), single, strict=True)
+        ]
+        found = first_lost(np.hstack(values), rows)
+        if found is None:
+            return None
+        owners = [stop.name for stop in self._tapes.stops for _ in stop.margins]
+        return found[0], owners[found[1]]
 
     def _ends(self, chunk: Chunk, start: float) -> tuple[Array, Array]:
         """Return what the margins are of, and the margins, at the ends of steps."""
@@ -109,7 +144,10 @@ class StopConditions:
         unknowns = arc.unknowns(at)
         assert unknowns is not None
         rows = np.hstack([arc.states(at), unknowns])
-        return float(self._margins(rows, arc.start.later(local).high)[0, condition])
+        margins = self._margins(rows, arc.start.later(local).high)
+        stop, part = self._tapes.stops[condition], self._parts(margins)[condition]
+        active = self._tapes.active.at(*self._modes)
+        return stop.condition.margin(part[0].tolist(), lambda *of: bool(active(*of)[0]))
 
     def _margins(self, rows: Array, times: Array | float) -> Array:
         times = np.broadcast_to(np.asarray(times, dtype=float), len(rows)).copy()

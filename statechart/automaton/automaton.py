@@ -17,15 +17,16 @@ import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
-from statechart.automaton.regions import Margin, Mode, Region
+from statechart.automaton.regions import Margin, Mode, Region, StopCondition, active_in
 from statechart.automaton.time_stepper import TimeStepper
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
-from statechart.formulas.formula import parse_relation
+from statechart.formulas.relation import parse_relation
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
+    from statechart.formulas.condition import Active
     from statechart.formulas.tape import Tape
 
 
@@ -58,8 +59,8 @@ class Automaton:
         The equations that hold in every mode, each = 0.
     regions : tuple of Region
         In the order of the keys.
-    stops : mapping
-        Stop condition -> margin that falls when it becomes true.
+    stops : tuple of StopCondition
+        What ends a run.
     observables : mapping
         Name -> expression; what outputs, tables and figures can show.
     setup : callable
@@ -90,7 +91,7 @@ class Automaton:
     rates: tuple[sp.Expr, ...]
     equations: tuple[sp.Expr, ...]
     regions: tuple[Region, ...]
-    stops: Mapping[str, Margin]
+    stops: tuple[StopCondition, ...]
     observables: Mapping[str, sp.Expr]
     setup: Callable[[Mapping[str, float], float], Setup]
     laws: Laws | None
@@ -131,6 +132,20 @@ class Automaton:
         for region in self.regions:
             total *= len({region.declared(state) for state in region.states})
         return total
+
+    @cached_property
+    def stop_margins(self) -> tuple[Margin, ...]:
+        """The margins of the stop conditions, which stand last among those of every mode."""
+        return tuple(margin for stop in self.stops for margin in stop.margins)
+
+    @cached_property
+    def stop_of(self) -> Mapping[str, StopCondition]:
+        """Margin -> the stop condition that it belongs to."""
+        return {margin.name: stop for stop in self.stops for margin in stop.margins}
+
+    def active(self, key: Key) -> Active:
+        """Return the test whether a region is in a state, or in one inside it."""
+        return active_in(self.told(key), key)
 
     @cached_property
     def region_names(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from weakref import WeakKeyDictionary
 
 import sympy as sp
@@ -17,6 +17,9 @@ from statechart.formulas.series import Series, expand
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
+UNDERFLOW = 1e-290
+"""Round-off of terms that are all zero: a tolerance of zero would leave a margin undecided that
+starts at zero and rises with slope zero."""
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
 _ORDERS = 12
 
@@ -36,14 +39,14 @@ class Courses:
         self, variables: Sequence[sp.Symbol], parameters: Sequence[sp.Symbol], time: sp.Symbol
     ) -> None:
         self._variables, self._parameters, self._time = variables, parameters, time
-        self._tapes: WeakKeyDictionary[Mode, dict[str, tuple[list[int], bool, Tape]]]
+        self._tapes: WeakKeyDictionary[Mode, dict[str | sp.Expr, tuple[list[int], bool, Tape]]]
         self._tapes = WeakKeyDictionary()
 
     def sign(
         self,
         setup: Setup,
         roles: Roles,
-        margin: str,
+        margin: str | sp.Expr,
         state: Array,
         sizes: Array,
         time: float,
@@ -57,8 +60,8 @@ class Courses:
             The numbers of the run.
         roles : Roles
             The mode whose equations apply.
-        margin : str
-            Name of one of its margins.
+        margin : str or Expr
+            Name of one of its margins, or any expression of the variables, parameters and time.
         state, sizes : (n,) array
             Where the mode is entered, and how large the terms of each variable are.
         time : float
@@ -101,11 +104,13 @@ class Courses:
                     series[place].sizes.append(0.0)
         return 0.0
 
-    def _tape(self, mode: Mode, margin: str) -> tuple[list[int], bool, Tape]:
+    def _tape(self, mode: Mode, margin: str | sp.Expr) -> tuple[list[int], bool, Tape]:
         """Return which variables a margin depends on, whether on time, their rates and it."""
         tapes = self._tapes.setdefault(mode, {})
         if margin not in tapes:
-            expression = next(m.expression for m in mode.margins if m.name == margin)
+            expression: sp.Expr = margin
+            if isinstance(margin, str):
+                expression = next(m.expression for m in mode.margins if m.name == margin)
             rates = dict(zip(self._variables, mode.rates, strict=True))
             follows = {**rates, **dict(mode.definitions)}
             used: set[sp.Basic] = set()
@@ -127,3 +132,81 @@ class Courses:
                 ),
             )
         return tapes[margin]
+
+
+def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+    """Return what the rounding of an expression is relative to.
+
+    Parameters
+    ----------
+    expression : Expr
+        Its terms count, and those of its parts: each is rounded when it is computed.
+    sizes : mapping
+        What inputs were summed from; others (parameters, time) are as large as they are.
+    """
+    if not expression.args:
+        return sizes.get(expression, abs(expression))
+    # A number is exact: an exponent, a factor.
+    parts = [part for part in expression.args if not part.is_Number]
+    if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
+        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
+    slots = {part: sp.Dummy(real=True) for part in parts}
+    form = expression.func(*(slots.get(part, part) for part in expression.args))
+    whole = {slot: part for part, slot in slots.items()}
+    changes = (
+        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
+        for part, slot in slots.items()
+    )
+    return sp.Add(abs(expression), *changes)
+
+
+def along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
+    """Return the total derivative of an expression in time.
+
+    Parameters
+    ----------
+    rates : mapping
+        Variable -> its rate; variables without one are constant.
+    """
+    return sp.Add(
+        _slope(expression, time),
+        *(
+            _slope(expression, v) * rate
+            for v, rate in rates.items()
+            if v in expression.free_symbols
+        ),
+    )
+
+
+def _numbers(expression: sp.Expr) -> list[sp.Expr]:
+    return [part for part in expression.args if part.is_Number]
+
+
+def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
+    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
+
+    SymPy does so only where it can prove that what is inside is real, which a root is not.
+    """
+    kinks = {
+        node: sp.Dummy(real=True)
+        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
+        if symbol in node.free_symbols
+    }
+    if not kinks:
+        return sp.diff(expression, symbol)
+    if expression not in kinks:
+        form = expression.xreplace(kinks)
+        inner = {dummy: node for node, dummy in kinks.items()}
+        found = sp.diff(form, symbol)
+        for dummy, node in inner.items():
+            if dummy in form.free_symbols:
+                found += sp.diff(form, dummy) * _slope(node, symbol)
+        return found.xreplace(inner)
+    if isinstance(expression, sp.sign):
+        return sp.S.Zero
+    first, *others = expression.args
+    if isinstance(expression, sp.Abs):
+        return sp.sign(first) * _slope(first, symbol)
+    rest = expression.func(*others)
+    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
+    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2

@@ -293,11 +293,11 @@ class Ordinary(Protocol):
         """Return what is to stay above a room, as `Constraints.within`."""
         ...
 
-    def tolerances(self, setup: Setup) -> Mapping[str, float]:
-        """Return the margins that have a tolerance of their own in a run, with it."""
+    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         ...
 
-    def takes(self, setup: Setup, flow: Flow) -> bool:
+    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
         """Whether it can go on from the start of a flow in a mode that it knows."""
         ...
 

@@ -49,8 +49,8 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
             # What is zero, or the same as something else, must show before solving.
             substitution[control] = value
     loads = [state.loads for state in states if state.loads is not None]
-    margins = (*(m for state in states for m in state.margins), *automaton.stops.values())
-    margins = tuple(Margin(m.name, m.expression.xreplace(substitution), m.kind) for m in margins)
+    margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)
+    margins = tuple(margin.replaced(substitution) for margin in margins)
     rates = tuple(rate.xreplace(substitution) for rate in automaton.rates)
     follows: dict[str, Any] = {}
     if automaton.coordinates is not None and not loads:
@@ -156,7 +156,7 @@ def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
 
 
 def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> Iterable[Margin]:
-    return [Margin(m.name, m.expression.xreplace(hidden), m.kind) for m in margins]
+    return [margin.replaced(hidden) for margin in margins]
 
 
 def _shared(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from statechart.automaton.nesting import Nesting
-from statechart.formulas.formula import parse_relation
+from statechart.formulas.relation import Relation, parse_relation
 
 if TYPE_CHECKING:
     # Who declares a scene or a chart need not wait for it.
     import sympy as sp
 
     from statechart.automaton.trace import Role
+    from statechart.formulas.condition import Active, Condition
     from statechart.formulas.determinants import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
@@ -34,16 +35,81 @@ class Margin:
         Which tolerance decides it. A `force` margin is an event once it is below minus its
         tolerance (hysteresis, so that the mode just left is not entered again); the others are
         located at their zero.
+    relation : str
+        Name of the relation that it is one of several atoms of; "" where it stands alone.
+    whole : Expr or None
+        Margin of that relation; None also where the relation asks for states of regions.
     """
 
     name: str
     expression: sp.Expr
     kind: MarginKind = "plain"
+    relation: str = ""
+    whole: sp.Expr | None = None
+
+    def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
+        """Return the margin with values in the place of symbols."""
+        whole = None if self.whole is None else self.whole.xreplace(values)
+        return replace(self, expression=self.expression.xreplace(values), whole=whole)
 
 
-def stop_margins(conditions: Mapping[str, str], known: Mapping[str, sp.Expr]) -> dict[str, Margin]:
-    """Return the margins of stop conditions, in the names of what they may use."""
-    return {n: Margin(n, parse_relation(text).margin(known)) for n, text in conditions.items()}
+def whole_margins(margins: Iterable[Margin]) -> tuple[Margin, ...]:
+    """Return the margins that are >= 0 while a mode holds: of several atoms that of the relation.
+
+    An atom alone may be below 0 while its relation does not hold. Relations that ask for states
+    of regions have no margin and are left out.
+    """
+    found = {
+        margin.relation or margin.name: Margin(margin.relation, margin.whole)
+        if margin.relation and margin.whole is not None
+        else margin
+        for margin in margins
+        if not margin.relation or margin.whole is not None
+    }
+    return tuple(found.values())
+
+
+def margins_of(
+    name: str, relation: Relation, known: Mapping[str, sp.Expr]
+) -> tuple[Condition, tuple[Margin, ...]]:
+    """Return a relation over atoms, and their margins; each falls as its atom begins to hold."""
+    condition = relation.condition(known)
+    names = condition.names(name)
+    if condition.single:
+        return condition, (Margin(name, condition.atoms[0].expression),)
+    whole = None if relation.members else relation.margin(known)
+    return condition, tuple(
+        Margin(one, atom.expression, relation=name, whole=whole)
+        for one, atom in zip(names, condition.atoms, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StopCondition:
+    """A condition that ends a run.
+
+    Attributes
+    ----------
+    name : str
+    condition : Condition
+        Its relation.
+    margins : tuple of Margin
+        Those of its atoms.
+    """
+
+    name: str
+    condition: Condition
+    margins: tuple[Margin, ...]
+
+
+def stop_conditions(
+    texts: Mapping[str, str], known: Mapping[str, sp.Expr]
+) -> tuple[StopCondition, ...]:
+    """Return stop conditions, in the names of what they may use."""
+    return tuple(
+        StopCondition(name, *margins_of(name, parse_relation(text), known))
+        for name, text in texts.items()
+    )
 
 
 @dataclass(frozen=True)
@@ -294,3 +360,14 @@ class Mode:
     hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+
+
+def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
+    """Return whether a region is in a state, or in one inside it, as `active(region, state)`."""
+    states = {region.name: (region, state) for region, state in zip(regions, key, strict=True)}
+
+    def active(region: str, state: str) -> bool:
+        found, now = states[region]
+        return state in found.active(now)
+
+    return active

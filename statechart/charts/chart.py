@@ -25,7 +25,9 @@ from statechart.documents.fields import (
     Label,
     NameText,
     RelationText,
+    ValueName,
     check_names,
+    check_relation,
     unit,
     value_of,
 )
@@ -33,7 +35,7 @@ from statechart.documents.quantities import Quantity
 from statechart.documents.uses import check_uses
 from statechart.errors import DeclarationProblem, undeclared
 from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
 
 
 class State(BaseState):
@@ -84,7 +86,7 @@ class Chart(Declaration):
     kind: Literal["chart"] = Field(
         default="chart", description="What is declared.", examples=["chart"]
     )
-    variables: dict[NameText, FiniteText] = Field(
+    variables: dict[ValueName, FiniteText] = Field(
         min_length=1,
         description="Variable to its initial value.",
         examples=[{"x": "height", "v": 0}],
@@ -144,23 +146,24 @@ class Chart(Declaration):
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
             check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+        states = {name: region.named for name, region in self.flat.items()}
+        changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():
             for label, relation in state.invariants.items():
-                check_names(parse_relation(relation), names, *at, "invariants", label)
+                check_relation(relation, names, {}, changing, *at, "invariants", label)
             for key in ("entry", "exit"):
                 self._check_updates(getattr(state, key), names, (*at, key))
         for region, declared in self.regions.items():
             for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
-                    check_names(parse_relation(transition.guard), names, *at, "guard")
+                    check_relation(transition.guard, names, states, changing, *at, "guard")
                 self._check_updates(transition.updates, names, (*at, "updates"))
-        states = {name: region.named for name, region in self.flat.items()}
         causes = {name: region.causes for name, region in self.flat.items()}
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
         timers = self.timers
-        check_uses(self, names | timers, states, causes)
+        check_uses(self, names | timers, states, causes, changing)
         return self
 
     @model_validator(mode="after")

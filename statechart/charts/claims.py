@@ -10,6 +10,6 @@ from statechart.charts.flat_region import FlatRegion
 def guard_claims(name: str, declared: FlatRegion, state: str) -> tuple[Claim, ...]:
     """Return that no guard out of `state` holds while it is active."""
     return tuple(
-        Claim(guard.margin, (guard.relation.text,), holds=False)
+        Claim(guard.name, (guard.relation.text,), holds=False)
         for guard in guards(0, name, declared.transitions, state)
     )

@@ -18,28 +18,16 @@ declared. What one event fires in the regions inside a state is taken together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import sympy as sp
 
-from statechart.arrays import Array
 from statechart.automaton.events import happened
-from statechart.automaton.laws import Setup
-from statechart.automaton.regions import Edge, Margin, Region
+from statechart.automaton.regions import Edge, Margin, Region, margins_of
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flat_region import FlatRegion, FlatTransition
-from statechart.formulas.formula import Relation, parse_relation
-from statechart.formulas.writer import compile_tape
-
-# Terms that are all zero leave no rounding; a tolerance of zero would leave a margin that starts
-# at zero and rises from there with slope zero undecided.
-_UNDERFLOW = 1e-290
-# Of its terms, a margin that is so small is zero, however exactly a run is computed.
-_ROUNDED = 2.0**-40
-# A few roundings, of an instant and of what it is compared with.
-_OF_TIME = 8.0 * float(np.finfo(float).eps)
+from statechart.formulas.relation import Relation, parse_relation
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +38,8 @@ class Guard:
     ----------
     place : int
         Of its region among those that are watched.
-    margin : str
-        Name of its margin: region and transition.
+    name : str
+        Region and transition.
     relation : Relation
         As declared.
     transition : int
@@ -59,7 +47,7 @@ class Guard:
     """
 
     place: int
-    margin: str
+    name: str
     relation: Relation
     transition: int
 
@@ -74,7 +62,7 @@ class Firing:
 
 
 def guards(place: int, name: str, transitions: Sequence[FlatTransition], state: str) -> list[Guard]:
-    """Return the guards out of `state`, with names for their margins that differ."""
+    """Return the guards out of `state`, with names that differ."""
     found = [
         (index, transition, parse_relation(transition.guard))
         for index, transition in enumerate(transitions)
@@ -96,37 +84,12 @@ def guards(place: int, name: str, transitions: Sequence[FlatTransition], state: 
 def guard_margins(
     name: str, declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
 ) -> tuple[Margin, ...]:
-    """Return the margins of the guards out of `state`."""
+    """Return the margins of the guards out of `state`, one for each atom."""
     return tuple(
-        Margin(guard.margin, guard.relation.margin(known))
+        margin
         for guard in guards(0, name, declared.transitions, state)
+        for margin in margins_of(guard.name, guard.relation, known)[1]
     )
-
-
-def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return what the rounding of an expression is relative to.
-
-    Parameters
-    ----------
-    expression : Expr
-        Its terms count, and those of its parts: each is rounded when it is computed.
-    sizes : mapping
-        What inputs were summed from; others (parameters, time) are as large as they are.
-    """
-    if not expression.args:
-        return sizes.get(expression, abs(expression))
-    # A number is exact: an exponent, a factor.
-    parts = [part for part in expression.args if not part.is_Number]
-    if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
-        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
-    slots = {part: sp.Dummy(real=True) for part in parts}
-    form = expression.func(*(slots.get(part, part) for part in expression.args))
-    whole = {slot: part for part, slot in slots.items()}
-    changes = (
-        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
-        for part, slot in slots.items()
-    )
-    return sp.Add(abs(expression), *changes)
 
 
 def considered(region: Region) -> tuple[dict[str, str], ...]:
@@ -143,148 +106,6 @@ def considered(region: Region) -> tuple[dict[str, str], ...]:
         }
         for edge in region.edges
     )
-
-
-class GuardWatch:
-    """The guards of a mode, evaluated together at an instant.
-
-    Parameters
-    ----------
-    watched : sequence of Guard
-        Which.
-    known : mapping
-        Name -> expression in `inputs`, `parameters` and `time`.
-    rates : mapping
-        Input -> its rate, an expression of the same; inputs without one are constant.
-    inputs, parameters : sequence of Symbol
-        What the guards depend on.
-    time : Symbol
-        Time.
-    timers : collection of Symbol
-        Inputs that are instants of time, and as exact, or whole numbers.
-
-    Attributes
-    ----------
-    guards : tuple of Guard
-    timed, closed : (g,) array of bool
-        Which depend on time alone, and which hold on their boundary, too.
-    """
-
-    def __init__(
-        self,
-        watched: Sequence[Guard],
-        known: Mapping[str, sp.Expr],
-        rates: Mapping[sp.Symbol, sp.Expr],
-        *,
-        inputs: Sequence[sp.Symbol],
-        parameters: Sequence[sp.Symbol],
-        time: sp.Symbol,
-        timers: Collection[sp.Symbol] = (),
-    ) -> None:
-        self.guards = tuple(watched)
-        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
-        outputs: list[sp.Expr] = []
-        timed: list[bool] = []
-        for guard in self.guards:
-            margin = guard.relation.margin(known)
-            timed.append(margin.free_symbols <= {time, *timers, *parameters})
-            first = _along(margin, rates, time)
-            second = _along(first, rates, time)
-            outputs += [margin, first, second]
-            outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
-        self._tape = compile_tape(
-            outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
-        )
-        self.timed = np.array(timed, np.bool_)
-        self.closed = np.array([g.relation.operator in ("<=", ">=") for g in watched], np.bool_)
-
-    def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
-        """Return (g, 6): margin, its first and second derivative in time, sizes of their terms."""
-        found = self._tape.values(np.concatenate([inputs, sizes]), setup.values, time)
-        return found.reshape(-1, 6)
-
-    def table(self, setup: Setup, inputs: Array, sizes: Array, times: Array) -> Array:
-        """Return `at` for many instants: inputs (m, n), times (m,) to (m, g, 6)."""
-        rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
-        return self._tape.table(rows, setup.values, times).reshape(len(inputs), -1, 6)
-
-    def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
-        """Return margin -> how near zero it is on its boundary: `relative` to its terms.
-
-        A guard of time alone is as exact as time, whatever the tolerance of the run.
-        """
-        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
-        parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
-        return {
-            guard.margin: max(part, _UNDERFLOW)
-            for guard, part in zip(self.guards, parts.tolist(), strict=True)
-        }
-
-    def due(
-        self,
-        rows: Array,
-        tolerances: Mapping[str, float],
-        fired: Collection[str],
-        relative: float,
-        later: Callable[[Guard], float],
-    ) -> dict[int, int]:
-        """Return place -> the first transition whose guard is due.
-
-        Parameters
-        ----------
-        rows : (g, 6) array
-            From `at`. A rate that is not a number is not known: such a guard waits on its
-            boundary until its margin falls.
-        tolerances : mapping
-            Of the margins.
-        fired : collection of str
-            The margins that were found to fall.
-        relative : float
-            Rates this small relative to their terms are zero.
-        later : callable
-            Guard -> the sign of the first derivative of its margin from the third on that is not
-            zero; asked where the first two are.
-        """
-        found: dict[int, int] = {}
-        for guard, row in zip(self.guards, rows.tolist(), strict=True):
-            if guard.place in found:
-                continue
-            margin, first, second, _, slow, slower = row
-            tolerance = tolerances[guard.margin]
-            fell = guard.margin in fired
-            if not (fell or margin <= tolerance):
-                continue
-            if not abs(first) <= relative * slow:
-                rate = first
-            elif not abs(second) <= relative * slower:
-                rate = second
-            else:
-                rate = 0.0 if margin < -tolerance else later(guard)
-            if fell:
-                # What was found is a fall, or a touch too close to tell: then it must not rise.
-                now = margin < -tolerance or not rate > 0.0
-            else:
-                strict = guard.relation.operator in "<>"
-                falls = rate < 0.0 or (rate == 0.0 and not strict)
-                now = margin < -tolerance or falls
-            if now:
-                found[guard.place] = guard.transition
-        return found
-
-    def early(self, rows: Array, place: int, transition: int, fired: Collection[str]) -> str:
-        """Say that a transition is taken before its guard is true, and not by rounding.
-
-        Two that follow each other within the tolerance are taken at once, with nothing in between.
-        """
-        for guard, row in zip(self.guards, rows.tolist(), strict=True):
-            margin, size = row[0], row[3]
-            taken = guard.place == place and guard.transition == transition
-            if taken and guard.margin not in fired and margin > _ROUNDED * size:
-                return (
-                    f"{guard.margin} is taken for true, {margin:.2g} short of it: that is within "
-                    "the tolerance of the run"
-                )
-        return ""
 
 
 class Listening:
@@ -336,7 +157,7 @@ class Listening:
         pending : mapping
             Region -> jumps of this instant that it has not heard of.
         guarded : mapping
-            Place in `names` -> transition that is due by its guard (`Watch.due`).
+            Place in `names` -> transition that is due by its guard (`Judgement.due`).
         """
         for place, (name, state) in enumerate(zip(names, mode, strict=True)):
             queue = pending.get(name, ())
@@ -353,48 +174,3 @@ class Listening:
                 left = {**pending, name: ()} if queue else pending
                 return Firing(place, guarded[place], left)
         return None
-
-
-def _numbers(expression: sp.Expr) -> list[sp.Expr]:
-    return [part for part in expression.args if part.is_Number]
-
-
-def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
-
-    SymPy does so only where it can prove that what is inside is real, which a root is not.
-    """
-    kinks = {
-        node: sp.Dummy(real=True)
-        for node in expression.atoms(sp.Abs, sp.sign, sp.Min, sp.Max)
-        if symbol in node.free_symbols
-    }
-    if not kinks:
-        return sp.diff(expression, symbol)
-    if expression not in kinks:
-        form = expression.xreplace(kinks)
-        inner = {dummy: node for node, dummy in kinks.items()}
-        found = sp.diff(form, symbol)
-        for dummy, node in inner.items():
-            if dummy in form.free_symbols:
-                found += sp.diff(form, dummy) * _slope(node, symbol)
-        return found.xreplace(inner)
-    if isinstance(expression, sp.sign):
-        return sp.S.Zero
-    first, *others = expression.args
-    if isinstance(expression, sp.Abs):
-        return sp.sign(first) * _slope(first, symbol)
-    rest = expression.func(*others)
-    way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
-    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2
-
-
-def _along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
-    return sp.Add(
-        _slope(expression, time),
-        *(
-            _slope(expression, v) * rate
-            for v, rate in rates.items()
-            if v in expression.free_symbols
-        ),
-    )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import sympy as sp
@@ -20,28 +20,22 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses
+from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Claim, Margin, Region, State, stop_margins
+from statechart.automaton.regions import Claim, Margin, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.claims import guard_claims
-from statechart.charts.firing import (
-    Guard,
-    GuardWatch,
-    Listening,
-    considered,
-    guard_margins,
-    guards,
-    size_of,
-)
+from statechart.charts.firing import Guard, Listening, considered, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, Updates
+from statechart.charts.guard_watch import GuardWatch, Judgement
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
+from statechart.formulas.relation import parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
@@ -73,7 +67,7 @@ def automaton(chart: Chart) -> Automaton:
         rates=tuple(symbols.rates.values()),
         equations=(),
         regions=regions,
-        stops=stop_margins(chart.stop.conditions, symbols.known),
+        stops=stop_conditions(chart.stop.conditions, symbols.known),
         observables=symbols.known,
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
@@ -188,6 +182,7 @@ class ChartLaws:
         )
         self._considered = tuple(map(considered, regions))
         self._listening = Listening(regions, chart.flat)
+        self._active = partial(active_in, regions)
 
     @cached_property
     def _zeno(self) -> tuple[Mapping[str, int], ...]:
@@ -206,8 +201,11 @@ class ChartLaws:
         flow = Flow(key, roles_in(key), terms=state[:, None])
         return self._with_tolerances(setup, Clock(), flow, state), state
 
-    def jump(self, at: Instant) -> tuple[Jump, Flow] | None:
-        """Take the first transition that is due; see the module for which are."""
+    def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
+        """Take the first transition that is due; see the module for which are.
+
+        Where none is, and atoms have changed that decided it, others are watched from here on.
+        """
         setup, clock, _, flow, state, fired = at
         pending = flow.pending
         if fired == ("zeno",):
@@ -218,16 +216,21 @@ class ChartLaws:
             watch = self._watch(flow.roles)
             sizes = _summed(flow, state)
 
-            def later(guard: Guard) -> float:
+            def later(margin: str) -> float:
                 return self._courses.sign(
-                    setup, flow.roles, guard.margin, state, sizes, clock.high, setup.precision
+                    setup, flow.roles, margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            guarded = watch.due(rows, flow.tolerances, fired, setup.precision, later)
-            firing = self._listening.first(self._regions, flow.mode, pending, guarded)
+            judged = Judgement(
+                watch, rows, flow.tolerances, fired, setup.precision, later, self._active(flow.mode)
+            )
+            firing = self._listening.first(self._regions, flow.mode, pending, judged.due())
             if firing is None:
-                return None
+                tolerances = judged.watched()
+                if tolerances == flow.tolerances:
+                    return None
+                return None, flow._replace(tolerances=tolerances)
             place, index, pending = firing.place, firing.transition, firing.pending
         name = self._regions[place]
         transitions = self._flat[name].transitions
@@ -296,9 +299,8 @@ class ChartLaws:
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.roles)
         rows = watch.at(setup, state, _sizes(flow, state), clock.high)
-        if np.isnan(rows[:, 0]).any():
-            place = int(np.flatnonzero(np.isnan(rows[:, 0]))[0])
-            raise NonFinite(f"the guard of {watch.guards[place].margin} has no value")
+        if (name := watch.valueless(rows)) is not None:
+            raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
     def _watch(self, roles: Roles) -> GuardWatch:

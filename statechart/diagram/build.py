@@ -306,7 +306,7 @@ def _taken(automaton: Automaton, modes: Product) -> list[Link]:
 def _notes(automaton: Automaton) -> tuple[str, ...]:
     notes = [automaton.declaration.doc] if automaton.declaration.doc else []
     if automaton.stops:
-        notes.append(f"stops when: {', '.join(automaton.stops)}")
+        notes.append(f"stops when: {', '.join(stop.name for stop in automaton.stops)}")
     return tuple(notes)
 
 

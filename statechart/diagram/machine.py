@@ -16,7 +16,16 @@ from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
 from statechart.automaton.regions import Region
 from statechart.diagram.model import named, printable, signs_spelled
 from statechart.errors import FormulaError
-from statechart.formulas.formula import Formula, Relation, parse, parse_relation
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.relation import (
+    Comparison,
+    Junction,
+    Member,
+    Negation,
+    Relation,
+    Term,
+    parse_relation,
+)
 from statechart.formulas.tree import Call, Constant, Node, nodes
 
 SCXML = "http://www.w3.org/2005/07/scxml"
@@ -74,36 +83,47 @@ class Written:
             (together,) = named(["all_regions"], taken).values()
             self.root.set("initial", together)
             parent = ET.SubElement(self.root, "parallel", {"id": together})
-        for region, start in zip(machine.regions, machine.start, strict=True):
-            self._region(parent, region, start, taken, single=single)
+        self._ids: dict[str, dict[str, str]] = {}
+        tops = [self._named(region, taken, single=single) for region in machine.regions]
+        for region, start, top in zip(machine.regions, machine.start, tops, strict=True):
+            self._region(parent, region, start, top)
         for name in self._used:
             value = machine.values.get(name, 0.0)
             ET.SubElement(data, "data", {"id": name, "expr": repr(float(value))})
         if not self._used:
             self.root.remove(data)
 
-    def _region(
-        self, parent: ET.Element, region: Region, start: str, taken: set[str], *, single: bool
-    ) -> None:
-        nesting, superstates = region.nesting, region.superstates
-        names = nesting.names or tuple(
+    def _named(self, region: Region, taken: set[str], *, single: bool) -> str:
+        """Choose identifiers for the states of a region; return its own, "" of a single one."""
+        nesting = region.nesting
+        prefix = "" if single else f"{region.name} "
+        names = (*self._states(region), *nesting.histories)
+        found = named((f"{prefix}{name}" for name in names), taken)
+        self._ids[region.name] = {
+            name.removeprefix(prefix): identifier for name, identifier in found.items()
+        }
+        return "" if single else named([region.name], taken)[region.name]
+
+    @staticmethod
+    def _states(region: Region) -> tuple[str, ...]:
+        superstates = region.superstates
+        return region.nesting.names or tuple(
             dict.fromkeys([*region.states, *superstates, *superstates.values()])
         )
-        prefix = "" if single else f"{region.name} "
-        found = named((f"{prefix}{name}" for name in (*names, *nesting.histories)), taken)
-        ids = {name.removeprefix(prefix): identifier for name, identifier in found.items()}
+
+    def _region(self, parent: ET.Element, region: Region, start: str, identifier: str) -> None:
+        nesting, ids = region.nesting, self._ids[region.name]
         initial = nesting.initial.get("", start)
         top = parent
-        if single:
+        if not identifier:
             self.root.set("initial", ids[initial])
         else:
-            (identifier,) = named([region.name], taken).values()
             top = ET.SubElement(parent, "state", {"id": identifier, "initial": ids[initial]})
         leaving: dict[str, list[HierarchicalEdge]] = {}
         for edge in nesting.edges or hierarchical_edges(region):
             leaving.setdefault(edge.source, []).append(edge)
-        for name in names:
-            if name not in superstates:
+        for name in self._states(region):
+            if name not in region.superstates:
                 self._state(top, region, name, ids, leaving)
 
     def _state(
@@ -146,8 +166,8 @@ class Written:
             element = ET.SubElement(parent, "transition", {"event": event})
             if edge.events:
                 element.set("event", " ".join(map(signs_spelled, edge.events)))
-            elif self._relation(edge.guard):
-                element.set("cond", edge.guard)
+            elif (condition := self._relation(edge.guard)) is not None:
+                element.set("cond", condition)
             else:
                 element.set("diagram:guard", printable(edge.guard))
                 self._lose("guards, whose events who runs it has to send", what)
@@ -186,13 +206,30 @@ class Written:
         for name, location in later:
             ET.SubElement(element, "assign", {"location": name, "expr": location})
 
-    def _relation(self, text: str) -> bool:
-        """Tell whether a guard can be written as a condition, whose names become data."""
+    def _relation(self, text: str) -> str | None:
+        """Return a guard as a condition, whose names become data; None if it cannot be one."""
         try:
             relation = parse_relation(text)
         except FormulaError:
-            return False
-        return self._known(relation, (relation.left.root, relation.right.root))
+            return None
+        roots = [formula.root for formula in relation.formulas]
+        exist = all(m.state in self._ids.get(m.region, {}) for m in relation.members)
+        return self._text(relation.root) if exist and self._known(relation, roots) else None
+
+    def _text(self, term: Term) -> str:
+        """Return a term of a relation in the words of ECMAScript."""
+        match term:
+            case Comparison():
+                return term.text
+            case Member():
+                return f"In('{self._ids[term.region][term.state]}')"
+            case Negation():
+                return f"!({self._text(term.part)})"
+        parts = (
+            f"({self._text(part)})" if isinstance(part, Junction) else self._text(part)
+            for part in term.parts
+        )
+        return (" && " if term.word == "and" else " || ").join(parts)
 
     def _formula(self, text: str | int | float) -> bool:
         formula = parse(text)

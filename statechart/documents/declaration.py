@@ -20,6 +20,7 @@ from statechart.documents.fields import (
     Part,
     Real,
     RelationText,
+    ValueName,
     check_names,
     problem,
     unit,
@@ -88,7 +89,7 @@ class Declaration(Part):
         description="What the model is, in a line.",
         examples=["A stick balanced on its tip topples and may slip."],
     )
-    parameters: dict[NameText, ConstantText] = Field(
+    parameters: dict[ValueName, ConstantText] = Field(
         default={},
         description="Constants: name to a number, or to a formula of others.",
         examples=[{"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3}],

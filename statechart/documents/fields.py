@@ -12,9 +12,10 @@ from pydantic_core import PydanticCustomError
 from statechart.documents.documented import Documented, own_words
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import check_derived
-from statechart.formulas.formula import Formula, Relation, parse, parse_relation
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.relation import Relation, conjunction, parse_relation
 from statechart.formulas.syntax import NAME
-from statechart.formulas.tree import JUMPS, RESERVED, Binary, Call, nodes
+from statechart.formulas.tree import JUMPS, RESERVED, WORDS, Binary, Call, nodes
 from statechart.formulas.words import no_name
 
 
@@ -85,14 +86,32 @@ def _relation(value: str) -> str:
         relation = parse_relation(value)
     except FormulaError as error:
         raise problem(error) from None
-    _check_jumps(relation.left, relation.right)
-    # Which way a margin goes on its boundary is told by its derivatives, whatever it is of.
-    check_derived(Binary("-", relation.left.root, relation.right.root), relation.names)
-    if relation.left.names_infinity or relation.right.names_infinity:
+    _check_jumps(*relation.formulas)
+    for one in relation.comparisons:
+        # Which way a margin goes on its boundary is told by its derivatives, whatever it is of.
+        check_derived(Binary("-", one.left.root, one.right.root), relation.names)
+    if any(formula.names_infinity for formula in relation.formulas):
         raise DeclarationProblem(
             f"formula {value!r}: nothing is compared with infinity", advice="write a finite number"
         )
     return value
+
+
+def _all_of(value: Any) -> Any:
+    """Join a list of relations to the one that holds where all of them do."""
+    if not isinstance(value, list | tuple):
+        return value
+    if not value:
+        raise DeclarationProblem("an empty list is no relation", advice="write it as x <= 0")
+    for place, text in enumerate(value):
+        if not isinstance(text, str):
+            raise DeclarationProblem("is not a relation", advice="write x <= 0", loc=(place,))
+        try:
+            _relation(text)
+        except DeclarationProblem as error:
+            error.loc = (place, *error.loc)
+            raise
+    return conjunction(value)
 
 
 def _name(value: str) -> str:
@@ -102,6 +121,12 @@ def _name(value: str) -> str:
         raise DeclarationProblem(
             f"{value!r} already has a meaning in formulas", advice="choose another name"
         )
+    return value
+
+
+def _value_name(value: str) -> str:
+    if value in WORDS:
+        raise DeclarationProblem(f"{value!r} is a word of relations", advice="choose another name")
     return value
 
 
@@ -117,11 +142,19 @@ FiniteConstantText = Annotated[ConstantText, AfterValidator(_without_infinity)]
 FiniteText = Annotated[FormulaText, AfterValidator(_without_infinity)]
 """A formula that does not name infinity: it is computed with, not compared."""
 
-RelationText = Annotated[str, AfterValidator(_relation)]
-"""A comparison of two formulas, kept as written."""
+OneRelation = Annotated[str, AfterValidator(_relation)]
+"""A relation, kept as written."""
+
+RelationText = Annotated[
+    OneRelation, BeforeValidator(_all_of, json_schema_input_type=str | list[str])
+]
+"""A relation, or a list of them that is kept as one, joined by `and`."""
 
 NameText = Annotated[str, AfterValidator(_name)]
 """A name that formulas can use."""
+
+ValueName = Annotated[NameText, AfterValidator(_value_name)]
+"""A name that stands alone for a value; it is no word that joins relations."""
 
 Label = Annotated[str, Field(min_length=1, max_length=200)]
 """A few words for people."""
@@ -177,6 +210,42 @@ def check_names(formula: Formula | Relation, known: Collection[str], *loc: str |
     """
     try:
         formula.require(known)
+    except FormulaError as error:
+        raise problem(error, *loc) from None
+
+
+def check_relation(
+    text: str,
+    names: Collection[str],
+    states: Mapping[str, Collection[str]],
+    changing: Collection[str],
+    *loc: str | int,
+) -> None:
+    """Check that a relation uses only what exists, and equalities only of what no flow changes.
+
+    Parameters
+    ----------
+    text : str
+        The relation.
+    names : collection of str
+        The declared names.
+    states : mapping of str to collection of str
+        The states of every region; none where no state can be asked for.
+    changing : collection of str
+        Names whose value some flow changes.
+    *loc : str or int
+        Its place, from the validated value down.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first fault.
+    """
+    relation = parse_relation(text)
+    check_names(relation, names, *loc)
+    try:
+        relation.require_states(states)
+        relation.require_still(changing)
     except FormulaError as error:
         raise problem(error, *loc) from None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 from statechart.documents.declaration import Declaration
-from statechart.documents.fields import check_names
+from statechart.documents.fields import check_names, check_relation
 from statechart.documents.outputs import (
     Count,
     Event,
@@ -19,7 +19,7 @@ from statechart.documents.outputs import (
 )
 from statechart.documents.quantities import BASES
 from statechart.errors import DeclarationProblem, Findings, close_matches
-from statechart.formulas.formula import parse, parse_relation
+from statechart.formulas.formula import parse
 
 
 def check_uses(
@@ -27,6 +27,7 @@ def check_uses(
     names: Collection[str],
     states: Mapping[str, Collection[str]],
     causes: Mapping[str, Collection[str]],
+    changing: Collection[str],
 ) -> None:
     """Check that stop conditions, invariants and outputs speak of things that exist.
 
@@ -42,6 +43,8 @@ def check_uses(
         The states of every region.
     causes : mapping of str to collection of str
         The causes of jumps of every region; `stop` need not be among them.
+    changing : collection of str
+        Names whose value some flow changes.
 
     Raises
     ------
@@ -61,10 +64,10 @@ def check_uses(
                 )
     for label, relation in model.stop.conditions.items():
         with found:
-            check_names(parse_relation(relation), names, "stop", "conditions", label)
+            check_relation(relation, names, states, changing, "stop", "conditions", label)
     for label, relation in model.invariants.items():
         with found:
-            check_names(parse_relation(relation), names, "invariants", label)
+            check_relation(relation, names, {}, changing, "invariants", label)
     for label, output in model.outputs.items():
         with found:
             _check_output(label, output, names, states, causes)

@@ -126,7 +126,8 @@ def search(
     tape : Tape
         Program of the margins.
     tolerances : (n_out,) array
-        How far below zero each margin may go, >= 0, in the margin's unit.
+        How far below zero each margin may go, >= 0, in the margin's unit; infinite for those
+        that are not watched.
     path : Path
         The steps.
     parameters : (n_parameters,) array

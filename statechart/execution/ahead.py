@@ -116,7 +116,7 @@ class Ahead:
         """
         while True:
             if made is None:
-                if not self._ordinary.takes(self._setup, run.flow):
+                if not self._ordinary.takes(self._setup, run.flow, run.state, run.clock.high):
                     return None
                 loop = self.modes.loop(run.flow.mode, run.flow.roles)
                 if loop is None:
@@ -177,7 +177,8 @@ class Ahead:
         if jumped:
             mode, roles = made.kinds[place.item(N_MODE)]
             settled = place.item(N_ASKED) == 0
-            flow = Flow(mode, roles, settled=settled, tolerances=flow.tolerances)
+            tolerances = self._ordinary.tolerances(self._setup, run.state, run.clock.high)
+            flow = Flow(mode, roles, settled=settled, tolerances=tolerances)
         if made.reason == OVER or (made.reason == FELL and made.margin >= 0):
             terms = flow.terms
             if flew and record.arcs[-1].j == place.item(N_JUMPS):

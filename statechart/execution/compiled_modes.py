@@ -13,7 +13,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
 from statechart.automaton.lift import Lifting, lifting
 from statechart.automaton.modes import build_mode, captured
-from statechart.automaton.regions import Mode
+from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Key, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.standing import StandingStops
@@ -40,6 +40,8 @@ class CompiledMode:
         The names.
     stepper : object
         The engine's own.
+    wholes : Tape
+        Outputs: the margins of whole relations; see `whole_margins`.
     """
 
     mode: Mode
@@ -49,6 +51,7 @@ class CompiledMode:
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
+    wholes: Tape
 
     @cached_property
     def plain(self) -> Bools:
@@ -68,6 +71,7 @@ class TapedMode:
     guards: Tape
     rates: Tape
     lifting: Lifting
+    wholes: Tape
 
 
 class SolvedModes:
@@ -91,6 +95,10 @@ class SolvedModes:
         found = self._taped.get(mode)
         if found is None:
             guards = self.automaton.tape([margin.expression for margin in mode.margins], mode)
+            wholes = guards
+            if any(margin.relation for margin in mode.margins):
+                expressions = [margin.expression for margin in whole_margins(mode.margins)]
+                wholes = self.automaton.tape(expressions, mode)
             bare = uncaptured(roles)
             if bare == roles:
                 rates = self.automaton.tape(mode.rates, mode)
@@ -98,7 +106,7 @@ class SolvedModes:
             else:
                 moving = self.taped(bare, zeros)
                 rates, following = moving.rates, moving.lifting
-            found = self._taped[mode] = TapedMode(mode, guards, rates, following)
+            found = self._taped[mode] = TapedMode(mode, guards, rates, following, wholes)
         return found
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
@@ -173,7 +181,9 @@ class CompiledModes:
             stepper = self.engine.compile(self.automaton, mode, taped.rates)
         else:
             stepper = self.compiled(bare, zeros).stepper
-        return CompiledMode(mode, taped.guards, taped.rates, taped.lifting, watched, names, stepper)
+        return CompiledMode(
+            mode, taped.guards, taped.rates, taped.lifting, watched, names, stepper, taped.wholes
+        )
 
     @property
     def built(self) -> int:

@@ -136,7 +136,7 @@ class Execution:
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
         if self.begun and self.ahead:
-            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind)
+            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind, self.state, 0.0)
         else:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
@@ -233,7 +233,8 @@ class Execution:
         """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""
         margin, self.grazed = compiled.mode.margins[guard], graze
         # They stand last; zeros and controls have been replaced in their formulas.
-        stops = guard >= len(compiled.mode.margins) - len(self.automaton.stops)
+        count = len(self.automaton.stop_margins)
+        stops = guard >= len(compiled.mode.margins) - count
         if graze and stops and self._unbounded():
             # Rates without bound make noise of what is watched next to where they end.
             return (UNBOUNDED,)
@@ -241,11 +242,14 @@ class Execution:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
         if stops:
-            # What else happens at this instant comes first.
-            at, laws = self._instant(), self.automaton.laws_of_events
-            made = None if alone(compiled, at, len(self.automaton.stops)) else laws.jump(at)
-            if made is None or made[0] is None:
-                self._stop(margin.name)
+            taped = self.modes.taped(self.flow.roles, self.zeros)
+            at, laws = self._instant(margin.name), self.automaton.laws_of_events
+            if met := self.modes.standing.met(taped.mode, taped.guards, at):
+                # What else happens at this instant comes first.
+                at = self._instant()
+                made = None if alone(compiled, at, count) else laws.jump(at)
+                if made is None or made[0] is None:
+                    self._stop(met)
         return (margin.name,)
 
     def _unbounded(self) -> bool:
@@ -291,7 +295,10 @@ class Execution:
                 break
             jump, following = made
             if jump is None:
-                if following.roles != self.flow.roles:
+                if (following.roles, following.tolerances) != (
+                    self.flow.roles,
+                    self.flow.tolerances,
+                ):
                     moved = True
                     self._livelock.rearranged(self.clock, fired)
                 if following.start is not None:

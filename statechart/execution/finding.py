@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from statechart.arrays import Array
@@ -82,7 +84,7 @@ def decided(
     state = (terms * where.s ** np.arange(terms.shape[1])).sum(axis=1)
     margins = compiled.guards.values(state, watch.parameters, time)
     for guard, (value, tolerance) in enumerate(zip(margins, watch.tolerances, strict=True)):
-        if compiled.kind(guard) == "plain" and abs(value) <= tolerance:
+        if compiled.kind(guard) == "plain" and abs(value) <= tolerance < math.inf:
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(
@@ -105,7 +107,7 @@ def closing(
     wider = tuple(
         place
         for place, (name, kind) in enumerate(compiled.watched)
-        if kind == "plain" and name in tolerances
+        if kind == "plain" and tolerances.get(name, math.inf) < math.inf
     )
     terms = dict(zip(wider, sizes_at(guards, wider, state, sizes, parameters, time), strict=True))
     for place, ((name, kind), margin) in enumerate(zip(compiled.watched, margins, strict=True)):
@@ -123,12 +125,12 @@ def alone(compiled: CompiledMode, at: Instant, stops: int) -> bool:
     """Return whether nothing but stops, which stand last, is on its boundary at an instant."""
     margins = compiled.guards.values(at.state, at.setup.values, at.clock.high).tolist()
     usual, special = at.setup.tolerances, at.flow.tolerances
-    return all(
-        margin > special.get(name, usual[kind])
-        for (name, kind), margin in zip(
-            compiled.watched[: len(margins) - stops], margins, strict=False
-        )
-    )
+    watched = zip(compiled.watched[: len(margins) - stops], margins, strict=False)
+    for (name, kind), margin in watched:
+        tolerance = special.get(name, usual[kind])
+        if tolerance < math.inf and not margin > tolerance:
+            return False
+    return True
 
 
 def from_here(compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, time: float) -> Flow:

@@ -130,10 +130,12 @@ class Modes:
         """Whether rows of runs have the numbers that this gives for one."""
         return self._ordinary.setup == setup
 
-    def flow(self, setup: Setup, kind: Kind, terms: Array | None = None) -> Flow:
-        """Return a usual flow in a mode."""
+    def flow(
+        self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
+    ) -> Flow:
+        """Return a usual flow in a mode, from a state."""
         mode, roles = kind
-        tolerances = self._ordinary.tolerances(setup)
+        tolerances = self._ordinary.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
 
     def loop(self, mode: Key, roles: Roles) -> Loop | None:
@@ -168,7 +170,7 @@ class Modes:
                 packed.ints(np.ravel(margins)),
                 len(margins),
                 # Those that end a run stand last.
-                len(margins) - len(self._automaton.stops),
+                len(margins) - len(self._automaton.stop_margins),
                 packed.ints(listed),
                 *packed.tape(entry.fixed),
                 *packed.tape(self._watched_of(kind)),

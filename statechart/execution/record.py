@@ -91,7 +91,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
     outcome, stop = batch.outcome(0), None
     if outcome is Outcome.STOPPED:
-        margin = modes.compiled(last).names[found.ends.item(MARGIN)]
+        margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
         message = f"{margin} at t = {t_end:.6g}"
         key, made = last[0], place[N_JUMPS]
         stop = partial(Jump, t_end, made, "", "stop", key, key, final, final, (margin,))

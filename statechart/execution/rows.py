@@ -286,15 +286,10 @@ class RowRunner:
         arc = int(found.spans[row, ARCS_END]) - 1
         if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, N_JUMPS]:
             terms = summands(*polynomials(block, arc, size))
-        flow = batch.modes.flow(setup, kind, terms)
-        happens, _ = closing(
-            simulator.engine,
-            batch.modes.compiled(kind),
-            flow,
-            setup,
-            found.final[row],
-            float(found.now[row, T_HIGH]),
-        )
+        final, time = found.final[row], float(found.now[row, T_HIGH])
+        flow = batch.modes.flow(setup, kind, final, time, terms)
+        compiled = batch.modes.compiled(kind)
+        happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)
         return happens
 
     def jump(self, batch: Batch, table: Array, row: int, j: int) -> Jump:

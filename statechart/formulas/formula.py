@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
-from statechart.formulas.syntax import RELATIONS, Reader
+from statechart.formulas.syntax import Reader
 from statechart.formulas.tree import (
     FUNCTIONS,
     Binary,
@@ -95,11 +95,20 @@ def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Sourc
     return sympy.Float(value) if math.isfinite(value) else sympy.oo * math.copysign(1, value)
 
 
-def _finished(expression: sp.Expr, node: Node, source: Source) -> sp.Expr:
+def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
+    """Return an expression built of a formula without quotients that overflow to inf / inf.
+
+    Raises
+    ------
+    FormulaError
+        If it has no real value.
+    """
     import sympy
 
     if expression.has(sympy.nan, sympy.zoo, sympy.I):
-        source.fail("it has no real value", node.offset, "look for a division by zero")
+        Source(formula.text).fail(
+            "it has no real value", formula.root.offset, "look for a division by zero"
+        )
     if expression.has(sympy.exp, sympy.cosh):
         return expression.replace(_is_reciprocal, _bounded)
     return expression
@@ -186,7 +195,7 @@ class Formula:
         FormulaError
             If a name is missing from `symbols`, or the expression has no real value.
         """
-        return _finished(_build(self.root, symbols, self._source), self.root, self._source)
+        return finished(_build(self.root, symbols, self._source), self)
 
     def value(self, values: Mapping[str, float]) -> float:
         """Evaluate in IEEE floats.
@@ -211,57 +220,6 @@ class Formula:
     @property
     def _source(self) -> Source:
         return Source(self.text)
-
-
-@dataclass(frozen=True)
-class Relation:
-    """A comparison of two formulas; build it with `parse_relation`.
-
-    Attributes
-    ----------
-    left, right : Formula
-        The two sides.
-    operator : str
-        One of ``<``, ``<=``, ``>``, ``>=``.
-    text : str
-        As written.
-    """
-
-    left: Formula
-    right: Formula
-    operator: str
-    text: str
-
-    @cached_property
-    def names(self) -> frozenset[str]:
-        """The declared names that it uses."""
-        return self.left.names | self.right.names
-
-    def require(self, known: Iterable[str]) -> None:
-        """Check that it uses only names in `known`; see `Formula.require`."""
-        known = frozenset(known)
-        self.left.require(known)
-        self.right.require(known)
-
-    def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
-        """Return what is >= 0 while the relation does not hold and falls as it begins to.
-
-        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` it is
-        ``b - a``; its negative is the margin by which the relation holds.
-
-        Parameters
-        ----------
-        symbols : mapping of str to sympy.Expr
-            What every name stands for.
-
-        Raises
-        ------
-        FormulaError
-            As `Formula.to_sympy`.
-        """
-        left, right = self.left.to_sympy(symbols), self.right.to_sympy(symbols)
-        margin = left - right if self.operator in ("<", "<=") else right - left
-        return _finished(margin, self.left.root, self.left._source)
 
 
 def parse(text: str | int | float) -> Formula:
@@ -301,30 +259,3 @@ def _number_text(value: int | float) -> str:
     if math.isnan(as_float):
         Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)
-
-
-def parse_relation(text: str) -> Relation:
-    """Read a comparison: two formulas with one of ``< <= > >=`` between them.
-
-    Parameters
-    ----------
-    text : str
-        The comparison.
-
-    Raises
-    ------
-    FormulaError
-        If it cannot be read; see `parse`.
-    """
-    source = Source(text)
-    reader = Reader(source)
-    left = reader.sum()
-    if reader.token.kind == "end":
-        source.fail("a comparison is missing", reader.token.offset, "write it as x <= 0")
-    if reader.token.text not in RELATIONS:
-        reader.expect_end()
-    operator = reader.advance().text
-    right = reader.sum()
-    reader.expect_end()
-    # Both sides keep the whole text, so that offsets and messages point into what was written.
-    return Relation(Formula(text, left), Formula(text, right), operator, text)

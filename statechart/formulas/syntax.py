@@ -16,6 +16,7 @@ from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
     RESERVED,
+    WORDS,
     Binary,
     Call,
     Constant,
@@ -71,7 +72,7 @@ def _tokens(source: Source) -> Iterator[_Token]:
                 f"unexpected character {text[offset]!r}",
                 offset,
                 character(
-                    text[offset],
+                    "||" if text.startswith("||", offset) else text[offset],
                     "a formula has numbers, names, + - * / **, parentheses and functions",
                 ),
             )
@@ -178,6 +179,9 @@ class Reader:
                 return self._call(token)
             if token.text in CONSTANTS:
                 return self._checked(Constant(token.text, token.offset))
+            if token.text in WORDS:
+                self.token = token
+                self._unexpected()
             if token.text in RESERVED:
                 self.source.fail(
                     f"{token.text!r} is a function", token.offset, f"write {token.text}(...)"
@@ -185,7 +189,7 @@ class Reader:
             return self._checked(Name(token.text, token.offset))
         if token.text == "(":
             node = self.sum()
-            self._close(token)
+            self.close(token)
             return node
         self.token = token
         return self._unexpected()
@@ -205,13 +209,14 @@ class Reader:
         most = function.most
         # In a mapping between braces YAML ends a value at its first comma.
         cut = self.token.kind == "end" and len(arguments) < function.least
-        self._close(opening, "put a formula with a comma in quotes" if cut else _CLOSE)
+        self.close(opening, "put a formula with a comma in quotes" if cut else _CLOSE)
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
         return self._checked(Call(name.text, tuple(arguments), name.offset))
 
-    def _close(self, opening: _Token, advice: str = _CLOSE) -> None:
+    def close(self, opening: _Token, advice: str = _CLOSE) -> None:
+        """Read the parenthesis that closes `opening`."""
         if self.token.text != ")":
             if self.token.kind == "end":
                 self.source.fail("this parenthesis is never closed", opening.offset, advice)
@@ -247,7 +252,7 @@ class Reader:
         found = "the formula ends early" if token.kind == "end" else f"unexpected {token.text!r}"
         key = "<" if token.text in RELATIONS else token.text
         if key == "=" and self.source.text[token.offset + 1 : token.offset + 2] in ("<", ">"):
-            key = "=="
+            key = "=>"
         self.source.fail(found, token.offset, advice.get(key) or advice.get(token.kind, ""))
 
 

@@ -135,6 +135,9 @@ JUMPS = frozenset({"floor", "mod"})
 RESERVED = frozenset(FUNCTIONS) - JUMPS | frozenset(CONSTANTS)
 """Names that mean something in every formula and so cannot be declared."""
 
+WORDS = frozenset(("and", "or", "not", "in"))
+"""Words that join comparisons, which no value can have for a name."""
+
 
 @dataclass(frozen=True, slots=True)
 class Source:

@@ -252,7 +252,8 @@ def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jet
     if finite:
         run_jets(code, first, last, base, jets, 0)
     for i in range(outputs.shape[0]):
-        above = finite and jets[outputs[i], 0] + tolerances[i] > 0.0
+        # No fall of an output with an infinite tolerance is looked for.
+        above = tolerances[i] == INF or (finite and jets[outputs[i], 0] + tolerances[i] > 0.0)
         marks[0, i] = 0 if above else 1
         clear = clear and above
     return clear and finite

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import Margin, whole_margins
 from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -75,7 +75,9 @@ def _fired(observer: Observer, trace: Trace, arc: Arc | None, jump: Jump) -> Mar
     if arc is None or not jump.fired or not isinstance(simulator, Simulator):
         return None
     margins = simulator.compiled(arc.roles, trace.zeros).mode.margins
-    return next((margin for margin in margins if margin.name == jump.fired[0]), None)
+    # A run that stops says by which condition, not by which of its atoms.
+    named = (*margins, *whole_margins(margins))
+    return next((margin for margin in named if margin.name == jump.fired[0]), None)
 
 
 def _condition(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array, Ints
+from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
@@ -120,7 +121,12 @@ class _Look:
     """Looks at the guards of one mode."""
 
     def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
-        self._guards, self._watched = compiled.guards, compiled.watched
+        self._guards = compiled.wholes
+        wholes = whole_margins(compiled.mode.margins)
+        self._watched = tuple((margin.name, margin.kind) for margin in wholes)
+        # Atom -> its relation.
+        self._named = {margin.name: margin.name for margin in wholes}
+        self._named |= {m.name: m.relation for m in compiled.mode.margins if m.whole is not None}
         self._values = contiguous(trace.values)
         self._kinds = trace.tolerances
         part = max(STATE_TOLERANCES * trace.tolerance, STATE_ROUND_OFF)
@@ -199,7 +205,7 @@ class _Look:
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
         """Yield what is open of guards that have fired, by the parabolas on which they fell."""
         names = [name for name, _ in self._watched]
-        ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in names]
+        ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
             return
         s = 1.0 - _LAST * np.arange(3)
@@ -210,7 +216,7 @@ class _Look:
         at = (times[:, None] - (1.0 - s) * spans[:, None]).ravel()
         rows = self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(ends), 3, -1)
         for (arc, jump), guards in zip(ends, rows, strict=True):
-            k = names.index(jump.fired[0])
+            k = names.index(self._named[jump.fired[0]])
             now, before, first = guards[:, k].tolist()
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
             if bend > 0.0 > fall:

@@ -19,7 +19,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
 from statechart.automaton.keeping import check_kept
-from statechart.automaton.regions import Mode
+from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
@@ -203,10 +203,11 @@ class Observer:
             flows.setdefault(roles, []).append(place)
         for roles, places in flows.items():
             mode = modes(roles)
-            if mode is None or not mode.margins:
+            margins = () if mode is None else whole_margins(mode.margins)
+            if not margins:
                 continue
-            names = [margin.name for margin in mode.margins]
-            rows = self.programs.tape(tuple(m.expression for m in mode.margins), mode).table(
+            names = [margin.name for margin in margins]
+            rows = self.programs.tape(tuple(m.expression for m in margins), mode).table(
                 np.array([jumps[place].before for place in places]),
                 values,
                 np.array([jumps[place].t for place in places]),
@@ -223,7 +224,9 @@ class Observer:
             sources.setdefault(jump.source, []).append(place)
         for source, places in sources.items():
             states = zip(self.automaton.told(source), source, strict=True)
-            margins = [m for region, state in states for m in region.build(Role(state)).margins]
+            margins = whole_margins(
+                m for region, state in states for m in region.build(Role(state)).margins
+            )
             rows = self.at(
                 trace, [m.expression for m in margins], [jumps[k] for k in places], before=True
             )

@@ -11,6 +11,7 @@ from itertools import zip_longest
 from typing import Any
 
 from statechart.automaton.dense_output import lowest
+from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -184,8 +185,8 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.guards, arcs, trace.values)
-        for margin, value in zip(compiled.mode.margins, found.tolist(), strict=True):
+        found = lowest(compiled.wholes, arcs, trace.values)
+        for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.
             least[margin.name] = before if before <= value or before != before else value

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.regions import Margin
+from statechart.automaton.regions import Margin, whole_margins
 from statechart.automaton.trace import Arc, Jump, Role, Trace
 from statechart.observation.flows import passed
 from statechart.observation.observer import Observer
@@ -62,8 +62,8 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
     moved = _moved(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
-        if mode.margins:
-            _assert_margins(subject, trace, arc, tau, mode.margins, moved)
+        if margins := whole_margins(mode.margins):
+            _assert_margins(subject, trace, arc, tau, margins, moved)
 
 
 def assert_invariants(subject: Subject, trace: Trace) -> None:

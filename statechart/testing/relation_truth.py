@@ -15,13 +15,25 @@ import sympy as sp
 
 from statechart.arrays import Array, Bools
 from statechart.automaton.laws import HELD
-from statechart.automaton.regions import Claim
+from statechart.automaton.regions import Claim, active_in
 from statechart.automaton.trace import Arc, Trace, sizes
 from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES
-from statechart.formulas.formula import Relation, parse_relation
+from statechart.formulas.condition import Active
+from statechart.formulas.relation import (
+    Comparison,
+    Junction,
+    Member,
+    Negation,
+    Term,
+    conjunction,
+    parse_relation,
+)
 from statechart.testing.subject import Subject
 
-_COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_COMPARISONS = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+    "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
 # Places between the ends of an arc, the fewest of them in runs of many arcs, and all of a run.
 _UNIFORM, _FEWEST, _ALL = 256, 16, 100_000
 # Distances to an end, each half of the one before, and as many places about every event.
@@ -32,9 +44,29 @@ _LATE = 2.0 * STATE_ROUND_OFF
 _SOLVED = 1e-9
 
 
-def truth(relation: Relation, left: Array, right: Array) -> Bools:
-    """Return where a relation is true, given the values of its two sides."""
-    return np.asarray(_COMPARISONS[relation.operator](left, right))
+def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, count: int) -> Bools:
+    """Return where a relation is true, in `count` states.
+
+    Parameters
+    ----------
+    term : Term
+        The relation's tree.
+    sides : iterator of (array, array)
+        Values of both sides of every comparison, from left to right.
+    active : callable
+        Region and state -> whether the region is in it.
+    count : int
+    """
+    match term:
+        case Comparison():
+            return np.asarray(_COMPARISONS[term.operator](*next(sides)))
+        case Member():
+            return np.full(count, active(term.region, term.state))
+        case Negation():
+            return ~truth(term.part, sides, active, count)
+        case Junction():
+            parts = [truth(part, sides, active, count) for part in term.parts]
+            return np.asarray((np.all if term.word == "and" else np.any)(parts, axis=0))
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:
@@ -110,7 +142,7 @@ class _Judge:
     def __init__(self, subject: Subject, trace: Trace) -> None:
         self._subject, self._trace = subject, trace
         self._errors, self._late = _state_errors(trace), _LATE * trace.t_end
-        self._sides: dict[Claim, tuple[list[Relation], list[sp.Expr], bool]] = {}
+        self._sides: dict[Claim, tuple[Term, list[sp.Expr], bool]] = {}
 
     def unexplained(self, claim: Claim, arc: Arc, tau: Array) -> Array:
         """Return those of local times where a claim is wrong, and no error explains it."""
@@ -130,27 +162,25 @@ class _Judge:
 
     def _wrong(self, claim: Claim, arc: Arc, tau: Array, states: Array) -> Bools:
         """Return where a claim is wrong, at local times (m,) in states (m, n)."""
-        relations, sides, solved = self._compiled(claim)
-        values = self._subject.solved(self._trace, arc, tau, sides, states)
-        all_hold, near = np.ones(len(tau), np.bool_), np.zeros(len(tau), np.bool_)
-        for relation, left, right in zip(relations, values.T[::2], values.T[1::2], strict=True):
-            all_hold &= truth(relation, left, right)
-            if solved:
-                off = self._trace.tolerances.get("force", 0.0)
+        term, expressions, solved = self._compiled(claim)
+        count, regions = len(tau), self._subject.automaton.regions
+        values = self._subject.solved(self._trace, arc, tau, expressions, states)
+        sides = list(zip(values.T[::2], values.T[1::2], strict=True))
+        held = truth(term, iter(sides), active_in(regions, arc.mode), count)
+        near = np.zeros(count, np.bool_)
+        if solved:
+            off = self._trace.tolerances.get("force", 0.0)
+            for left, right in sides:
                 near |= np.abs(left - right) <= off + _SOLVED * (np.abs(left) + np.abs(right))
-        return (all_hold != claim.holds) & ~near
+        return (held != claim.holds) & ~near
 
-    def _compiled(self, claim: Claim) -> tuple[list[Relation], list[sp.Expr], bool]:
-        """Return the relations of a claim, their sides, and whether a mode solves for them."""
+    def _compiled(self, claim: Claim) -> tuple[Term, list[sp.Expr], bool]:
+        """Return the relation of a claim, its sides, and whether a mode solves for them."""
         found = self._sides.get(claim)
         if found is None:
             automaton = self._subject.automaton
-            relations = [parse_relation(text) for text in claim.relations]
-            sides = [
-                side.to_sympy(automaton.observables)
-                for relation in relations
-                for side in (relation.left, relation.right)
-            ]
+            relation = parse_relation(conjunction(claim.relations))
+            sides = [side.to_sympy(automaton.observables) for side in relation.formulas]
             solved = any(side.free_symbols & {*automaton.unknowns} for side in sides)
-            found = self._sides[claim] = relations, sides, solved
+            found = self._sides[claim] = relation.root, sides, solved
         return found

@@ -50,13 +50,14 @@ def test_lying_on_both_ends_it_rests_with_indeterminate_friction(engine: str) ->
     assert trace.final[[1, 2]] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
-def test_an_end_that_is_thrown_off_at_once_closes_and_opens(engine: str) -> None:
+def test_an_end_that_is_thrown_off_at_once_flies_on_from_its_impact(engine: str) -> None:
     # From high up the bar turns so fast after its plastic impact that A is lifted.
     trace = run(MODEL, engine, until=4.0, drop_height=2.0)
-    down, up = trace.jumps[:2]
-    assert (down.region, down.cause, down.target) == ("A", "touchdown", ("slide-", "free"))
-    assert (up.region, up.cause, up.target) == ("A", "liftoff", ("free", "free"))
-    assert down.t == up.t == pytest.approx(2.0, abs=1e-12)
+    down, again = trace.jumps[:2]
+    assert (down.region, down.cause, down.target) == ("A", "touchdown", ("free", "free"))
+    assert (again.region, again.cause) == ("A", "touchdown")
+    assert down.t == pytest.approx(2.0, abs=1e-12)
+    assert again.t > 2.1
     omega, angle = down.after[5], down.after[2]
     # Without force the end accelerates by what turning about the centre of mass gives it: upwards.
     assert omega**2 * np.sin(angle) > 1.0

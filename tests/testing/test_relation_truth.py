@@ -12,7 +12,7 @@ import sympy as sp
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Margin, Region, State
 from statechart.documents.yaml_reader import read_text
-from statechart.formulas.formula import parse_relation
+from statechart.formulas.relation import parse_relation
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.testing.checking import examine
@@ -91,7 +91,9 @@ def changed(text: str, name: str, margin: Callable[[sp.Expr], sp.Expr]) -> Subje
 
         return dataclasses.replace(one, build=build)
 
-    stops = {key: of(stop) for key, stop in automaton.stops.items()}
+    stops = tuple(
+        dataclasses.replace(stop, margins=tuple(map(of, stop.margins))) for stop in automaton.stops
+    )
     regions = tuple(map(region, automaton.regions))
     return Subject(model, dataclasses.replace(automaton, regions=regions, stops=stops))
 
@@ -153,8 +155,15 @@ def test_an_invariant_that_fails_is_found() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [("x < 1", [True, False, False]), ("x <= 1", [True, True, False]),
-     ("x > 1", [False, False, True]), ("x >= 1", [False, True, True])],
+     ("x > 1", [False, False, True]), ("x >= 1", [False, True, True]),
+     ("x == 1", [False, True, False]), ("x != 1", [True, False, True]),
+     ("not x < 1", [False, True, True]), ("x < 1 or x > 1", [True, False, True]),
+     ("x < 2 and not (x < 1 or in(r.b))", [False, True, False]),
+     ("x < 2 and in(r.b)", [False, False, False])],
 )  # fmt: skip
-def test_truth_is_that_of_the_comparison(text: str, expected: list[bool]) -> None:
-    values = np.array([0.0, 1.0, 2.0])
-    assert truth(parse_relation(text), values, np.ones(3)).tolist() == expected
+def test_truth_is_that_of_comparisons_and_states(text: str, expected: list[bool]) -> None:
+    relation = parse_relation(text)
+    x = np.array([0.0, 1.0, 2.0])
+    sides = [(x, np.full(3, one.right.value({}))) for one in relation.comparisons]
+    found = truth(relation.root, iter(sides), lambda region, state: state == "a", 3)
+    assert found.tolist() == expected

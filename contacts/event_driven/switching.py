@@ -1,0 +1,250 @@
+"""Contacts with conditions go off and come back: by the laws of a scene, and compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from contacts.dynamics.conditions import (
+    PER_CONDITION,
+    Conditions,
+    conditions_at,
+    hidden,
+    judge,
+    round_off,
+)
+from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, opens, truths
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SCALARS, Snapshot
+from contacts.event_driven.decision import decide
+from contacts.event_driven.hit import SceneWatch
+from contacts.impacts.jamming import Jam
+from contacts.modes.classification import Before
+from contacts.scene.parts import Resolution
+from contacts.states import FREE, OFF, OFF_CODE
+from statechart.arrays import Array, Ints
+from statechart.automaton.course import UNDERFLOW
+from statechart.automaton.laws import Flow, Instant
+from statechart.automaton.trace import Jump, Role, Roles
+from statechart.engines.mode_table import Program, tape_of
+from statechart.engines.whole_flow import Watch
+from statechart.errors import NonFinite, SimulationError
+from statechart.kernels.jit import part
+
+
+class Switching:
+    """Takes contacts off and back (see `contacts.dynamics.conditions`).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the contacts.
+    conditions : Conditions
+        Of them.
+    paradox : str
+        What the scene says of states that no mode agrees with.
+    """
+
+    def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
+        self._names, self._conditions, self._paradox = names, conditions, paradox
+        self._verdicts: list[int] = []  # of the instant that was asked about last
+
+    def failing(
+        self,
+        setup: SceneSetup,
+        snapshot: Snapshot,
+        state: Array,
+        time: float,
+        fired: tuple[str, ...] = (),
+    ) -> tuple[str, ...]:
+        """Return, for every contact, a condition that fails; see `Conditions.failing`."""
+        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+
+        def motion(failing: Sequence[bool]) -> Roles | None:
+            off = tuple(
+                OFF if fails or (OFF in law.states and not contact.gap >= -near) else "free"
+                for fails, law, contact in zip(
+                    failing, setup.contacts, snapshot.contacts, strict=True
+                )
+            )
+            here = hidden(snapshot, off)
+            # What strikes is not held before it has.
+            touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in here.contacts]
+            try:
+                choice = decide(setup, here, touching, self._paradox, Before())
+            except SimulationError:
+                return None
+            return None if isinstance(choice, Jam) else choice.taken.roles
+
+        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion)
+        return self._conditions.first(self._verdicts)
+
+    def switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
+        """Return the contacts that go off, with a condition that fails, or come back, with ""."""
+        if not self._conditions.present:
+            return {}
+        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired)
+        result: dict[int, str] = {}
+        for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
+            gap = snapshot.contacts[i].gap
+            if why and now != OFF:
+                result[i] = why
+            elif not why and now == OFF:
+                if math.isnan(gap):
+                    raise NonFinite(
+                        f"the conditions of contact {self._names[i]!r} hold where its surface has "
+                        "no finite value; write one that fails there"
+                    )
+                if gap >= -setup.tolerances["gap"]:
+                    result[i] = why
+        return result
+
+    def jump(self, at: Instant, energy: float, switched: Mapping[int, str]) -> tuple[Jump, Flow]:
+        """Take contacts off or back; what the others do then is asked next."""
+        flow = at.flow
+        mode, roles = list(flow.mode), list(flow.roles)
+        for place, why in switched.items():
+            mode[place] = OFF if why else "free"
+            roles[place] = Role(mode[place])
+        place, why = next(iter(switched.items()))
+        name = self._names[place]
+        reason = "its conditions hold, and its gap is open"
+        if why:
+            reason = f"does not hold: {why.removeprefix(f'{name}: ')}"
+        jump = at.jump(
+            name,
+            "disable" if why else "enable",
+            tuple(mode),
+            considered={
+                f"{name}:{flow.mode[place]}": reason,
+                f"{name}:{mode[place]}": "taken",
+            },
+            energy=(energy, energy),
+        )
+        following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
+        return jump, following
+
+    def watched(
+        self, setup: SceneSetup, state: Array, time: float, made: tuple[Jump | None, Flow]
+    ) -> tuple[Jump | None, Flow]:
+        """Give a flow from a state the round-off of the conditions that decide there.
+
+        What a jump leaves on the boundary of a condition may go another way: it is judged again.
+        """
+        jump, flow = made
+        own = self._conditions.tolerances(setup, state, time)
+        settled = flow.settled and not (
+            jump is not None and self._conditions.on_boundary(setup, state, time)
+        )
+        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
+
+    def kept(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
+        """Let a mode that holds go on, if other conditions decide that it does; else None."""
+        flow = at.flow
+        own = self._conditions.tolerances(setup, at.state, at.clock.high, self._verdicts)
+        if alike(own, flow.tolerances):
+            return None
+        return None, flow._replace(tolerances={**flow.tolerances, **own})
+
+
+def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
+    """Whether the margins of conditions that are watched are those of `tolerances`."""
+    return all(
+        (tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
+        for name, tolerance in own.items()
+    )
+
+
+@part
+def hold_conditions(
+    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
+) -> None:
+    """Write how far below zero a flow from a state lets the margins of conditions go.
+
+    `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
+
+    See `contacts.dynamics.conditions.Conditions.tolerances`.
+    """
+    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
+    verdicts = np.empty(conditions, np.int64)
+    on, off = np.empty(conditions, np.int64), np.empty(conditions, np.int64)
+    code, constants, outputs, _, _ = tape_of(program, scene.conditions)
+    values = conditions_at(
+        code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, time
+    )
+    for k in range(conditions):
+        at = PER_CONDITION * k
+        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
+        if verdict == UNSURE and abs(fired) == k + 1:
+            verdict = FAILS if fired > 0 else HOLDS
+        verdicts[k] = verdict
+    found = np.empty(scene.nodes.shape[0], np.int64)
+    truths(scene.nodes, verdicts, found)
+    certificates(scene.nodes, found, on, off)
+    for k in range(conditions):
+        band = round_off(values[PER_CONDITION * k + 2], scene.relative)
+        own, back = scene.slots[k], scene.slots[conditions + k]
+        if own >= 0:
+            watch.bands[own] = band if on[k] == 1 else math.inf
+        if back >= 0:
+            watch.bands[back] = band if off[k] == 1 else math.inf
+    for i in range(scene.nodes.shape[0]):
+        slot = scene.slots[2 * conditions + scene.nodes[i, 2]]
+        if scene.nodes[i, 1] < 0 and slot >= 0:
+            gap = values[PER_CONDITION * (conditions + scene.nodes[i, 2])]
+            watch.bands[slot] = UNDERFLOW if opens(found[i], gap, scene.gap) else math.inf
+
+
+@part
+def switched(
+    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
+    taken: Ints,
+) -> int:  # fmt: skip
+    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
+
+    -2 where further derivatives of a condition decide.
+
+    Parameters
+    ----------
+    values : (4 k,) array
+        Numbers of the conditions.
+    numbers : (o,) array
+        The scene's, those of contacts from `first` on.
+    fired : int
+        Number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides
+        where the first derivative does not: a flow on whose way a margin falls did not begin on
+        its boundary.
+    kept, taken : (c,) array
+        State of every contact; the latter is to be filled.
+
+    See `contacts.dynamics.conditions.Conditions.failing`.
+    """
+    place, unsure = -1, False
+    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
+    verdicts, found = np.empty(conditions, np.int64), np.empty(scene.nodes.shape[0], np.int64)
+    for k in range(conditions):
+        at = PER_CONDITION * k
+        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
+        if verdict == UNSURE and abs(fired) == k + 1:
+            verdict = FAILS if fired > 0 else HOLDS
+        verdicts[k] = verdict
+    truths(scene.nodes, verdicts, found)
+    for c in range(kept.shape[0]):
+        taken[c] = kept[c]
+    for i in range(scene.nodes.shape[0]):
+        if scene.nodes[i, 1] >= 0:
+            continue
+        c = scene.nodes[i, 2]
+        gap = numbers[first + SCALARS * c]
+        if found[i] == FAILS:
+            taken[c] = OFF_CODE
+        elif kept[c] == OFF_CODE and gap >= -scene.gap:
+            taken[c] = FREE
+        # Where a gap has no value the laws say so.
+        nowhere = kept[c] == OFF_CODE and gap != gap
+        unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
+        if place < 0 and taken[c] != kept[c]:
+            place = c
+    return -2 if unsure else place

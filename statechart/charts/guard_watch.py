@@ -1,0 +1,297 @@
+"""Guards judged at an instant, by the values and derivatives of their margins.
+
+On the boundary of an atom, within the rounding of the state, the first derivative in time that is
+not zero decides whether it holds; an atom that stays there holds if it is ``<=``. A guard of
+several atoms that a flow came to fires also where it is true at that very instant and no longer,
+as ``abs(x) <= 0``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+import sympy as sp
+
+from statechart.arrays import Array, Bools
+from statechart.automaton.course import UNDERFLOW, along, size_of
+from statechart.automaton.laws import Setup
+from statechart.charts.firing import Guard
+from statechart.formulas.condition import Active
+from statechart.formulas.writer import compile_tape
+
+# Of its terms, a margin that is so small is zero, however exactly a run is computed.
+_ROUNDED = 2.0**-40
+# A few roundings, of an instant and of what it is compared with.
+_OF_TIME = 8.0 * float(np.finfo(float).eps)
+_NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
+
+
+class GuardWatch:
+    """The guards of a mode, evaluated together at an instant.
+
+    Parameters
+    ----------
+    watched : sequence of Guard
+        Which.
+    known : mapping
+        Name -> expression.
+    rates : mapping
+        Input -> its rate, an expression of inputs, parameters and time; inputs without one are
+        constant.
+    inputs, parameters : sequence of Symbol
+        What the guards depend on.
+    time : Symbol
+        Time.
+    timers : collection of Symbol
+        Inputs that are instants of time, and as exact, or whole numbers.
+    given : mapping
+        Symbol in `known` -> its value in the mode.
+
+    Attributes
+    ----------
+    guards : tuple of Guard
+    conditions : tuple of Condition
+        Of the guards.
+    margins : tuple of str
+        Names of their atoms.
+    firsts : tuple of int
+        Place of the first atom of every guard.
+    timed, closed : (a,) array of bool
+        Which atoms depend on time alone, and which hold on their boundary, too.
+    still : tuple of bool
+        Which atoms the flow does not change.
+    single : bool
+        Whether no guard has several atoms.
+    """
+
+    def __init__(
+        self,
+        watched: Sequence[Guard],
+        known: Mapping[str, sp.Expr],
+        rates: Mapping[sp.Symbol, sp.Expr],
+        *,
+        inputs: Sequence[sp.Symbol],
+        parameters: Sequence[sp.Symbol],
+        time: sp.Symbol,
+        timers: Collection[sp.Symbol] = (),
+        given: Mapping[sp.Symbol, sp.Expr] = _NO_VALUES,
+    ) -> None:
+        self.guards = tuple(watched)
+        self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
+        self.single = all(condition.single for condition in self.conditions)
+        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
+        outputs: list[sp.Expr] = []
+        names: list[str] = []
+        firsts: list[int] = []
+        timed: list[bool] = []
+        still: list[bool] = []
+        closed: list[bool] = []
+        for guard, condition in zip(self.guards, self.conditions, strict=True):
+            firsts.append(len(names))
+            names += condition.names(guard.name)
+            for atom in condition.atoms:
+                margin = atom.expression.xreplace(given)
+                first = along(margin, rates, time)
+                second = along(first, rates, time)
+                outputs += [margin, first, second]
+                outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
+                timed.append(margin.free_symbols <= {time, *timers, *parameters})
+                still.append(first == 0)
+                closed.append(not atom.strict)
+        self._tape = compile_tape(
+            outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
+        )
+        self.margins, self.firsts, self.still = tuple(names), tuple(firsts), tuple(still)
+        self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
+
+    def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
+        """Return (a, 6): margin, its first and second derivative in time, sizes of their terms."""
+        found = self._tape.values(np.concatenate([inputs, sizes]), setup.values, time)
+        return found.reshape(-1, 6)
+
+    def table(self, setup: Setup, inputs: Array, sizes: Array, times: Array) -> Array:
+        """Return `at` for many instants: inputs (m, n), times (m,) to (m, a, 6)."""
+        rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
+        return self._tape.table(rows, setup.values, times).reshape(len(inputs), -1, 6)
+
+    def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
+        """Return margin -> how near zero it is on its boundary: `relative` to its terms.
+
+        A guard of time alone is as exact as time, whatever the tolerance of the run.
+        """
+        sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
+        parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
+        return {
+            margin: max(part, UNDERFLOW)
+            for margin, part in zip(self.margins, parts.tolist(), strict=True)
+        }
+
+    @cached_property
+    def singles(self) -> list[int]:
+        """The places of atoms that are guards by themselves."""
+        found = zip(self.conditions, self.firsts, strict=True)
+        return [first for condition, first in found if condition.single]
+
+    def valueless(self, rows: Array) -> str | None:
+        """Return the name of a guard of one atom that has no value; None where there is none."""
+        return next((self.margins[k] for k in self.singles if math.isnan(rows[k, 0])), None)
+
+    def hold(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
+        """Return which guards (m, g) hold, from their atoms (m, a); `active` returns (m,)."""
+        found = [
+            condition.rows(atoms[:, first : first + len(condition.atoms)], active)
+            for condition, first in zip(self.conditions, self.firsts, strict=True)
+        ]
+        return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
+
+    def early(self, rows: Array, place: int, transition: int, fired: Collection[str]) -> str:
+        """Say that a transition is taken before its guard is true, and not by rounding.
+
+        Two that follow each other within the tolerance are taken at once, with nothing in between.
+        """
+        for guard, condition, first in zip(self.guards, self.conditions, self.firsts, strict=True):
+            if (guard.place, guard.transition) != (place, transition) or not condition.single:
+                continue
+            margin, size = rows[first, 0], rows[first, 3]
+            if guard.name not in fired and margin > _ROUNDED * size:
+                return (
+                    f"{guard.name} is taken for true, {margin:.2g} short of it: that is within "
+                    "the tolerance of the run"
+                )
+        return ""
+
+
+class Judgement:
+    """The guards of a mode at an instant: which are true, and what decides that others are not.
+
+    Parameters
+    ----------
+    watch : GuardWatch
+        The guards.
+    rows : (a, 6) array
+        From `GuardWatch.at`. A rate that is not a number is not known: such an atom waits on its
+        boundary until its margin falls.
+    tolerances : mapping
+        Of the margins in the flow that has come here; infinite of those that it did not watch.
+    fired : collection of str
+        The margins that were found to fall.
+    relative : float
+        Rates this small relative to their terms are zero.
+    later : callable
+        Name of a margin -> the sign of its first derivative from the third on that is not zero;
+        asked where the first two are.
+    active : callable
+        Region, state -> whether the state is active.
+    """
+
+    def __init__(
+        self,
+        watch: GuardWatch,
+        rows: Array,
+        tolerances: Mapping[str, float],
+        fired: Collection[str],
+        relative: float,
+        later: Callable[[str], float],
+        active: Active,
+    ) -> None:
+        self._watch, self._rows, self._fired = watch, rows.tolist(), fired
+        self._relative, self._later, self._active = relative, later, active
+        self._flow = tolerances
+        self._tolerances = [tolerances[margin] for margin in watch.margins]
+        if math.inf in self._tolerances:
+            fresh = watch.tolerances(rows, relative)
+            self._tolerances = [
+                known if known < math.inf else fresh[margin]
+                for known, margin in zip(self._tolerances, watch.margins, strict=True)
+            ]
+        self._atoms: dict[int, bool | None] = {}
+        self._rests = {k for k, still in enumerate(watch.still) if still}
+
+    def due(self) -> dict[int, int]:
+        """Return place -> the first transition whose guard is true."""
+        found: dict[int, int] = {}
+        for k, guard in enumerate(self._watch.guards):
+            if guard.place not in found and (self._truth(k) or self._touched(k)):
+                found[guard.place] = guard.transition
+        return found
+
+    def watched(self) -> Mapping[str, float]:
+        """Return the tolerances of a flow that goes on: only atoms of certificates are watched.
+
+        The flow says so where an atom that leaves a guard open has no value.
+        """
+        if self._watch.single:
+            return self._flow
+        found = dict(self._flow)
+        for k, (condition, first) in enumerate(
+            zip(self._watch.conditions, self._watch.firsts, strict=True)
+        ):
+            if condition.single:
+                continue
+            places = range(len(condition.atoms))
+            certificate = frozenset(places)
+            if self._truth(k) is not None:
+                rests = [first + atom in self._rests for atom in places]
+                certificate = condition.certificate(self._of(k), self._active, rests.__getitem__)
+            for atom in places:
+                known = self._tolerances[first + atom] if atom in certificate else math.inf
+                found[self._watch.margins[first + atom]] = known
+        return found
+
+    def _truth(self, guard: int) -> bool | None:
+        """Return whether a guard is true from here on."""
+        return self._watch.conditions[guard].truth(self._of(guard), self._active)
+
+    def _touched(self, guard: int) -> bool:
+        """Whether a guard of several atoms is true at this very instant, to which a flow came."""
+        condition, first = self._watch.conditions[guard], self._watch.firsts[guard]
+        places = range(first, first + len(condition.atoms))
+        if condition.single or not any(self._watch.margins[k] in self._fired for k in places):
+            return False
+
+        def of(atom: int) -> bool:
+            place = first + atom
+            margin, tolerance = self._rows[place][0], self._tolerances[place]
+            return margin <= (tolerance if self._watch.closed[place] else -tolerance)
+
+        return bool(condition.truth(of, self._active))
+
+    def _of(self, guard: int) -> Callable[[int], bool | None]:
+        first = self._watch.firsts[guard]
+
+        def of(atom: int) -> bool | None:
+            place = first + atom
+            if place not in self._atoms:
+                self._atoms[place] = self._holds(place)
+            return self._atoms[place]
+
+        return of
+
+    def _holds(self, atom: int) -> bool | None:
+        """Return whether an atom holds from here on; None where its margin has no value."""
+        margin, first, second, _, slow, slower = self._rows[atom]
+        name, tolerance = self._watch.margins[atom], self._tolerances[atom]
+        strict = not self._watch.closed[atom]
+        fell = name in self._fired
+        if not (fell or margin <= tolerance):
+            return None if math.isnan(margin) else False
+        if not abs(first) <= self._relative * slow:
+            rate = first
+        elif not abs(second) <= self._relative * slower:
+            rate = second
+        elif margin < -tolerance or self._watch.still[atom]:
+            rate = 0.0
+        else:
+            rate = self._later(name)
+        if rate == 0.0 and abs(margin) <= tolerance and atom not in self._watch.singles:
+            # An atom that stays on its boundary is no more watched in this flow.
+            self._rests.add(atom)
+            return not strict
+        if fell:
+            # What was found is a fall, or a touch too close to tell: then it must not rise.
+            return margin < -tolerance or not rate > 0.0
+        return margin < -tolerance or rate < 0.0 or (rate == 0.0 and not strict)

@@ -1,0 +1,322 @@
+"""Relations as trees of *and* and *or* over smooth atoms ``f <= 0`` and ``f < 0``.
+
+`min`, `max` and `abs` become *and* and *or*: ``max(a, b) + c <= 0`` is the same as ``a + c <= 0
+and b + c <= 0``. The sign of an unknown factor is an atom, too. Inside another function,
+``g(max(a, b)) <= 0`` is ``a >= b and g(a) <= 0 or b >= a and g(b) <= 0``.
+
+A certificate is a set of atoms that alone decide the truth of the tree, as the watched literals of
+SAT solvers do (Moskewicz et al., "Chaff", 2001): a false *and* needs one false part, a false *or*
+all of them. As long as no atom of the certificate changes, nor does the relation.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+from statechart.formulas.tree import Source
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+MAX_ATOMS = 100
+"""Most atoms of a relation; every `abs` in a sum doubles them."""
+
+# Atoms on the way there: sums of abs of one variable have many of them in common.
+_MOST_SPLITS = 10 * MAX_ATOMS
+
+Active = Callable[[str, str], bool]
+"""Region, state -> whether the state is active."""
+
+
+@dataclass(frozen=True)
+class Every:
+    """Holds where all of its parts do."""
+
+    parts: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Some:
+    """Holds where one of its parts does."""
+
+    parts: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Within:
+    """Holds while a region is in a state, or as long as it is not."""
+
+    region: str
+    state: str
+    holds: bool = True
+
+
+@dataclass(frozen=True)
+class Atom:
+    """Holds where `expression` is <= 0, or where it is < 0 if `strict`."""
+
+    expression: sp.Expr
+    strict: bool
+
+
+def replaced(tree: Any, leaf: Callable[[Any], Any]) -> Any:
+    """Return a tree with `leaf(x)` in the place of every leaf x."""
+    if isinstance(tree, Every | Some):
+        return type(tree)(tuple(replaced(part, leaf) for part in tree.parts))
+    return tree if isinstance(tree, Within) else leaf(tree)
+
+
+def leaves(tree: Any) -> Iterator[Any]:
+    """Yield the leaves of a tree from left to right, without those of `in`."""
+    if isinstance(tree, Every | Some):
+        for part in tree.parts:
+            yield from leaves(part)
+    elif not isinstance(tree, Within):
+        yield tree
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A tree over numbered atoms; build it with `Relation.condition`.
+
+    Attributes
+    ----------
+    atoms : tuple of Atom
+    root : int, Within, Every or Some
+        Leaves are places in `atoms`.
+    """
+
+    atoms: tuple[Atom, ...]
+    root: Any
+
+    @property
+    def single(self) -> bool:
+        """Whether it is one atom and nothing else."""
+        return self.root == 0
+
+    @property
+    def disjoint(self) -> bool:
+        """Whether it holds as soon as one of its atoms does."""
+        return self.single or (
+            isinstance(self.root, Some) and all(isinstance(part, int) for part in self.root.parts)
+        )
+
+    def names(self, name: str) -> tuple[str, ...]:
+        """Return names for its atoms: `name` itself of a single one, else numbered."""
+        return (name,) if self.single else tuple(f"{name} #{k + 1}" for k in range(len(self.atoms)))
+
+    def truth(self, of: Callable[[int], bool | None], active: Active) -> bool | None:
+        """Return whether it holds; None where atoms that are not known leave it open.
+
+        Parameters
+        ----------
+        of : callable
+            Place of an atom -> whether it holds; None where it has no value.
+        active : callable
+            Region, state -> whether the state is active.
+        """
+        return _truth(self.root, of, active)
+
+    def rows(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
+        """Return where it holds (m,): `atoms` (m, a) say where each of them does.
+
+        `active` returns arrays (m,).
+        """
+
+        def rows(tree: Any) -> Any:
+            if isinstance(tree, Within):
+                return active(tree.region, tree.state) == tree.holds
+            if isinstance(tree, Every | Some):
+                join = operator.and_ if isinstance(tree, Every) else operator.or_
+                return reduce(join, map(rows, tree.parts))
+            return atoms[:, tree]
+
+        return rows(self.root)
+
+    def margin(self, values: Sequence[float], active: Active) -> float:
+        """Return the margin of the tree from those of its atoms.
+
+        It is the largest of an *and*, the least of an *or*, and infinite where `in` decides.
+        """
+
+        def margin(tree: Any) -> float:
+            if isinstance(tree, Within):
+                return -inf if active(tree.region, tree.state) == tree.holds else inf
+            if isinstance(tree, Every | Some):
+                return (max if isinstance(tree, Every) else min)(map(margin, tree.parts))
+            return values[tree]
+
+        return margin(self.root)
+
+    def certificate(
+        self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
+    ) -> frozenset[int]:
+        """Return atoms that decide its truth as long as they keep their own.
+
+        Parameters
+        ----------
+        of, active
+            As for `truth`, which is not None.
+        still : callable
+            Place of an atom -> whether no flow changes it, so that it need not be watched.
+        """
+        return _certificate(self.root, bool(self.truth(of, active)), of, active, still)
+
+
+def _truth(tree: Any, of: Callable[[int], bool | None], active: Active) -> bool | None:
+    if isinstance(tree, Within):
+        return active(tree.region, tree.state) is tree.holds
+    if not isinstance(tree, Every | Some):
+        return of(tree)
+    decisive = isinstance(tree, Some)
+    result: bool | None = not decisive
+    for part in tree.parts:
+        found = _truth(part, of, active)
+        if found is decisive:
+            return decisive
+        if found is None:
+            result = None
+    return result
+
+
+def _certificate(
+    tree: Any,
+    truth: bool,
+    of: Callable[[int], bool | None],
+    active: Active,
+    still: Callable[[int], bool],
+) -> frozenset[int]:
+    if isinstance(tree, Within):
+        return frozenset()
+    if not isinstance(tree, Every | Some):
+        return frozenset() if still(tree) else frozenset((tree,))
+    parts = [part for part in tree.parts if _truth(part, of, active) is truth]
+    found = [_certificate(part, truth, of, active, still) for part in parts]
+    if isinstance(tree, Some) is truth:
+        return min(found, key=len)
+    return frozenset[int]().union(*found)
+
+
+def condition_of(tree: Any, source: Source) -> Condition:
+    """Return the condition of a tree whose leaves are `Atom`, split into smooth ones.
+
+    Raises
+    ------
+    FormulaError
+        Where it has more than `MAX_ATOMS`.
+    """
+    import sympy
+
+    places: dict[Atom, int] = {}
+    seen: dict[Atom, Any] = {}
+
+    def check(count: int, most: int) -> None:
+        if count > most:
+            source.fail(
+                f"without min, max and abs it has more than {MAX_ATOMS} comparisons",
+                advice="write fewer of them in one relation; each abs in a sum doubles them",
+            )
+
+    def placed(atom: Atom) -> int:
+        place = places.setdefault(atom, len(places))
+        check(len(places), MAX_ATOMS)
+        return place
+
+    def split(tree: Any) -> Any:
+        if isinstance(tree, Every | Some):
+            return _joined(type(tree), tuple(split(part) for part in tree.parts))
+        if isinstance(tree, Within):
+            return tree
+        if tree not in seen:
+            check(len(seen), _MOST_SPLITS)
+            smooth = _split(tree)
+            seen[tree] = leaf(tree) if smooth is tree else split(smooth)
+        return seen[tree]
+
+    def leaf(tree: Atom) -> Any:
+        if tree.expression.is_number:
+            value = float(tree.expression)
+            return value < 0.0 or (value == 0.0 and not tree.strict)
+        return placed(tree)
+
+    root = split(tree)
+    if isinstance(root, bool):
+        # A comparison of numbers is a margin as any other.
+        plain = isinstance(tree, Atom) and tree.expression.is_number
+        return Condition((tree if plain else Atom(sympy.Integer(1 - 2 * root), False),), 0)
+    atoms = tuple(places)
+    used = {place: k for k, place in enumerate(dict.fromkeys(leaves(root)))}
+    return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
+
+
+def _joined(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
+    """Return parts joined, without those that are always true or false."""
+    decisive, neutral = (True, False) if kind is Some else (False, True)
+    rest: dict[Any, None] = {}
+    for part in parts:
+        if part is decisive:
+            return decisive
+        if part is not neutral:
+            rest |= dict.fromkeys(part.parts if isinstance(part, kind) else (part,))
+    if not rest:
+        return neutral
+    return next(iter(rest)) if len(rest) == 1 else kind(tuple(rest))
+
+
+def _split(atom: Atom) -> Any:
+    """Return an atom without its first min, max or abs, as a tree of atoms; itself if smooth."""
+    import sympy
+
+    expression, strict = atom.expression, atom.strict
+    corners = expression.atoms(sympy.Max, sympy.Min, sympy.Abs)
+    corners = {corner for corner in corners if corner.free_symbols}
+    if not corners:
+        return atom
+    # An outer one first: those inside it come to stand alone.
+    corner = min(
+        (c for c in corners if not any(c is not o and o.has(c) for o in corners)),
+        key=sympy.default_sort_key,
+    )
+    largest = not isinstance(corner, sympy.Min)
+    arguments = corner.args
+    if isinstance(corner, sympy.Abs):
+        arguments = (corner.args[0], -corner.args[0])
+
+    def each(kind: type, of: sp.Expr) -> Any:
+        return kind(tuple(Atom(of.xreplace({corner: part}), strict) for part in arguments))
+
+    slot = sympy.Dummy(real=True)
+    form = expression.xreplace({corner: slot})
+    factor = sympy.diff(form, slot) if form.is_polynomial(slot) else slot
+    if factor.has(slot):
+        return Some(
+            tuple(
+                Every(
+                    (
+                        *(
+                            Atom(other - part if largest else part - other, False)
+                            for other in arguments
+                            if other is not part
+                        ),
+                        Atom(form.xreplace({slot: part}), strict),
+                    )
+                )
+                for part in arguments
+            )
+        )
+    rising, falling = (Every, Some) if largest else (Some, Every)
+    if factor.is_nonnegative:
+        return each(rising, expression)
+    if factor.is_nonpositive:
+        return each(falling, expression)
+    return Some(
+        (
+            Every((Atom(-factor, False), each(rising, expression))),
+            Every((Atom(factor, False), each(falling, expression))),
+        )
+    )

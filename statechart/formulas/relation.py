@@ -1,0 +1,379 @@
+"""Relations: comparisons of formulas, and `in(REGION.STATE)`, joined by `and`, `or` and `not`.
+
+The negation normal form has no `not`: the negation of ``a <= b`` is ``a > b``, that of an *and* is
+an *or* of negations. ``a == b`` is ``a <= b and a >= b``, ``a != b`` is ``a < b or a > b``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+from statechart.errors import close_matches
+from statechart.formulas.condition import (
+    Atom,
+    Condition,
+    Every,
+    Some,
+    Within,
+    condition_of,
+    replaced,
+)
+from statechart.formulas.formula import Formula, finished
+from statechart.formulas.syntax import RELATIONS, Reader
+from statechart.formulas.tree import Source
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+MAX_TERMS = 60
+"""Most comparisons, negations and parentheses of a relation."""
+
+_REMEMBERED = 4096
+_ORDERED = {"==": ("<=", ">="), "!=": ("<", ">")}
+_EQUALITIES = tuple(_ORDERED)
+_COMPARISONS = (*RELATIONS, *_EQUALITIES)
+_OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
+_TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
+_JOINTS = frozenset({"<", "<=", ">", ">=", "==", "!=", "=", "!", "and", "or", "not", "in"})
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A comparison of two formulas.
+
+    Attributes
+    ----------
+    left, right : Formula
+        The sides. Both have the text of the whole relation, so that offsets point into it.
+    operator : str
+        One of ``< <= > >= == !=``.
+    offset : int
+        Of the operator.
+    text : str
+        As written.
+    """
+
+    left: Formula
+    right: Formula
+    operator: str
+    offset: int
+    text: str
+
+    def negated(self) -> Comparison:
+        """Return the comparison that holds where this one does not."""
+        return replace(self, operator=_OPPOSITE[self.operator])
+
+    def ordered(self) -> Iterator[Comparison]:
+        """Yield the two comparisons that an equality stands for."""
+        return (replace(self, operator=sign) for sign in _ORDERED[self.operator])
+
+    def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Return what falls through zero as it begins to hold; see `Relation.margin`."""
+        left, right = self.left.to_sympy(symbols), self.right.to_sympy(symbols)
+        margin = left - right if self.operator in ("<", "<=") else right - left
+        return finished(margin, self.left)
+
+    @property
+    def strict(self) -> bool:
+        """Whether it does not hold where both sides are equal."""
+        return self.operator in ("<", ">", "!=")
+
+
+@dataclass(frozen=True)
+class Member:
+    """``in(REGION.STATE)``: a region is in a state, or in one inside it."""
+
+    region: str
+    state: str
+    offset: int = 0
+
+
+@dataclass(frozen=True)
+class Negation:
+    """``not`` and what it negates."""
+
+    part: Term
+    offset: int = 0
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Terms joined by ``and`` or by ``or``."""
+
+    word: str
+    parts: tuple[Term, ...]
+
+
+Term = Comparison | Member | Negation | Junction
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation that was read; build it with `parse_relation`.
+
+    Attributes
+    ----------
+    root : Comparison, Member, Negation or Junction
+        Its syntax tree.
+    text : str
+        As written.
+    """
+
+    root: Term
+    text: str
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """Its comparisons, from left to right."""
+        return tuple(term for term in _terms(self.root) if isinstance(term, Comparison))
+
+    @cached_property
+    def members(self) -> tuple[Member, ...]:
+        """Its terms `in(REGION.STATE)`, from left to right."""
+        return tuple(term for term in _terms(self.root) if isinstance(term, Member))
+
+    @cached_property
+    def formulas(self) -> tuple[Formula, ...]:
+        """The sides of its comparisons, from left to right."""
+        return tuple(side for one in self.comparisons for side in (one.left, one.right))
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The declared names that it uses."""
+        return frozenset[str]().union(*(formula.names for formula in self.formulas))
+
+    def require(self, known: Iterable[str]) -> None:
+        """Check that it uses only names in `known`; see `Formula.require`."""
+        known = frozenset(known)
+        for formula in self.formulas:
+            formula.require(known)
+
+    def require_states(self, states: Mapping[str, Collection[str]]) -> None:
+        """Check that ``in(...)`` names regions and states that exist.
+
+        Parameters
+        ----------
+        states : mapping of str to collection of str
+            The states of every region; none where nothing may be asked of regions.
+
+        Raises
+        ------
+        FormulaError
+            At the first that does not exist.
+        """
+        source = Source(self.text)
+        for member in self.members:
+            if not states:
+                source.fail("no state can be asked for here", member.offset)
+            for kind, name, known in (
+                ("region", member.region, states),
+                ("state", member.state, states.get(member.region, ())),
+            ):
+                if name not in known:
+                    source.fail(f"no {kind} {name!r}", member.offset, close_matches(name, known))
+
+    def require_still(self, changing: Collection[str]) -> None:
+        """Check that ``==`` and ``!=`` compare only what no flow changes.
+
+        Parameters
+        ----------
+        changing : collection of str
+            Names whose value some flow changes.
+
+        Raises
+        ------
+        FormulaError
+            At the first equality of one of them.
+        """
+        for one in self.comparisons:
+            moved = sorted((one.left.names | one.right.names).intersection(changing))
+            if one.operator in _EQUALITIES and moved:
+                Source(self.text).fail(
+                    f"{one.operator} compares {moved[0]!r}, which changes between events",
+                    one.offset,
+                    "write <= or >=: it becomes true as the value passes the other side",
+                )
+
+    def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+        """Return what is >= 0 while the relation does not hold and falls as it begins to.
+
+        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` it is
+        ``b - a``; of an *and* the largest, of an *or* the least of its parts. Its negative is
+        the margin by which the relation holds.
+
+        Parameters
+        ----------
+        symbols : mapping of str to sympy.Expr
+            The expression that every name stands for.
+
+        Raises
+        ------
+        FormulaError
+            As `Formula.to_sympy`.
+        """
+        return self._margin(_normal(self.root, False), symbols)
+
+    def _margin(self, tree: Any, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+        import sympy
+
+        if isinstance(tree, Comparison):
+            return tree.margin(symbols)
+        if isinstance(tree, Within):
+            self.require_states({})
+        parts = [self._margin(part, symbols) for part in tree.parts]
+        return (sympy.Max if isinstance(tree, Every) else sympy.Min)(*parts)
+
+    def condition(self, symbols: Mapping[str, sp.Expr]) -> Condition:
+        """Return the relation over smooth atoms: `min`, `max` and `abs` are rewritten.
+
+        Parameters
+        ----------
+        symbols : mapping of str to sympy.Expr
+            The expression that every name stands for.
+
+        Raises
+        ------
+        FormulaError
+            As `Formula.to_sympy`, and if it has too many atoms.
+        """
+
+        def atom(one: Comparison) -> Atom:
+            return Atom(one.margin(symbols), one.strict)
+
+        return condition_of(replaced(_normal(self.root), atom), Source(self.text))
+
+
+def _terms(term: Term) -> Iterator[Term]:
+    """Yield a term and all below it, left to right."""
+    yield term
+    if isinstance(term, Negation):
+        yield from _terms(term.part)
+    elif isinstance(term, Junction):
+        for part in term.parts:
+            yield from _terms(part)
+
+
+def _normal(term: Term, negated: bool = False) -> Any:
+    """Return the negation normal form of a term, or of its negation."""
+    if isinstance(term, Negation):
+        return _normal(term.part, not negated)
+    if isinstance(term, Member):
+        return Within(term.region, term.state, not negated)
+    if isinstance(term, Junction):
+        kind = Every if (term.word == "and") is not negated else Some
+        return kind(tuple(_normal(part, negated) for part in term.parts))
+    one = term.negated() if negated else term
+    if one.operator in _EQUALITIES:
+        return (Every if one.operator == "==" else Some)(tuple(one.ordered()))
+    return one
+
+
+@lru_cache(_REMEMBERED)
+def parse_relation(text: str) -> Relation:
+    """Read a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
+
+    Parameters
+    ----------
+    text : str
+        The relation.
+
+    Raises
+    ------
+    FormulaError
+        If it cannot be read; see `parse`.
+    """
+    reader = _RelationReader(Source(text))
+    root = reader.disjunction()
+    reader.expect_end()
+    return Relation(root, text)
+
+
+def conjunction(texts: Sequence[str]) -> str:
+    """Return the relation that holds where all of `texts` do."""
+    return texts[0] if len(texts) == 1 else " and ".join(f"({text})" for text in texts)
+
+
+class _RelationReader(Reader):
+    """Recursive descent: `or` binds least, then `and`, then `not`, then comparisons."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._terms = 0
+
+    def disjunction(self) -> Term:
+        """Read a whole relation."""
+        return self._junction("or", lambda: self._junction("and", self._term))
+
+    def _junction(self, word: str, part: Callable[[], Term]) -> Term:
+        parts = [part()]
+        while self.token.text == word:
+            self.advance()
+            parts.append(part())
+        return parts[0] if len(parts) == 1 else Junction(word, tuple(parts))
+
+    def _term(self) -> Term:
+        token, self._terms = self.token, self._terms + 1
+        if self._terms > MAX_TERMS:
+            self.source.fail("too many comparisons", token.offset, f"at most {MAX_TERMS}")
+        if token.text == "not":
+            self.advance()
+            return Negation(self._term(), token.offset)
+        if token.text == "in":
+            return self._member()
+        if token.text != "(" or not self._holds_relation():
+            return self._comparison()
+        self.advance()
+        term = self.disjunction()
+        self.close(token)
+        if self.token.text in (*_COMPARISONS, "+", "-", "*", "/", "**"):
+            self.source.fail("a relation is no value", self.token.offset, "it is true or false")
+        return term
+
+    def _member(self) -> Term:
+        token = self.advance()
+        opening = self.advance()
+        name = self.advance()
+        region, dot, state = name.text.partition(".")
+        if opening.text != "(" or name.kind != "name" or not dot or self.token.text != ")":
+            self.source.fail(
+                "`in` asks for a state of a region", token.offset, "write in(REGION.STATE)"
+            )
+        self.advance()
+        return Member(region, state, token.offset)
+
+    def _comparison(self) -> Term:
+        begin = self.token.offset
+        left = self.sum()
+        sign = self.token
+        if sign.kind == "end" or sign.text in ("and", "or", ")"):
+            self.source.fail("a comparison is missing", sign.offset, "write it as x <= 0")
+        if sign.text not in _COMPARISONS:
+            self.expect_end()
+        self.advance()
+        middle = self.token.offset
+        right = self.sum()
+        if self.token.text in _COMPARISONS:
+            text = self.source.text
+            first, second = text[begin : self.token.offset].strip(), text[middle:].strip()
+            self.source.fail(
+                "a comparison has two sides", self.token.offset, f"write {first} and {second}"
+            )
+        text = self.source.text
+        own = text[begin : self.token.offset].strip()
+        return Comparison(Formula(text, left), Formula(text, right), sign.text, sign.offset, own)
+
+    def _holds_relation(self) -> bool:
+        """Whether the parenthesis that opens here holds a relation, not a formula."""
+        depth = 0
+        for match in _TOKENS.finditer(self.source.text, self.token.offset):
+            token = match[0]
+            depth += (token == "(") - (token == ")")
+            if token in _JOINTS:
+                return True
+            if depth == 0:
+                return False
+        return False

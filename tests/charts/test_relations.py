@@ -1,0 +1,185 @@
+"""Guards and stop conditions with several comparisons fire when they first hold."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+import statechart
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+
+ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
+
+CHART = """
+kind: chart
+name: watched
+parameters: {k: -1}
+variables: {x: 1, c: 1, s: 0, n: 0, count: 0}
+regions:
+  m: {initial: a, states: {a: {flows: {x: -1, c: -s, s: c}}}}
+  clock: {initial: w, states: {w: {}}, transitions: [
+    {name: tick, from: w, every: 1, updates: {count: count + 1}}]}
+  gate:
+    initial: shut
+    states: {shut: {}, open: {initial: slow, states: {slow: {}, fast: {}}}}
+    transitions:
+      - {name: opens, from: shut, to: open, guard: c <= 0}
+      - {name: hurries, from: slow, to: fast, after: 0.25}
+"""
+GUARD = """
+  e: {initial: w, states: {w: {}, d: {}}, transitions: [
+    {name: hit, from: w, to: d, guard: "RELATION"}]}
+stop: {time: 7}
+"""
+STOP = """
+stop: {time: 7, conditions: {hit: "RELATION"}}
+"""
+PI = math.pi
+
+FIRST = {
+    # An operand that stays at zero, as a number, a variable or a difference.
+    "max(x, n) <= 0": 1.0,
+    "max(c, n) <= 0": PI / 2,
+    "max(c, x - (1 - time)) <= 0": PI / 2,
+    "not min(-c, n) < 0": PI / 2,
+    "min(1.5 - time, count - 3) >= 0 or min(time - 3.5, count - 3) >= 0": 3.5,
+    # Corners in sums, scaled, in products and in other functions.
+    "abs(x) + abs(x + 2) <= 2": 1.0,
+    "k*max(x, n) >= 0": 1.0,
+    "2 - 3*max(-x, n) <= 0.5": 1.5,
+    "exp(max(x, n)) <= 1": 1.0,
+    # Parts that hold at different times, one after another.
+    "x <= 0 and c <= 0": PI / 2,
+    "x <= 0 and c >= 0 and s <= 0": 3 * PI / 2,
+    "(x <= -1 and s >= 0.5) or (x <= -3 and c < -0.5)": 2.0,
+    "not (x > -2 or s > 0)": PI,
+    "x <= -1 and not (c <= 0 and x >= -3)": 4.0,
+    # At one instant only, and never.
+    "abs(x + 0.5) <= 0": 1.5,
+    "time >= 2.5 and time <= 2.5": 2.5,
+    "abs(x) < 0": None,
+    "max(c, n) < 0": None,
+    "sin(abs(s)) < abs(n)": None,
+    # What only jumps change, and states of regions.
+    "count == 3": 3.0,
+    "count != 0 and x <= 0.5": 1.0,
+    "in(gate.open)": PI / 2,
+    "in(gate.open) and c >= 0": 3 * PI / 2,
+    "in(gate.fast) or x <= -3": PI / 2 + 0.25,
+    "not in(gate.slow) and count >= 1": 1.0,
+}
+
+
+def run(text: str, engine: str):
+    return statechart.run(interpret(read_text(text)), engine=engine)
+
+
+@ENGINES
+@pytest.mark.parametrize("relation", FIRST)
+def test_a_guard_fires_when_its_relation_first_holds(relation, engine):
+    trace = run(CHART + GUARD.replace("RELATION", relation), engine).trace
+    fired = [jump.t for jump in trace.jumps if jump.cause == "hit"]
+    expected = [] if FIRST[relation] is None else [pytest.approx(FIRST[relation], abs=1e-11)]
+    assert fired == expected
+    assert not trace.warnings
+
+
+@ENGINES
+@pytest.mark.parametrize("relation", FIRST)
+def test_a_run_stops_when_a_condition_first_holds(relation, engine):
+    trace = run(CHART + STOP.replace("RELATION", relation), engine).trace
+    if FIRST[relation] is None:
+        assert trace.outcome is Outcome.HORIZON
+    else:
+        assert trace.outcome is Outcome.STOPPED
+        assert trace.t_end == pytest.approx(FIRST[relation], abs=1e-11)
+        assert (trace.jumps[-1].cause, trace.jumps[-1].fired) == ("stop", ("hit",))
+
+
+def test_a_flow_that_goes_on_to_watch_another_part_is_no_jump():
+    relation = "x <= 0 and sin(40*time) >= 0.5 and time >= 6.9"
+    text = CHART.replace("every: 1,", "every: 10,") + GUARD.replace("RELATION", relation)
+    result = run(text + "\nsettings: {max_jumps: 5}", "taylor")
+    hit = result.trace.jumps[-1]
+    assert [jump.cause for jump in result.trace.jumps] == ["opens", "hurries", "hit"]
+    # The first place after 6.9 at which the sine comes to 1/2.
+    turns = math.ceil((40 * 6.9 - PI / 6) / (2 * PI))
+    phase = 40 * 6.9 % (2 * PI)
+    expected = 6.9 if PI / 6 <= phase <= 5 * PI / 6 else (PI / 6 + 2 * PI * turns) / 40
+    assert hit.t == pytest.approx(expected, abs=1e-10)
+
+
+def test_an_alternation_of_parts_does_not_end_a_run():
+    relation = "min(s, -s) > 0"
+    trace = run(CHART + GUARD.replace("RELATION", relation), "taylor").trace
+    assert trace.outcome is Outcome.HORIZON
+    assert {jump.cause for jump in trace.jumps} == {"tick", "opens", "hurries"}
+
+
+def test_a_list_holds_where_all_of_it_does():
+    listed = CHART + GUARD.replace('"RELATION"', "[x <= 0, c <= 0 or n > 1]")
+    model = interpret(read_text(listed))
+    assert model.regions["e"].transitions[0].guard == "(x <= 0) and (c <= 0 or n > 1)"
+    fired = [jump.t for jump in statechart.run(model).trace.jumps if jump.cause == "hit"]
+    assert fired == [pytest.approx(PI / 2, abs=1e-11)]
+
+
+def test_reports_have_the_margin_of_the_whole_relation():
+    relation = "x <= -2 and c <= 0"
+    result = run(CHART + GUARD.replace("RELATION", relation), "taylor")
+    margins = result.to_dict()["margins"]
+    assert [name for name in margins if name.startswith("e.")] == ["e.hit"]
+    assert margins["e.hit"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_check_passes_where_parts_hold_alone():
+    relation = "x <= 0 and c >= 0 and s <= 0"
+    report = statechart.check(
+        interpret(read_text(CHART + GUARD.replace("RELATION", relation))), examples=1
+    )
+    assert report.passed, report
+
+
+@pytest.mark.parametrize(
+    ("relation", "told"),
+    [
+        ("x == 0", "== compares 'x', which changes between events; write <= or >="),
+        ("time != 1", "!= compares 'time', which changes between events"),
+        ("in(gate.opened)", "no state 'opened'; did you mean 'open'"),
+        ("in(gates.open)", "no region 'gates'; did you mean 'gate'"),
+        ("0 <= x <= 1", "a comparison has two sides; write 0 <= x and x <= 1"),
+        ("[x <= 0, y <= 0]", "unknown name 'y'"),
+        ("[x <= 0, 7]", "is not a relation; write x <= 0"),
+        ("[]", "an empty list is no relation"),
+    ],
+)
+def test_what_no_relation_can_be_is_told_with_its_place(relation, told):
+    quoted = relation if relation.startswith("[") else f'"{relation}"'
+    text = CHART + GUARD.replace('"RELATION"', quoted)
+    line = next(i for i, line in enumerate(text.splitlines(), 1) if "name: hit" in line)
+    with pytest.raises(DeclarationError) as caught:
+        interpret(read_text(text, "f.yaml"))
+    assert told in str(caught.value)
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize("word", ["and", "or", "not", "in"])
+def test_words_of_relations_name_no_value_but_states(word):
+    with pytest.raises(DeclarationError, match=f"'{word}' is a word of relations"):
+        interpret(read_text(CHART.replace("{k: -1}", f"{{{word}: 1}}")))
+    text = CHART.replace("shut", word) + GUARD.replace("RELATION", f"in(gate.{word})")
+    fired = [jump.t for jump in run(text, "taylor").trace.jumps if jump.cause == "hit"]
+    assert fired == [0.0]
+
+
+def test_an_invariant_of_states_is_refused():
+    with pytest.raises(DeclarationError, match="no state can be asked for here"):
+        interpret(
+            read_text(
+                CHART + STOP.replace("RELATION", "x <= 0") + "\ninvariants: {i: in(gate.open)}"
+            )
+        )
