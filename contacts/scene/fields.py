@@ -30,6 +30,7 @@ from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
+from statechart.formulas.relation import conjunction
 from statechart.formulas.tree import Name
 
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
@@ -324,7 +325,7 @@ class SceneFields(Declaration):
         """Return the conditions without which a contact is off, as text; "" for none."""
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
-        return " and ".join((*declared.enabled, *(["within its edge"] if ends else [])))
+        return conjunction((*declared.enabled, *(["within its edge"] if ends else [])))
 
 
 def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:

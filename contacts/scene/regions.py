@@ -10,6 +10,7 @@ from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off,
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
+from statechart.formulas.relation import conjunction
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -97,8 +98,8 @@ def region(
     def claims(state: str) -> tuple[Claim, ...]:
         if state != OFF:
             return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in contact.enabled)
-        if len(gates()) > len(contact.enabled):
-            # It may be beyond the ends of its edge.
+        if gate != conjunction(contact.enabled):
+            # It may be off beyond the ends of its edge.
             return ()
         outside = f"{name}.gap > 0"
         return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)

@@ -38,6 +38,7 @@ _EQUALITIES = tuple(_ORDERED)
 _COMPARISONS = (*RELATIONS, *_EQUALITIES)
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 _TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
+_OR = re.compile(r"\bor\b")
 _JOINTS = frozenset({"<", "<=", ">", ">=", "==", "!=", "=", "!", "and", "or", "not", "in"})
 
 
@@ -294,7 +295,9 @@ def parse_relation(text: str) -> Relation:
 
 def conjunction(texts: Sequence[str]) -> str:
     """Return the relation that holds where all of `texts` do."""
-    return texts[0] if len(texts) == 1 else " and ".join(f"({text})" for text in texts)
+    if len(texts) == 1:
+        return texts[0]
+    return " and ".join(f"({text})" if _OR.search(text) else text for text in texts)
 
 
 class _RelationReader(Reader):

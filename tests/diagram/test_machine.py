@@ -10,6 +10,7 @@ import pytest
 from statechart.cli.main import main
 from statechart.diagram.machine import NOTES, SCXML, lost
 from statechart.diagram.scxml import scxml
+from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
@@ -123,3 +124,25 @@ def test_a_contact_is_written_with_its_states_in_states() -> None:
     events = [t.get("event") for t in root.iter(f"{{{SCXML}}}transition")]
     # Who sends one says which state is entered, where that is open.
     assert {f"tip.touchdown.{s}" for s in ("pin", "slide_plus", "slide_minus")} <= {*events}
+
+
+def test_words_of_relations_become_those_of_conditions():
+    text = """
+kind: chart
+name: gated
+variables: {x: 1, n: 0}
+regions:
+  gate:
+    initial: shut
+    states: {shut: {}, open: {}}
+    transitions: [{name: opens, from: shut, to: open, guard: x <= 0.5}]
+  motion:
+    initial: a
+    states: {a: {flows: {x: -1}}, b: {}}
+    transitions:
+      - {name: go, from: a, to: b, guard: x <= 0 and not (n > 1 or in(gate.shut))}
+stop: {time: 3}
+"""
+    root = ET.fromstring(scxml(drawn(Runner(read_text(text)))[0]))
+    conditions = [element.get("cond") for element in root.iter() if element.get("cond")]
+    assert conditions == ["x <= 0.5", "x <= 0 && !(n > 1 || In('gate_shut'))"]

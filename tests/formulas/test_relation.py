@@ -125,7 +125,7 @@ def test_words_bind_as_in_python():
     assert [term.word, term.parts[0].word] == ["or", "and"]
     assert truth("in(gate.open) and (not in(gate.shut))", dict.fromkeys(NAMES, 0.0))
     assert conjunction(["a <= 0"]) == "a <= 0"
-    assert conjunction(["a <= 0", "b > 1 or c > 1"]) == "(a <= 0) and (b > 1 or c > 1)"
+    assert conjunction(["a <= 0", "b > 1 or c > 1"]) == "a <= 0 and (b > 1 or c > 1)"
 
 
 def test_parentheses_hold_formulas_and_relations():
