@@ -125,14 +125,22 @@ def near_obstacles(
         q = others[k] if is_piece else all_pieces + k - len(others)
         if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
             continue
-        at = _near_circle(look, pieces, q, found, count, size) if is_piece else 0
-        if at < 0 or many == len(covering) or not collide(numbers, touched_by, q):
-            continue
-        at = _near_obstacle(numbers, ground, look, q, found, count, size)
+        if is_piece:
+            at = _near_circle(look, pieces, q, found, count, size)
+        else:
+            at = _near_obstacle(numbers, ground, look, q, found, count, size)
         near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
-        if at >= 0 and rest_together(
-            numbers, ground, look, (one, q), found[at, 2], found[at, 3], h, near
+        if (
+            at < 0
+            or many == len(covering)
+            or not rest_together(
+                numbers, ground, look, (one, q), found[at, 2], found[at, 3], h, near
+            )
         ):
+            continue
+        if is_piece and _near_obstacle(numbers, ground, look, q, found, count, size) < 0:
+            continue
+        if collide(numbers, touched_by, q):
             covering[many] = q
             many += 1
     return many
