@@ -214,7 +214,7 @@ def exposed(
     return kept, deep
 
 
-@late
+@part
 def _how(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
     side: float, point: Array, rays: Array,

@@ -78,8 +78,8 @@ def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours)
 
 @part
 def near_obstacles(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], others: Ints,
-    h: float, found: Array, count: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int],
+    near_pieces: Neighbours, h: float, found: Array, count: int,
 ) -> int:  # fmt: skip
     """List the obstacles at points of contact of one of a pair; return how many there are.
 
@@ -88,17 +88,16 @@ def near_obstacles(
     numbers, ground, look
     pair : (int, int)
         What is touched, and what touches it.
-    others : (k,) array of int
-        Pieces that are near.
+    near_pieces : Neighbours
+        Its `covering` is filled with the first, and with pieces and surfaces that do not move
+        against it and touch the second.
     h : float
     found : (m, FOUND), count : int
         Points of contact.
-    covering : (c,) array of int
-        Is filled with the first, and with pieces and surfaces that do not move against it and touch
-        the second.
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1
+    others, covering, count_others = near_pieces.others, near_pieces.covering, near_pieces.many[0]
     covering[0] = one
     plate = one >= all_pieces
     body = -1 if plate else pieces.bodies[one]
@@ -120,9 +119,9 @@ def near_obstacles(
     if solid or (not plate and pieces.radii[one] > 0.0):
         # A half-plane has one normal, and so has a rim: others beside it take none away.
         return many
-    for k in range(len(others) + len(surfaces.kinds)):
-        is_piece = k < len(others)
-        q = others[k] if is_piece else all_pieces + k - len(others)
+    for k in range(count_others + len(surfaces.kinds)):
+        is_piece = k < count_others
+        q = others[k] if is_piece else all_pieces + k - count_others
         if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
             continue
         if is_piece:

@@ -192,9 +192,7 @@ def _bared(
     """
     found, features = points.found, points.features
     sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
-    many = near_obstacles(
-        numbers, ground, look, sides, near.others[: near.many[0]], h, found, count, near.covering
-    )
+    many = near_obstacles(numbers, ground, look, sides, near, h, found, count)
     if many <= 1:
         return count
     covering, side = near.covering[:many], 2.0 * turn - 1.0
