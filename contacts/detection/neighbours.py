@@ -152,7 +152,8 @@ def _near_circle(
     """Return the first point of contact that is near the circle around a piece; -1: none."""
     for i in range(count):
         x, y = found[i, 2] - look.centres[q, 0], found[i, 3] - look.centres[q, 1]
-        if norm(x, y) - pieces.sizes[q] <= _AROUND * size + 2.0 * abs(found[i, 4]):
+        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(found[i, 4])
+        if x * x + y * y <= reach * reach:
             return i
     return -1
 
