@@ -20,6 +20,7 @@ from contacts.collisions.declared_surfaces import touched
 from contacts.collisions.inside import check_inside
 from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.outlines import body_numbers
+from contacts.collisions.own_step import forced_speed, own_step
 from contacts.collisions.paths import Paths
 from contacts.collisions.recall import Recall
 from contacts.collisions.stepped_heap import SteppedHeap
@@ -44,14 +45,11 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
 from statechart.automaton.time_stepper import USUAL
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
+from statechart.formulas.formula import parse
 from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
 _START_DEPTH = 1e-6
-# A step that is chosen here takes bodies this part of the smallest one's size at the scene's speed,
-# and lasts this part of the time in which it falls by half its size: 3e-4 s to 2e-3 s for the
-# shipped heaps, which are written for 1e-3 s.
-_CROSSED, _FALLEN = 0.1, 0.02
 
 
 def bodies_automaton(scene: Scene) -> Automaton:
@@ -144,19 +142,20 @@ class BodyStepper(Stepper):
         self._unlikely = unlikely(declared)
 
     def own_step(self) -> float:
-        """Return a step by the scales: of declared parameters, rounded to a digit.
-
-        In it nothing moves far beside the smallest body, at the scene's speed or falling.
-        """
+        """Return a step by the scales: of declared parameters; see `own_step`."""
         setup, bodies = self._made({}, USUAL.tolerance, False)
-        sizes = bodies.numbers.sizes
-        # What only carries a surface has no size.
-        size = float(sizes.min(where=sizes > 0.0, initial=np.inf))
-        step = _CROSSED * size / setup.scales.speed
-        gravity = math.hypot(*bodies.numbers.gravity)
-        if gravity > 0.0:
-            step = min(step, _FALLEN * math.sqrt(size / gravity))
-        return float(f"{step:.0e}")
+        controlled, end = self._scene.controlled, self._scene.stop.time
+        each = [controlled.initial]
+        for name, region in controlled.flat.items():
+            each += [{**controlled.initial, name: state} for state in region.states]
+        forced = forced_speed(
+            [self._bodies.forces_at(states, setup.values) for states in each],
+            bodies.numbers,
+            setup.initial,
+            math.inf if end is None else parse(end).value(self._constants.values({})),
+            setup.scales.length,
+        )
+        return own_step(bodies.numbers, setup.scales, forced)
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the numbers of a run.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from contacts.collisions.body_step import step_bodies
 from contacts.collisions.mass_ratios import ratio_remarks
 from contacts.collisions.no_ground import NoGround
 from contacts.collisions.room import Room
+from contacts.collisions.sinking import Sinking
 from contacts.collisions.stiff_forces import UNSTABLE, Held, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory
@@ -127,6 +129,7 @@ class SteppedHeap:
         self._before = (0.0, 0.0)
         self._unfollowed: StepTooLarge | None = None
         self._no_ground = NoGround(names, surfaces, numbers)
+        self._sinking = Sinking(names, numbers, start_depth)
         # A disc about its centre of mass looks the same however it turns.
         pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
@@ -152,11 +155,21 @@ class SteppedHeap:
 
     def deepest_of(self, body: int) -> str:
         """Return what a body touches the deepest since the last step; "" where that is covered."""
+        return self._deepest_met(body, self.least[body])
+
+    def _deepest_at(self, body: int, state: Array, time: float) -> str:
+        """Return what a body touches the deepest in a state."""
+        with self._looking(state, time, self._length):
+            return self._deepest_met(body, math.inf)
+
+    def _deepest_met(self, body: int, least: float) -> str:
+        # Joints stand behind the contacts.
+        count = int(self._memory.many[0]) - len(self.numbers.joints.holds)
         touches = self._room.touches
-        mine = [i for i in range(int(self._memory.many[0])) if body in touches.bodies[i].tolist()]
+        mine = [i for i in range(count) if body in touches.bodies[i].tolist()]
         i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
         # Deeper than all that it touches is what is in the middle of others' pieces.
-        if i < 0 or self._memory.contacts[i, 0] > self.least[body]:
+        if i < 0 or self._memory.contacts[i, 0] > least:
             return ""
         one, other = touches.bodies[i].tolist()
         pieces = len(self.numbers.pieces.sizes)
@@ -205,14 +218,18 @@ class SteppedHeap:
 
     def _touched(self, state: Array, time: float, h: float) -> _Touched:
         """Return what a small part of a step of `h` meets."""
-        # The run may go on from where it is.
+        with self._looking(state, time, h):
+            touches, many = self._room.touches, int(self._memory.many[0])
+            return _Touched.of(touches, many, self.numbers.joints.holds, self._memory)
+
+    @contextmanager
+    def _looking(self, state: Array, time: float, h: float) -> Iterator[None]:
+        """Take a small part of a step of `h`, after which the run may go on from where it is."""
         before, around = self._memory, self._around
         self._memory, self._around = Memory.room(self.numbers), copy(around)
         self._taken(time, _INSTANT * h, state, 1, math.inf)
-        touches, many = self._room.touches, int(self._memory.many[0])
-        found = _Touched.of(touches, many, self.numbers.joints.holds, self._memory)
+        yield
         self._memory, self._around = before.as_large(self._memory), around
-        return found
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -226,6 +243,7 @@ class SteppedHeap:
             )
         found += ratio_remarks(self._room.worst, self._names, self._allowed)
         found += self._no_ground.remarks
+        found += self._sinking.remarks(self._deepest_at)
         if self._parted:
             open_too = ", or joints would not close" if len(self.numbers.joints.holds) else ""
             found += (
@@ -268,6 +286,7 @@ class SteppedHeap:
                 raise self._unfollowed
         bodies = len(self._names)
         self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
+        self._sinking.look(start, chunk)
         self._around.passed(len(chunk.codes))
         turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
         struck = chunk.struck[:, self._angular]

@@ -130,6 +130,9 @@ def _stands_between(
     one = obstacle(numbers, ground, look, which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
+    if 0.0 <= (cx - ax) * ex + (cy - ay) * ey <= length:
+        # It is before the face.
+        return False
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
@@ -140,7 +143,8 @@ def _stands_between(
         for q in covering:
             other = obstacle(numbers, ground, look, q, x, y)
             near = FLUSH * min(one.size, other.size)
-            if q != which and distance_to(other, x, y) <= near:
+            # A disc curves away from its rays: what is beyond them may see the face.
+            if q != which and other.sort != DISC and distance_to(other, x, y) <= near:
                 many = add_rays(other, x, y, near, rays, many)
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
         if turned < 0.0:
@@ -210,7 +214,7 @@ def exposed(
     return kept, deep
 
 
-@late
+@part
 def _how(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
     side: float, point: Array, rays: Array,
@@ -231,14 +235,7 @@ def _how(
         if there >= here - FLUSH * one.size:
             u, v = x, y
         face = _face(one, (u, v), out)
-    if face >= 0:
-        if _is_covered(numbers, ground, look, which, covering, (u, v), out):
-            return _COVERED
-        middle = _middle(obstacle(numbers, ground, look, pair[1], u, v))
-        if math.isinf(middle[0]):
-            middle = u + one.size * out[0], v + one.size * out[1]
-        if _stands_between(numbers, ground, look, pair, covering, face, (u, v), middle, rays):
-            return _COVERED
+    beside = False
     for q in covering:
         if q == which:
             continue
@@ -247,6 +244,7 @@ def _how(
         away = distance_to(other, u, v)
         if away > near:
             continue
+        beside = True
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and between_normals(other, (u, v), out):
             # What both pieces have is that of the first, where no other covers that.
@@ -260,7 +258,16 @@ def _how(
         elif face < 0 and (away < -near or not _in_cone(other, (u, v), out, near, rays)):
             # Another piece of the body may be far from the other points of contact.
             return _COVERED if same else _BARRED
-    return _OF_FACE if face >= 0 else _OF_CORNER
+    if face < 0:
+        return _OF_CORNER
+    if beside and _is_covered(numbers, ground, look, which, covering, (u, v), out):
+        return _COVERED
+    middle = _middle(obstacle(numbers, ground, look, pair[1], u, v))
+    if math.isinf(middle[0]):
+        middle = u + one.size * out[0], v + one.size * out[1]
+    if _stands_between(numbers, ground, look, pair, covering, face, (u, v), middle, rays):
+        return _COVERED
+    return _OF_FACE
 
 
 @part

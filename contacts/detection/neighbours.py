@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from contacts.detection.body_numbers import BodyNumbers
+from contacts.detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.detection.convex import norm
 from contacts.detection.ground import Ground
 from contacts.detection.look import Look
-from contacts.detection.obstacles import FLUSH, collide, rest_together
-from contacts.detection.surfaces import distance
+from contacts.detection.obstacles import (
+    FLUSH,
+    collide,
+    distance_to,
+    obstacle,
+    rest_together,
+)
+from contacts.detection.surfaces import PLATE, ROUND, distance
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
 
@@ -73,8 +78,8 @@ def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours)
 
 @part
 def near_obstacles(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], others: Ints,
-    h: float, found: Array, count: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int],
+    near_pieces: Neighbours, h: float, found: Array, count: int,
 ) -> int:  # fmt: skip
     """List the obstacles at points of contact of one of a pair; return how many there are.
 
@@ -83,47 +88,92 @@ def near_obstacles(
     numbers, ground, look
     pair : (int, int)
         What is touched, and what touches it.
-    others : (k,) array of int
-        Pieces that are near.
+    near_pieces : Neighbours
+        Its `covering` is filled with the first, and with pieces and surfaces that do not move
+        against it and touch the second.
     h : float
     found : (m, FOUND), count : int
         Points of contact.
-    covering : (c,) array of int
-        Is filled with the first, and with pieces and surfaces that do not move against it and touch
-        the second.
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1
+    others, covering, count_others = near_pieces.others, near_pieces.covering, near_pieces.many[0]
     covering[0] = one
-    size = pieces.sizes[one] if one < all_pieces else _half_length(numbers, one - all_pieces)
-    body = pieces.bodies[one] if one < all_pieces else -1
-    if body >= 0:
-        for q in range(pieces.begins[body], pieces.begins[body + 1]):
+    plate = one >= all_pieces
+    body = -1 if plate else pieces.bodies[one]
+    size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
+    if not plate:
+        first, end = pieces.begins[body], pieces.begins[body + 1]
+        beside = False
+        for q in range(first, end):
+            beside = beside or (q != one and _near_circle(look, pieces, q, found, count, size) >= 0)
+        # A face may be covered by several.
+        for q in range(first, end if beside else first):
             if q != one and many < len(covering):
                 covering[many] = q
                 many += 1
-    for k in range(len(others) + len(surfaces.kinds)):
-        q = others[k] if k < len(others) else all_pieces + k - len(others)
-        if q in (one, touched_by) or (q < all_pieces and pieces.bodies[q] == body):
+    solid = touched_by >= all_pieces and surfaces.kinds[touched_by - all_pieces] not in (
+        PLATE,
+        ROUND,
+    )
+    if solid or (not plate and pieces.radii[one] > 0.0):
+        # A half-plane has one normal, and so has a rim: others beside it take none away.
+        return many
+    for k in range(count_others + len(surfaces.kinds)):
+        is_piece = k < count_others
+        q = others[k] if is_piece else all_pieces + k - count_others
+        if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
             continue
-        near = FLUSH * (min(size, pieces.sizes[q]) if q < all_pieces else size)
-        at = -1
-        for i in range(count):
-            x, y = found[i, 2], found[i, 3]
-            if q < all_pieces:
-                away = norm(x - look.centres[q, 0], y - look.centres[q, 1]) - pieces.sizes[q]
-            else:
-                s = q - all_pieces
-                moves = surfaces.moves[s] or surfaces.carriers[s] >= 0
-                away = -math.inf if moves else distance(surfaces, s, ground.still[1], x, y)
-            if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
-                at = i
-        if at < 0 or many == len(covering) or not collide(numbers, touched_by, q):
+        if is_piece:
+            at = _near_circle(look, pieces, q, found, count, size)
+        else:
+            at = _near_obstacle(numbers, ground, look, q, found, count, size)
+        near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
+        if (
+            at < 0
+            or many == len(covering)
+            or not rest_together(
+                numbers, ground, look, (one, q), found[at, 2], found[at, 3], h, near
+            )
+        ):
             continue
-        if rest_together(numbers, ground, look, (one, q), found[at, 2], found[at, 3], h, near):
+        if is_piece and _near_obstacle(numbers, ground, look, q, found, count, size) < 0:
+            continue
+        if collide(numbers, touched_by, q):
             covering[many] = q
             many += 1
     return many
+
+
+@part
+def _near_circle(
+    look: Look, pieces: PieceNumbers, q: int, found: Array, count: int, size: float
+) -> int:
+    """Return the first point of contact that is near the circle around a piece; -1: none."""
+    for i in range(count):
+        x, y = found[i, 2] - look.centres[q, 0], found[i, 3] - look.centres[q, 1]
+        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(found[i, 4])
+        if x * x + y * y <= reach * reach:
+            return i
+    return -1
+
+
+@part
+def _near_obstacle(
+    numbers: BodyNumbers, ground: Ground, look: Look, q: int, found: Array, count: int, size: float
+) -> int:
+    """Return the first point of contact that is near a piece or surface; -1: none."""
+    s = q - len(numbers.pieces.sizes)
+    still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
+    for i in range(count):
+        x, y = found[i, 2], found[i, 3]
+        if still:
+            away = distance(numbers.surfaces, s, ground.still[1], x, y)
+        else:
+            away = distance_to(obstacle(numbers, ground, look, q, x, y), x, y)
+        if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
+            return i
+    return -1
 
 
 @part

@@ -252,6 +252,6 @@ def rest_together(
     """Whether two obstacles move against each other by less than `near` at x, y in a step."""
     u, v, turning = _velocity(numbers, ground, look, pair[0], x, y, h)
     other_u, other_v, other_turning = _velocity(numbers, ground, look, pair[1], x, y, h)
-    size = near / FLUSH
-    away = norm(u - other_u, v - other_v) + size * abs(turning - other_turning)
-    return h * away <= near
+    along, across = u - other_u, v - other_v
+    turned = near / FLUSH * (turning - other_turning)
+    return h * h * (along * along + across * across + turned * turned) <= near * near

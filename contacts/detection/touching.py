@@ -30,7 +30,7 @@ from contacts.detection.neighbours import (
     sort_pairs,
 )
 from contacts.detection.pair import CROSSED, Pair, paired
-from contacts.detection.surfaces import PLATE
+from contacts.detection.surfaces import PLATE, ROUND
 from contacts.detection.touches import Touches, felt, recalled, turned
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
@@ -173,7 +173,9 @@ def _met(
         if pair.other >= 0:
             look.gaps[pair.other] = min(look.gaps[pair.other], found[at, 4])
     for turn in range(2 if count > 0 else 0):
-        if pair.whole or turn == 0 or numbers.surfaces.kinds[s] == PLATE:
+        several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
+        # A half-plane has one normal: others beside what touches it take none away.
+        if pair.whole or several or numbers.surfaces.kinds[s] in (PLATE, ROUND):
             count = _bared(numbers, ground, look, pair, turn, times.h, points, near, count)
     return count
 
@@ -190,9 +192,7 @@ def _bared(
     """
     found, features = points.found, points.features
     sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
-    many = near_obstacles(
-        numbers, ground, look, sides, near.others[: near.many[0]], h, found, count, near.covering
-    )
+    many = near_obstacles(numbers, ground, look, sides, near, h, found, count)
     if many <= 1:
         return count
     covering, side = near.covering[:many], 2.0 * turn - 1.0
