@@ -50,7 +50,7 @@ from contacts.time_stepping.step_contacts import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import part, stepwise
+from statechart.kernels.jit import beside, part, stepwise
 from statechart.kernels.tapes import tape_values
 
 
@@ -133,7 +133,7 @@ def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Arr
         state[2 * scene.size + i] += h * rates[i]
 
 
-@part
+@beside
 def _settled(
     scene: SceneNumbers, memory: ContactMemory, time: float, middle: Array, state: Array,
     tape: Tape, factors: Array, order: Ints, k: int, chunk: Chunk,
