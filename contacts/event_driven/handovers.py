@@ -38,7 +38,7 @@ class Handovers:
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
         names = enumerate(mechanics.scene.contacts)
-        self._gated = {i: name for i, name in names if mechanics.conditions(name)}
+        self._gated = {i: name for i, name in names if mechanics.gate(name) is not None}
         self._tapes: dict[Key, Tape] = {}
 
     def remarks(self, setup: Setup, arcs: Sequence[Arc]) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ class Handovers:
         )
 
     def _tape(self, mode: Key) -> Tape:
-        """Return the tape of the least condition and the gap of each contact with conditions."""
+        """Return the tape of the margin of its gate and the gap of each contact with conditions."""
         states = mode[len(self._mechanics.scene.contacts) :]
         if states not in self._tapes:
             controllers = self._mechanics.scene.controlled.flat
@@ -91,8 +91,9 @@ class Handovers:
                 set_[control] = value.xreplace(set_)
             outputs: list[sp.Expr] = []
             for name in self._gated.values():
-                conditions = self._mechanics.conditions(name)
-                outputs.append(sp.Min(*(m.expression.xreplace(set_) for m in conditions)))
+                gate = self._mechanics.gate(name)
+                assert gate is not None
+                outputs.append(gate.by_steps(set_))
                 outputs.append(self._mechanics.contact(name).symbols.gap)
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
