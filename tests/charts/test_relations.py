@@ -123,7 +123,7 @@ def test_an_alternation_of_parts_does_not_end_a_run():
 def test_a_list_holds_where_all_of_it_does():
     listed = CHART + GUARD.replace('"RELATION"', "[x <= 0, c <= 0 or n > 1]")
     model = interpret(read_text(listed))
-    assert model.regions["e"].transitions[0].guard == "(x <= 0) and (c <= 0 or n > 1)"
+    assert model.regions["e"].transitions[0].guard == "x <= 0 and (c <= 0 or n > 1)"
     fired = [jump.t for jump in statechart.run(model).trace.jumps if jump.cause == "hit"]
     assert fired == [pytest.approx(PI / 2, abs=1e-11)]
 

@@ -75,13 +75,13 @@ stop: {time: 2, conditions: {far: ball.x > 2}}
 
 
 def changed(text: str, name: str, margin: Callable[[sp.Expr], sp.Expr]) -> Subject:
-    """Return a subject whose margin of that name is another: its runs see other events."""
+    """Return a subject with other margins of that name, or relation: its runs see other events."""
     model = interpret(read_text(text))
     automaton = kind(model.kind).automaton(model)
     assert isinstance(automaton, Automaton)
 
     def of(one: Margin) -> Margin:
-        same = one.name != name
+        same = name not in (one.name, one.relation)
         return one if same else dataclasses.replace(one, expression=margin(one.expression))
 
     def region(one: Region) -> Region:
@@ -132,7 +132,7 @@ def test_an_event_that_comes_late_is_found(text: str, name: str, message: str, b
 
 def test_a_contact_that_stays_off_is_found() -> None:
     text = SLIDES.replace("ball.x < 1", "ball.x > 1")
-    found = failure(changed(text.replace("dx: 1", "y: 5, dx: 3"), "b.off", later(0.5)))
+    found = failure(changed(text.replace("dx: 1", "y: 5, dx: 3"), "b.off: ball.x > 1", later(0.5)))
     assert found.startswith("taylor: b is enabled holds at t = 0.3")
 
 
