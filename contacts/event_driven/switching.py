@@ -28,8 +28,8 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.course import UNDERFLOW
 from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Role, Roles
+from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
-from statechart.engines.whole_flow import Watch
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
 
