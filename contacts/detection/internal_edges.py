@@ -130,9 +130,6 @@ def _stands_between(
     one = obstacle(numbers, ground, look, which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
-    if 0.0 <= (cx - ax) * ex + (cy - ay) * ey <= length:
-        # It is before the face.
-        return False
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
