@@ -39,7 +39,7 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 
 # A contact with a face, or with a corner or a rim, that is bare; one that is covered; one whose
-# normal the corner does not have, nor has any other contact along it.
+# normal the corner does not have, nor has a contact along it that is less deep.
 _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
@@ -130,9 +130,6 @@ def _stands_between(
     one = obstacle(numbers, ground, look, which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
-    if 0.0 <= (cx - ax) * ex + (cy - ay) * ey <= length:
-        # It is before the face.
-        return False
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
@@ -200,18 +197,18 @@ def exposed(
         Points of contact; those left come first.
     """
     kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
-    barred, deep = False, False
+    barred = math.inf
     for i in range(count):
         how[i] = _how(numbers, ground, look, pair, covering, side, found[i], rays)
         if how[i] == _BARRED:
-            barred, deep = True, deep or found[i, 4] < 0.0
+            barred = min(barred, found[i, 4])
     for i in range(count):
-        if how[i] == _OF_FACE or (how[i] == _OF_CORNER and not barred):
+        if how[i] == _OF_FACE or (how[i] == _OF_CORNER and found[i, 4] < barred):
             (nx, ny, x, y, gap), feature = found[i], features[i]
             write(found[kept], nx, ny, x, y, gap)
             features[kept] = feature
             kept += 1
-    return kept, deep
+    return kept, barred < 0.0
 
 
 @part
