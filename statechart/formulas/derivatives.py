@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import sympy as sp
-
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Binary, Call, Name, Node, Unary, children, names_in, nodes
@@ -68,6 +66,8 @@ def check_smooth(
 
 def _under_roots(text: str | int | float) -> set[str]:
     """Return the names whose squares a formula takes the root of."""
+    import sympy as sp
+
     formula = parse(text)
     found = formula.to_sympy({name: sp.Symbol(name, real=True) for name in formula.names})
     return {symbol.name for root in found.atoms(sp.Abs) for symbol in root.free_symbols}

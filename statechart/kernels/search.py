@@ -17,7 +17,7 @@ from statechart.kernels.boxes import (
 )
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import part, seldom
 from statechart.kernels.needed import bit, narrowed
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.roots import last_place, value_at
@@ -206,7 +206,7 @@ def _decided(
     return STUCK, INF, INF
 
 
-@kernel
+@seldom
 def search(
     code: Ints32,
     constants: Array,
