@@ -124,7 +124,8 @@ def _stands_between(
     """Whether an obstacle at an end of a face stands between the face and a body.
 
     From where the face is bare, it is the first that the way out of the face turns to. The body's
-    middle is beyond it, and the segment from there to the point of contact crosses it.
+    middle is beyond it, and the segment from there to the point of contact crosses it, or the face,
+    or what goes on behind that.
     """
     which = pair[0]
     one = obstacle(numbers, ground, look, which, place[0], place[1])
@@ -146,16 +147,16 @@ def _stands_between(
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
         if turned < 0.0:
             turned += 2.0 * math.pi
-        along = (u - x) * tx + (v - y) * ty
+        along, before, crossed = (u - x) * tx + (v - y) * ty, False, turned > math.pi
         for k in range(many):
             dx, dy, reach = rays[k]
             angle = math.atan2(dx * nx + dy * ny, dx * tx + dy * ty)
-            if not FLUSH < angle < min(turned, math.pi) - FLUSH:
-                continue
-            if along <= FLUSH * one.size or _crosses(
+            before = before or FLUSH < angle < min(turned, math.pi) - FLUSH
+            crossed = crossed or _crosses(
                 (u, v), (cx, cy), (x, y), (dx, dy), reach, FLUSH * one.size
-            ):
-                return True
+            )
+        if before and (crossed or along <= FLUSH * one.size):
+            return True
     return False
 
 
