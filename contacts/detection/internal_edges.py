@@ -24,6 +24,7 @@ from contacts.detection.obstacles import (
     DISC,
     FLUSH,
     HALF,
+    POLYGON,
     RAYS,
     Obstacle,
     add_rays,
@@ -38,34 +39,47 @@ from contacts.detection.obstacles import (
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 
+# The normal of a contact is that of a face where it leans by less than this, and the point is
+# between the ends of that.
+_LEANS = 0.1
+
 # A contact with a face, or with a corner or a rim, that is bare; one that is covered; one whose
 # normal the corner does not have, nor has a contact along it that is less deep.
 _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
 @part
-def _middle(one: Obstacle) -> tuple[float, float]:
-    """Return a point in an obstacle; infinite of a half-plane."""
-    if one.sort == HALF:
-        return math.inf, math.inf
+def _beyond(
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float], far: float
+) -> tuple[float, float]:
+    """Return a point of what touches a face: its middle, or one far out where it is a surface."""
+    x, y = place[0] + far * outward[0], place[1] + far * outward[1]
     if one.sort == DISC:
-        return one.centre[0], one.centre[1]
-    x = y = 0.0
-    for i in range(len(one.corners)):
-        x += one.corners[i, 0] / len(one.corners)
-        y += one.corners[i, 1] / len(one.corners)
+        x, y = one.centre[0], one.centre[1]
+    elif one.sort == POLYGON:
+        x = y = 0.0
+        for i in range(len(one.corners)):
+            x += one.corners[i, 0] / len(one.corners)
+            y += one.corners[i, 1] / len(one.corners)
     return x, y
 
 
 @part
-def _face(one: Obstacle, place: tuple[float, float], outward: tuple[float, float]) -> int:
-    """Return on which face with this normal a point is; -1: on a corner or a rim."""
-    near = FLUSH * one.size
+def _face(
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float = FLUSH
+) -> int:
+    """Return on which face with this normal a point is; -1: on a corner or a rim.
+
+    What may lean by more than rounding is between the ends of the face.
+    """
+    near, inset = FLUSH * one.size, FLUSH * one.size if leans > FLUSH else -math.inf
     for i in range(edges(one) if one.sort != DISC else 0):
-        ax, ay, ux, uy, _ = edge_of(one, i)
+        ax, ay, ux, uy, length = edge_of(one, i)
         away = uy * (place[0] - ax) - ux * (place[1] - ay)
+        along = ux * (place[0] - ax) + uy * (place[1] - ay)
         turned, facing = uy * outward[1] + ux * outward[0], uy * outward[0] - ux * outward[1]
-        if abs(away) <= near and abs(turned) <= FLUSH and facing >= 0.0:
+        inside = inset < along < length - inset
+        if abs(away) <= near and abs(turned) <= leans and facing >= 0.0 and inside:
             return i
     return -1
 
@@ -124,7 +138,8 @@ def _stands_between(
     """Whether an obstacle at an end of a face stands between the face and a body.
 
     From where the face is bare, it is the first that the way out of the face turns to. The body's
-    middle is beyond it, and the segment from there to the point of contact crosses it.
+    middle is beyond it, and the segment from there to the point of contact crosses it, or the face,
+    or what goes on behind that.
     """
     which = pair[0]
     one = obstacle(numbers, ground, look, which, place[0], place[1])
@@ -146,16 +161,16 @@ def _stands_between(
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
         if turned < 0.0:
             turned += 2.0 * math.pi
-        along = (u - x) * tx + (v - y) * ty
+        along, before, crossed = (u - x) * tx + (v - y) * ty, False, turned > math.pi
         for k in range(many):
             dx, dy, reach = rays[k]
             angle = math.atan2(dx * nx + dy * ny, dx * tx + dy * ty)
-            if not FLUSH < angle < min(turned, math.pi) - FLUSH:
-                continue
-            if along <= FLUSH * one.size or _crosses(
+            before = before or FLUSH < angle < min(turned, math.pi) - FLUSH
+            crossed = crossed or _crosses(
                 (u, v), (cx, cy), (x, y), (dx, dy), reach, FLUSH * one.size
-            ):
-                return True
+            )
+        if before and (crossed or along <= FLUSH * one.size):
+            return True
     return False
 
 
@@ -256,12 +271,11 @@ def _how(
             # Another piece of the body may be far from the other points of contact.
             return _COVERED if same else _BARRED
     if face < 0:
-        return _OF_CORNER
+        # Of two faces that lie on each other the normal is that of one.
+        return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
     if beside and _is_covered(numbers, ground, look, which, covering, (u, v), out):
         return _COVERED
-    middle = _middle(obstacle(numbers, ground, look, pair[1], u, v))
-    if math.isinf(middle[0]):
-        middle = u + one.size * out[0], v + one.size * out[1]
+    middle = _beyond(obstacle(numbers, ground, look, pair[1], u, v), (u, v), out, one.size)
     if _stands_between(numbers, ground, look, pair, covering, face, (u, v), middle, rays):
         return _COVERED
     return _OF_FACE
