@@ -27,7 +27,7 @@ from contacts.states import FREE, OFF, OFF_CODE
 from statechart.arrays import Array, Ints
 from statechart.automaton.course import UNDERFLOW
 from statechart.automaton.laws import Flow, Instant
-from statechart.automaton.trace import Jump, Role, Roles
+from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
@@ -58,8 +58,9 @@ class Switching:
         state: Array,
         time: float,
         fired: tuple[str, ...] = (),
+        mode: Key = (),
     ) -> tuple[str, ...]:
-        """Return, for every contact, a condition that fails; see `Conditions.failing`."""
+        """Return, for every contact, a condition that fails in a mode; see `Conditions`."""
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
@@ -78,14 +79,15 @@ class Switching:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
 
-        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion)
+        on = [state != OFF for state in mode[: len(self._names)]]
+        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
         return self._conditions.first(self._verdicts)
 
     def switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
         """Return the contacts that go off, with a condition that fails, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired)
+        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired, at.flow.mode)
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
