@@ -247,7 +247,7 @@ class Conditions:
             if found in tried:
                 break
             tried.append(found)
-        # Each motion leads to the boundary, as in a valley: on it conditions hold with their limits.
+        # Each motion leads back to the boundary, as in a valley: there they hold together.
         around = tried[tried.index(found) :] if found in tried else tried
         closed = [max(verdicts) for verdicts in zip(*around, strict=True)]
         signs = ways(closed)

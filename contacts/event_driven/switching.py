@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
+
+Strike = Callable[[Key], tuple[Array, Snapshot] | None]
+"""Mode -> the state after an impact of its contacts, and the numbers there; None without one."""
 
 
 class Switching:
@@ -83,11 +86,15 @@ class Switching:
         self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
         return self._conditions.first(self._verdicts)
 
-    def switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
+    def switched(
+        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
+    ) -> dict[int, str]:
         """Return the contacts that go off, with a condition that fails, or come back, with ""."""
         if not self._conditions.present:
             return {}
         failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired, at.flow.mode)
+        if any(failing) and self._conditions.on_boundary(setup, at.state, at.clock.high):
+            failing = self._struck_too(at, setup, snapshot, failing, strike)
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
@@ -102,6 +109,35 @@ class Switching:
                 if gap >= -setup.tolerances["gap"]:
                     result[i] = why
         return result
+
+    def _struck_too(
+        self,
+        at: Instant,
+        setup: SceneSetup,
+        snapshot: Snapshot,
+        failing: tuple[str, ...],
+        strike: Strike,
+    ) -> tuple[str, ...]:
+        """Return the conditions that fail if an impact does not throw the bodies back.
+
+        In a narrow valley an impact on one side sends the point to the other, whose contact is
+        closed as well: both take part.
+        """
+        near, slow, verdicts = setup.tolerances["gap"], setup.tolerances["speed"], self._verdicts
+        mode = tuple(
+            OFF if why else "free" if state == OFF and contact.gap >= -near else state
+            for why, state, contact in zip(failing, at.flow.mode, snapshot.contacts, strict=True)
+        )
+        found = strike(mode)
+        if found is None:
+            return failing
+        state, after = found
+        then = self.failing(setup, after, state, at.clock.high)
+        self._verdicts = verdicts
+        return tuple(
+            "" if not later and abs(contact.gap) <= near and contact.gap_rate < -slow else why
+            for why, later, contact in zip(failing, then, after.contacts, strict=True)
+        )
 
     def jump(self, at: Instant, energy: float, switched: Mapping[int, str]) -> tuple[Jump, Flow]:
         """Take contacts off or back; what the others do then is asked next."""
