@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
 from statechart.arrays import Array
@@ -25,6 +27,30 @@ def _gap_where_it_begins(past: Array, condition: float, gap: float, rate: float,
 
 
 @part
+def _deepest(memory: ContactMemory, tape: Tape, i: int) -> float:
+    """Return the least gap that contact i has where a point comes from the surfaces it lies on.
+
+    A surface that goes on from another is reached as deep as the point lies in that, at most so
+    many times as the gap of the one changes faster with a coordinate.
+    """
+    found, n = 0.0, tape.size
+    for k in range(len(memory.off)):
+        deep = memory.level[k]
+        if not memory.off[k] and memory.past[k, 1] < deep:
+            deep = memory.past[k, 1]
+        if k == i or not deep < 0.0:
+            continue
+        factor = 1.0
+        for j in range(n):
+            one = abs(tape.numbers[tape.first + tape.per * i + j])
+            other = abs(tape.numbers[tape.first + tape.per * k + j])
+            if one > factor * other > 0.0:
+                factor = one / other
+        found = min(found, factor * deep)
+    return found
+
+
+@part
 def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
     """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
     if off and holds:
@@ -42,17 +68,16 @@ def switched(
 ) -> bool:  # fmt: skip
     """Let conditions turn contacts off and on, write gaps; return False where one is nowhere."""
     numbers, n, off = tape.numbers, tape.size, memory.off
-    deepest = -scene.near
+    deepest = np.empty(len(off))
     for i in range(len(off)):
-        # What lies on one surface comes to the next that goes on from it as deep as it lies.
-        deepest = min(deepest, memory.level[i] - scene.near)
+        deepest[i] = _deepest(memory, tape, i) - scene.near
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5]
         rate = numbers[row + 2 * n + 3]
         if off[i]:
             entered = _gap_where_it_begins(memory.past[i], condition, gap, rate, chunk.h)
-            off[i] = not (condition > 0.0 and max(gap, entered) >= deepest)
+            off[i] = not (condition > 0.0 and max(gap, entered) >= deepest[i])
             _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
         elif condition < 0.0:
             off[i] = True
