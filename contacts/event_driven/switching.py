@@ -162,6 +162,9 @@ class Switching:
             energy=(energy, energy),
         )
         following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
+        if not any(role.captured for role in roles):
+            # The bounces that were skipped were those of a contact that is off now.
+            following = following._replace(remaining=math.inf)
         return jump, following
 
     def watched(
