@@ -48,8 +48,8 @@ class Livelock:
     def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
         """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
         now, before = (clock, fired), self._stalled
-        near = before is not None and before[1] == fired and self._stays(before[0], clock)
-        # Time may creep on by less than its round-off.
+        near = before is not None and self._stays(before[0], clock)
+        # Time may creep on by less than its round-off, and several margins fall in turn.
         self._stalls = self._stalls + 1 if near else 0
         self._stalled = now
         return before == now or self._stalls > JUMPS_AT_ONCE
