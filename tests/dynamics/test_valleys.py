@@ -86,9 +86,11 @@ def test_conditions_that_exclude_each_other_move_as_those_that_share_the_kink() 
 
 @pytest.mark.parametrize("conditions", CONDITIONS)
 def test_by_steps_no_point_falls_through_the_kink(conditions: tuple[str, str]) -> None:
-    events, steps = _runner(conditions), _runner(conditions, "impulse", 2e-4)
-    for values in _siblings(12):
-        plastic = values | {"e": 0.0}
-        expected, result = events.run(plastic).trace, steps.run(plastic)
-        assert result.trace.final[:2] == pytest.approx(expected.final[:2], abs=5e-3)
-        assert not [text for text in result.warnings if "stays off" in text]
+    events = _runner(conditions)
+    for step in (4e-4, 1e-4):
+        steps = _runner(conditions, "impulse", step)
+        for values in _siblings(3):
+            plastic = values | {"e": 0.0}
+            expected, result = events.run(plastic).trace, steps.run(plastic)
+            assert result.trace.final[:2] == pytest.approx(expected.final[:2], abs=50 * step)
+            assert not [text for text in result.warnings if "stays off" in text]
