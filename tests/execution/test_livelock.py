@@ -22,7 +22,7 @@ def _jumps(start: float, interval: float, count: int = JUMPS_NEAR) -> list[Any]:
 @pytest.mark.parametrize(("start", "interval"), [(0.26, 1e-19), (0.0, 1e-21), (1e6, 1e-14)])
 def test_jumps_within_the_round_off_of_time_are_a_loop(start: float, interval: float) -> None:
     jumps = _jumps(start, interval)
-    with pytest.raises(EventLoop, match="1024 jumps at t = .*: enable -> .*free"):
+    with pytest.raises(EventLoop, match=r"1024 jumps at t = .*: enable -> .*free"):
         Livelock(1.0).check(jumps, Clock(jumps[-1].t), "{}".format)
 
 
@@ -40,10 +40,11 @@ def test_fewer_jumps_are_not_judged() -> None:
 
 def test_equations_that_change_while_time_creeps_are_a_loop() -> None:
     livelock, clock = Livelock(1.0), Clock(0.5)
+    for _ in range(JUMPS_AT_ONCE):
+        livelock.rearranged(clock, ("a.gap",))
+        clock = clock.later(1e-20)
     with pytest.raises(EventLoop, match="equations of the mode follow one another"):
-        for _ in range(JUMPS_AT_ONCE + 1):
-            livelock.rearranged(clock, ("a.gap",))
-            clock = clock.later(1e-20)
+        livelock.rearranged(clock, ("a.gap",))
     livelock = Livelock(1.0)
     for k in range(10 * JUMPS_AT_ONCE):
         livelock.rearranged(Clock(0.5 + 1e-13 * k), ("a.gap",))
