@@ -196,6 +196,7 @@ class Conditions:
         time: float,
         fired: Collection[str] = (),
         motion: Callable[[Sequence[bool]], Roles | None] | None = None,
+        on: Sequence[bool] = (),
     ) -> list[int]:
         """Return the verdict of every atom.
 
@@ -211,27 +212,46 @@ class Conditions:
             Contacts (c,) whose conditions fail -> the roles in which the scene then moves; None
             where that is not known. Further derivatives are taken along it, until what holds and
             how it moves agree.
+        on : sequence of bool, optional
+            Contacts (c,) that are on: their conditions hold where all derivatives are zero.
         """
         found, unsure = [], []
         for k, (value, rate, size, slow) in enumerate(self._at(setup, state, time)[0]):
             verdict = judge(value, rate, size, slow, setup.precision)
-            one = self._conditions[k]
             if verdict == UNSURE:
-                unsure.append((k, self._standing(one, fired)))
-                verdict = unsure[-1][1]
+                unsure.append(k)
+                verdict = self._standing(self._conditions[k], (), on)
             found.append(verdict)
-        for _ in range(_ROUNDS if unsure and setup.modes is not None else 0):
-            failing = self.first(found)
-            roles = None if motion is None else motion([name != "" for name in failing])
+        standing = [self._standing(self._conditions[k], fired, on) for k in unsure]
+        if motion is None or setup.modes is None or not unsure:
+            for k, still in zip(unsure, standing, strict=True):
+                found[k] = still
+            return found
+
+        def ways(verdicts: Sequence[int]) -> list[float] | None:
+            roles = motion([name != "" for name in self.first(verdicts)])
             if roles is None:
+                return None
+            return [self._way(setup, roles, self._conditions[k], state, time) for k in unsure]
+
+        tried = [found]
+        for _ in range(_ROUNDS):
+            signs = ways(found)
+            if signs is None:
                 return found
-            before = [*found]
-            for k, standing in unsure:
-                way = self._way(setup, roles, self._conditions[k], state, time)
-                found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else standing
-            if found == before:
+            found = [*found]
+            for k, way, still in zip(unsure, signs, standing, strict=True):
+                found[k] = HOLDS if way > 0.0 else FAILS if way < 0.0 else still
+            if found == tried[-1]:
+                return found
+            if found in tried:
                 break
-        return found
+            tried.append(found)
+        # Each motion leads back to the boundary, as in a valley: there they hold together.
+        around = tried[tried.index(found) :] if found in tried else tried
+        closed = [max(verdicts) for verdicts in zip(*around, strict=True)]
+        signs = ways(closed)
+        return found if signs is None or min(signs) < 0.0 else closed
 
     def _at(
         self, setup: SceneSetup, state: Array, time: float
@@ -268,10 +288,12 @@ class Conditions:
                 result[contact] = self._conditions[atom].atom.words
         return tuple(result)
 
-    def _standing(self, one: _Condition, fired: Collection[str]) -> int:
+    def _standing(self, one: _Condition, fired: Collection[str], on: Sequence[bool]) -> int:
         """Judge a condition that stays on its boundary as far as its derivatives tell."""
         if one.atom.name in fired:
             return FAILS
+        if on and on[one.contact]:
+            return HOLDS
         return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
 
     def _way(

@@ -89,6 +89,12 @@ class Landing(NamedTuple):
         """Speeds up to this are none."""
         return self.setup.tolerances["speed"]
 
+    @property
+    def hitting(self) -> list[int]:
+        """The closed contacts that approach."""
+        contacts = enumerate(self.snapshot.contacts)
+        return [i for i, c in contacts if self.closed[i] and c.gap_rate < -self.slow]
+
 
 class _Struck(NamedTuple):
     """What an impact does.

@@ -179,14 +179,15 @@ class SceneLaws:
             if mode is not None:
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
-        switched = self._switching.switched(at, setup, snapshot)
+        strike = partial(self._strike, at, setup, snapshot)
+        switched = self._switching.switched(at, setup, snapshot, strike)
         if switched:
             return self._switching.jump(at, snapshot.energy, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
         contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):
             return self._unbounded(here)
-        hitting = [i for i, c in enumerate(contacts) if closed[i] and c.gap_rate < -slow]
+        hitting = here.hitting
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
@@ -200,6 +201,17 @@ class SceneLaws:
                 choice = choice if grown is None else dataclasses.replace(choice, why=grown.why)
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
+
+    def _strike(
+        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, mode: Key
+    ) -> tuple[Array, Snapshot] | None:
+        """Return the state after an impact of the contacts of a mode, and the numbers there."""
+        at = at._replace(flow=at.flow._replace(mode=mode, roles=roles_in(mode)))
+        here = self._landing(at, setup, hidden(snapshot, mode))
+        if not here.hitting:
+            return None
+        after = impact_jump(self._rules, here, here.hitting, None)[0].after
+        return after, self._tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
         """Bring the state back onto the constraints that the flow kept.

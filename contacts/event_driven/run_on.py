@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from contacts.dynamics.conditions import PER_CONDITION, conditions_at, round_off
+from contacts.dynamics.snapshot import SCALARS
 from contacts.event_driven.arc_record import record_arc
 from contacts.event_driven.hit import SceneWatch, classified, hit
 from contacts.event_driven.switching import hold_conditions, switched
@@ -209,6 +210,12 @@ def _instant(
         if switching == -2:
             return FELL, margin, 0.0
         found = switching >= 0
+    if boundary:
+        for c in range(contacts):
+            at = first + SCALARS * c
+            if abs(numbers[at]) <= scene.gap and numbers[at + 1] < -scene.speed:
+                # An impact on a boundary may bring contacts back that are closed.
+                return FELL, margin, 0.0
     switches = found
     if not found:
         for c in range(contacts):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -27,11 +27,14 @@ from contacts.states import FREE, OFF, OFF_CODE
 from statechart.arrays import Array, Ints
 from statechart.automaton.course import UNDERFLOW
 from statechart.automaton.laws import Flow, Instant
-from statechart.automaton.trace import Jump, Role, Roles
+from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
+
+Strike = Callable[[Key], tuple[Array, Snapshot] | None]
+"""Mode -> the state after an impact of its contacts, and the numbers there; None without one."""
 
 
 class Switching:
@@ -58,8 +61,9 @@ class Switching:
         state: Array,
         time: float,
         fired: tuple[str, ...] = (),
+        mode: Key = (),
     ) -> tuple[str, ...]:
-        """Return, for every contact, a condition that fails; see `Conditions.failing`."""
+        """Return, for every contact, a condition that fails in a mode; see `Conditions`."""
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
@@ -78,14 +82,19 @@ class Switching:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
 
-        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion)
+        on = [state != OFF for state in mode[: len(self._names)]]
+        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
         return self._conditions.first(self._verdicts)
 
-    def switched(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> dict[int, str]:
+    def switched(
+        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
+    ) -> dict[int, str]:
         """Return the contacts that go off, with a condition that fails, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired)
+        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired, at.flow.mode)
+        if any(failing) and self._conditions.on_boundary(setup, at.state, at.clock.high):
+            failing = self._struck_too(at, setup, snapshot, failing, strike)
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
@@ -100,6 +109,35 @@ class Switching:
                 if gap >= -setup.tolerances["gap"]:
                     result[i] = why
         return result
+
+    def _struck_too(
+        self,
+        at: Instant,
+        setup: SceneSetup,
+        snapshot: Snapshot,
+        failing: tuple[str, ...],
+        strike: Strike,
+    ) -> tuple[str, ...]:
+        """Return the conditions that fail if an impact does not throw the bodies back.
+
+        In a narrow valley an impact on one side sends the point to the other, whose contact is
+        closed as well: both take part.
+        """
+        near, slow, verdicts = setup.tolerances["gap"], setup.tolerances["speed"], self._verdicts
+        mode = tuple(
+            OFF if why else "free" if state == OFF and contact.gap >= -near else state
+            for why, state, contact in zip(failing, at.flow.mode, snapshot.contacts, strict=True)
+        )
+        found = strike(mode)
+        if found is None:
+            return failing
+        state, after = found
+        then = self.failing(setup, after, state, at.clock.high)
+        self._verdicts = verdicts
+        return tuple(
+            "" if not later and abs(contact.gap) <= near and contact.gap_rate < -slow else why
+            for why, later, contact in zip(failing, then, after.contacts, strict=True)
+        )
 
     def jump(self, at: Instant, energy: float, switched: Mapping[int, str]) -> tuple[Jump, Flow]:
         """Take contacts off or back; what the others do then is asked next."""
@@ -124,6 +162,9 @@ class Switching:
             energy=(energy, energy),
         )
         following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
+        if not any(role.captured for role in roles):
+            # The bounces that were skipped were those of a contact that is off now.
+            following = following._replace(remaining=math.inf)
         return jump, following
 
     def watched(

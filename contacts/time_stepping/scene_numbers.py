@@ -93,6 +93,8 @@ class ContactMemory(NamedTuple):
         Whether its mode is read from accelerations, as after an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
+    past : (c, 3)
+        Condition, gap and its rate in the middle of the last step.
     missed : (c, 3)
         Depths of contacts that are off though their conditions hold: where these began to hold,
         and now; and the least that contacts never came back from, before their conditions failed.
@@ -109,6 +111,7 @@ class ContactMemory(NamedTuple):
     settling: Bools
     shown: Ints
     off: Bools
+    past: Array
     missed: Array
     light: Bools
     bases: Bools
@@ -125,6 +128,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.full(count, FREE),
             off.copy(),
+            np.full((count, 3), np.nan),
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),

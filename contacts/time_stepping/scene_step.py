@@ -35,6 +35,7 @@ from contacts.time_stepping.scene_numbers import (
     Tape,
 )
 from contacts.time_stepping.settling import settle, unsettle
+from contacts.time_stepping.step_conditions import switched
 from contacts.time_stepping.step_contacts import (
     answered,
     as_shared,
@@ -44,7 +45,6 @@ from contacts.time_stepping.step_contacts import (
     mixed_with_impacts,
     nothing_borne,
     order_decides,
-    switched,
     taking_part,
     told,
 )

@@ -55,42 +55,6 @@ _SETTLING = 3
 
 
 @part
-def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
-    """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
-    if off and holds:
-        missed[0] = missed[0] if missed[0] > 0.0 else depth
-        missed[1] = depth
-        return
-    if off and missed[1] > missed[0]:
-        missed[2] = min(missed[2], missed[0])
-    missed[0] = missed[1] = 0.0
-
-
-@part
-def switched(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, k: int, chunk: Chunk
-) -> bool:  # fmt: skip
-    """Let conditions turn contacts off and on, write gaps; return False where one is nowhere."""
-    numbers, n, off = tape.numbers, tape.size, memory.off
-    deepest = -scene.near
-    for i in range(len(off)):
-        # What lies on one surface comes to the next that goes on from it as deep as it lies.
-        deepest = min(deepest, memory.level[i] - scene.near)
-    for i in range(len(off)):
-        row = tape.first + tape.per * i
-        gap, condition = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5]
-        if off[i]:
-            off[i] = not (condition > 0.0 and gap >= deepest)
-            _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
-        elif condition < 0.0:
-            off[i] = True
-        if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
-            return False
-        chunk.gaps[k, i] = math.inf if off[i] else gap
-    return True
-
-
-@part
 def taking_part(
     scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
     chunk: Chunk,

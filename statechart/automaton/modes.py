@@ -112,7 +112,9 @@ def _minimal(
     motion = coordinates.motion(elimination, working)
     places, known = elimination.replaced, elimination.known
     laws = [e for e in others if e not in places]
-    follow = [automaton.equations[places[e]] for e in others if e in places]
+    # Coefficients of forces that are zero need not be finite, as of a contact that is off.
+    nothing = dict.fromkeys(absent, sp.S.Zero)
+    follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
     return minimal_equations(
         coordinates,
         elimination,

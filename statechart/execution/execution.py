@@ -104,7 +104,7 @@ class Execution:
         self.accumulation = Accumulation(ordinary.series if ordinary else ())
         if self.begun is not None:
             self.accumulation.series = self.begun.series
-        self._livelock = Livelock()
+        self._livelock = Livelock(min(self.horizon, self.until))
         self._made = None if self.begun is None else self.begun.made
 
     def run(self) -> Trace:
@@ -351,9 +351,10 @@ class Execution:
 
         Raises
         ------
-        TooLong
-            Where it is plain that they will be too many.
+        TooLong, EventLoop
+            Where it is plain that they will be too many, or take no time.
         """
+        self._livelock.check(self.record.jumps, self.clock, self.automaton.label)
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         if many := len(self.record.jumps) >= self.max_jumps:

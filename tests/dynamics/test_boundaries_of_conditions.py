@@ -202,6 +202,29 @@ def test_off_a_contact_may_have_a_surface_without_value(height: str, engine: str
     assert trace.final == pytest.approx(plain.final, abs=1e-9)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_forces_of_a_pinned_contact_do_not_need_the_surface_of_one_that_is_off(engine: str) -> None:
+    text = """
+kind: scene
+name: beyond
+parameters: {mu: 0.2, v: 0.62}
+gravity: 9.81
+bodies: {b: {mass: 1, start: {x: 2, dx: -v}}}
+surfaces: {dome: {height: sqrt(1 - x**2)}, floor: {height: 0}}
+contacts:
+  on_dome:
+    {point: {body: b}, surface: dome, friction: mu, restitution: 0, enabled: b.x < 0.5}
+  on_floor:
+    {point: {body: b}, surface: floor, friction: mu, restitution: 0, enabled: b.x > 0.5}
+stop: {time: 0.8}
+"""
+    trace = _run(text, engine).trace
+    assert trace.outcome.succeeded
+    (stick,) = trace.jumps
+    assert stick.target == ("off", "pin")
+    assert trace.final == pytest.approx([2 - 0.62**2 / (2 * 0.2 * 9.81), 0, 0, 0], abs=1e-9)
+
+
 def test_on_a_contact_has_a_surface_with_a_value() -> None:
     with pytest.raises(DeclarationError, match="its place at the start is not finite"):
         _run(_nowhere("sqrt(x)", "b.x < 0.1"))

@@ -62,3 +62,13 @@ def test_no_contact_of_a_shaken_body_is_entered_and_left_at_one_instant() -> Non
         assert not any(a.t == b.t and b.cause == "liftoff" for a, b in pairwise(jumps))
         again += sum(j.cause == "touchdown" and j.target == ("free",) for j in jumps)
     assert again > 5
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+def test_by_steps_the_sequence_of_jumps_is_that_of_events(step: float) -> None:
+    events = Runner(read_text(SHAKER)).run()
+    steps = Runner(read_text(SHAKER), engine="impulse", step=step).run()
+    expected, found = events.trace.jumps, steps.trace.jumps
+    assert [(j.cause, j.target) for j in found] == [(j.cause, j.target) for j in expected]
+    assert [j.t for j in found] == pytest.approx([j.t for j in expected], abs=2 * step)
+    assert steps.outputs["least"] >= -1e-8
