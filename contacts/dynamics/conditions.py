@@ -20,34 +20,25 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.control_guards import given_in, memory_rates
-from contacts.dynamics.gates import (
-    FAILS,
-    HOLDS,
-    UNSURE,
-    GateAtom,
-    certificates,
-    opens,
-    tree,
-    truths,
+from contacts.dynamics.gate_kernels import (
+    PER_CONDITION,
+    conditions_at,
+    judge_atoms,
+    margin_bands,
+    round_off,
 )
+from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, GateAtom, tree, truths
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.states import OFF
-from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.course import UNDERFLOW, Courses, along, size_of
+from statechart.arrays import Array, Ints
+from statechart.automaton.course import Courses, along, size_of
 from statechart.automaton.laws import roles_in
 from statechart.automaton.trace import Key, Roles
-from statechart.kernels.jit import seldom
-from statechart.kernels.tapes import tape_values
 
 if TYPE_CHECKING:
     from contacts.dynamics.setup import SceneSetup
 
-PER_CONDITION = 4
-"""Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
-# At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
-# relative round-off, so that what rounds to zero there does not.
-_BESIDE = 0.75
 # More often than this, what contacts are on and how they move do not come to agree.
 _ROUNDS = 8
 
@@ -141,26 +132,19 @@ class Conditions:
         """
         if not self.present:
             return {}
-        numbers, gaps = self._at(setup, state, time)
-        verdicts = verdicts or [
-            judge(value, rate, size, slow, setup.precision) for value, rate, size, slow in numbers
-        ]
-        on, off = np.empty((2, len(verdicts)), np.int64)
-        found = self._truths(verdicts)
-        certificates(self.nodes, found, on, off)
-        tolerances: dict[str, float] = {}
-        for one, holds, back, (_, _, size, _) in zip(
-            self._conditions, on.tolist(), off.tolist(), numbers, strict=True
-        ):
-            band = round_off(size, setup.precision)
-            tolerances[one.atom.name] = band if holds else math.inf
-            tolerances[one.atom.back] = band if back else math.inf
+        values = self._at(setup, state, time)
+        judged = np.array(verdicts, np.int64) if verdicts else self._judged(setup, values)
+        bands = np.empty(2 * len(judged) + self._count)
         near = setup.tolerances["gap"]
-        for (_, above, contact), verdict in zip(self.nodes.tolist(), found.tolist(), strict=True):
-            if above < 0:
-                holds = opens(verdict, gaps[contact], near)
-                tolerances[self.gaps[contact]] = UNDERFLOW if holds else math.inf
-        return tolerances
+        margin_bands(self.nodes, values, setup.precision, near, judged, bands)
+        names = (*self.names, *self.back, *self.gaps)
+        return {name: band for name, band in zip(names, bands.tolist(), strict=True) if name}
+
+    def _judged(self, setup: SceneSetup, values: Array) -> Ints:
+        """Return the verdict of every atom, by its margin and the first derivative of that."""
+        verdicts = np.empty(len(self._conditions), np.int64)
+        judge_atoms(values, setup.precision, 0, verdicts)
+        return verdicts
 
     def _truths(self, verdicts: Sequence[int]) -> Ints:
         """Return the verdicts of the nodes of all gates."""
@@ -170,9 +154,10 @@ class Conditions:
 
     def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
         """Whether a condition is zero within its round-off."""
+        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
         return any(
-            abs(numbers[0]) <= round_off(numbers[2], setup.precision)
-            for numbers in self._at(setup, state, time)[0]
+            abs(value) <= round_off(size, setup.precision)
+            for value, _, size, _ in numbers[: len(self._conditions)].tolist()
         )
 
     def failing(
@@ -216,8 +201,7 @@ class Conditions:
             Contacts (c,) that are on: their conditions hold where all derivatives are zero.
         """
         found, unsure = [], []
-        for k, (value, rate, size, slow) in enumerate(self._at(setup, state, time)[0]):
-            verdict = judge(value, rate, size, slow, setup.precision)
+        for k, verdict in enumerate(self._judged(setup, self._at(setup, state, time)).tolist()):
             if verdict == UNSURE:
                 unsure.append(k)
                 verdict = self._standing(self._conditions[k], (), on)
@@ -253,13 +237,11 @@ class Conditions:
         signs = ways(closed)
         return found if signs is None or min(signs) < 0.0 else closed
 
-    def _at(
-        self, setup: SceneSetup, state: Array, time: float
-    ) -> tuple[list[list[float]], list[float]]:
-        """Return the numbers of every atom, and the gaps of contacts; see `tape`."""
+    def _at(self, setup: SceneSetup, state: Array, time: float) -> Array:
+        """Return the numbers of every atom, then of every contact, flat; see `tape`."""
         if not self.present:
-            return [], []
-        numbers = conditions_at(
+            return np.empty(0)
+        return conditions_at(
             *self.tape.program,
             setup.scales.with_time,
             setup.precision,
@@ -267,9 +249,6 @@ class Conditions:
             setup.values,
             time,
         )
-        found = numbers.reshape(-1, PER_CONDITION)
-        count = len(self._conditions)
-        return found[:count].tolist(), found[count:, 0].tolist()
 
     def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
         """Return, for every contact, the first relation of a gate that fails; else ""."""
@@ -335,65 +314,3 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     return snapshot._replace(
         contacts=tuple(contacts), jacobians=jacobians, biases=biases, held=held
     )
-
-
-@seldom
-def round_off(size: float, relative: float) -> float:
-    """Return up to which amount a condition is zero whose terms are so large."""
-    return max(relative * size, UNDERFLOW) if size < math.inf else UNDERFLOW
-
-
-@seldom
-def judge(value: float, rate: float, size: float, slow: float, relative: float) -> int:
-    """Judge a condition by its margin and the first derivative of that.
-
-    Parameters
-    ----------
-    value, rate : float
-        Margin and first derivative.
-    size, slow : float
-        Sizes of their terms.
-    relative : float
-        What is so small in parts of its terms is zero.
-    """
-    band = round_off(size, relative)
-    if value > band:
-        return HOLDS
-    if value < -band:
-        return FAILS
-    if abs(rate) > relative * slow:
-        return HOLDS if rate > 0.0 else FAILS
-    return UNSURE
-
-
-@seldom
-def conditions_at(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    sizes: Array,
-    relative: float,
-    state: Array,
-    parameters: Array,
-    time: float,
-) -> Array:
-    """Return the numbers (k, `PER_CONDITION`) of conditions in a state, flat; see `Conditions`.
-
-    `sizes` (2 n + 1,) are those of the state and of time, which are known to `relative` of them.
-    The sizes of terms are the larger ones of those in the state and beside it: at a multiple zero,
-    as of ``x**3``, they vanish.
-    """
-    n, found, beside = state.shape[0], np.empty(outputs.shape[0]), np.empty(outputs.shape[0])
-    both = np.empty(2 * n)
-    for i in range(n):
-        both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
-    tape_values(code, constants, outputs, both, parameters, time, found)
-    moved = relative**_BESIDE
-    for i in range(n):
-        both[i] += moved * both[n + i]
-    later = time + moved * max(abs(time), sizes[n])
-    tape_values(code, constants, outputs, both, parameters, later, beside)
-    for k in range(2, found.shape[0], PER_CONDITION):
-        found[k] = max(found[k], beside[k])
-        found[k + 1] = max(found[k + 1], beside[k + 1])
-    return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import sympy as sp
@@ -20,6 +19,7 @@ from statechart.formulas.tape import Tape
 
 # Samples of each step of an arc, and halvings between two of them: what is shorter is not found.
 _SAMPLES, _HALVINGS = 8, 50
+_PARTS = np.linspace(0.0, 1.0, _SAMPLES + 1)
 
 
 class Handovers:
@@ -52,7 +52,7 @@ class Handovers:
             if last > first and first <= NEARLY * setup.scales.length:
                 found.setdefault(contact, first)
 
-        for arc in arcs if self._gated else ():
+        for arc in arcs if self._goes_below(setup, arcs) else ():
             off = [i for i in self._gated if arc.mode[i] == OFF]
             for i in set(depths).difference(off):
                 del depths[i]
@@ -60,7 +60,8 @@ class Handovers:
                 continue
             tape = self._tape(arc.mode)
             local = _samples(arc)
-            numbers = [_at(tape, setup, arc, time) for time in local.tolist()]
+            times = arc.start.high + local
+            numbers = tape.table(arc.states(local), setup.values, times)
             for k, now in enumerate(numbers):
                 for i in off:
                     place = 2 * list(self._gated).index(i)
@@ -79,6 +80,37 @@ class Handovers:
         return tuple(
             stays_off(self._mechanics.scene, self._gated[i], depth) for i, depth in found.items()
         )
+
+    def _goes_below(self, setup: SceneSetup, arcs: Sequence[Arc]) -> bool:
+        """Whether a contact is off in a sample where its conditions hold and its gap is closed."""
+        if not self._gated:
+            return False
+        near = setup.tolerances["gap"]
+        groups: dict[tuple[Key, int], list[Arc]] = {}
+        count, contacts = len(self._mechanics.scene.contacts), tuple(self._gated)
+        for arc in arcs:
+            if any(arc.mode[i] == OFF for i in contacts):
+                key = arc.mode[count:], arc.coefficients.shape[2]
+                groups.setdefault(key, []).append(arc)
+        for (_, terms), group in groups.items():
+            steps = np.concatenate([arc.coefficients for arc in group])
+            starts = np.concatenate([arc.start.high + arc.times[:-1] for arc in group])
+            lengths = np.concatenate([np.diff(arc.times) for arc in group])
+            off = np.repeat(
+                [[arc.mode[i] == OFF for i in contacts] for arc in group],
+                [len(arc.coefficients) for arc in group],
+                axis=0,
+            )
+            states = np.swapaxes(steps @ _PARTS ** np.arange(terms)[:, None], 1, 2)
+            times = starts[:, None] + lengths[:, None] * _PARTS
+            found = self._tape(group[0].mode).table(
+                states.reshape(-1, steps.shape[1]), setup.values, times.ravel()
+            )
+            conditions, gaps = found[:, ::2], found[:, 1::2]
+            below = ~(conditions < 0.0) & (gaps < -near)
+            if (below & np.repeat(off, len(_PARTS), axis=0)).any():
+                return True
+        return False
 
     def _tape(self, mode: Key) -> Tape:
         """Return the tape of the margin of its gate and the gap of each contact with conditions."""
@@ -101,8 +133,8 @@ class Handovers:
 
 def _samples(arc: Arc) -> Array:
     """Return local times of an arc: some of every step, and its end."""
-    steps = [np.linspace(a, b, _SAMPLES, endpoint=False) for a, b in pairwise(arc.times)]
-    return np.concatenate([*steps, arc.times[-1:]])
+    steps = arc.times[:-1, None] + np.diff(arc.times)[:, None] * _PARTS[:-1]
+    return np.append(steps, arc.times[-1])
 
 
 def _at(tape: Tape, setup: SceneSetup, arc: Arc, local: float) -> Array:

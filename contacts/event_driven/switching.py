@@ -7,15 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from contacts.dynamics.conditions import (
-    PER_CONDITION,
-    Conditions,
-    conditions_at,
-    hidden,
-    judge,
-    round_off,
-)
-from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, opens, truths
+from contacts.dynamics.conditions import Conditions, hidden
+from contacts.dynamics.gate_kernels import conditions_at, judge_atoms, margin_bands
+from contacts.dynamics.gates import FAILS, UNSURE, truths
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.event_driven.decision import decide
@@ -25,7 +19,6 @@ from contacts.modes.classification import Before
 from contacts.scene.parts import Resolution
 from contacts.states import FREE, OFF, OFF_CODE
 from statechart.arrays import Array, Ints
-from statechart.automaton.course import UNDERFLOW
 from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.engines.flow_watch import Watch
@@ -209,33 +202,16 @@ def hold_conditions(
     See `contacts.dynamics.conditions.Conditions.tolerances`.
     """
     conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
-    verdicts = np.empty(conditions, np.int64)
-    on, off = np.empty(conditions, np.int64), np.empty(conditions, np.int64)
+    verdicts, bands = np.empty(conditions, np.int64), np.empty(scene.slots.shape[0])
     code, constants, outputs, _, _ = tape_of(program, scene.conditions)
     values = conditions_at(
         code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, time
     )
-    for k in range(conditions):
-        at = PER_CONDITION * k
-        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
-        if verdict == UNSURE and abs(fired) == k + 1:
-            verdict = FAILS if fired > 0 else HOLDS
-        verdicts[k] = verdict
-    found = np.empty(scene.nodes.shape[0], np.int64)
-    truths(scene.nodes, verdicts, found)
-    certificates(scene.nodes, found, on, off)
-    for k in range(conditions):
-        band = round_off(values[PER_CONDITION * k + 2], scene.relative)
-        own, back = scene.slots[k], scene.slots[conditions + k]
-        if own >= 0:
-            watch.bands[own] = band if on[k] == 1 else math.inf
-        if back >= 0:
-            watch.bands[back] = band if off[k] == 1 else math.inf
-    for i in range(scene.nodes.shape[0]):
-        slot = scene.slots[2 * conditions + scene.nodes[i, 2]]
-        if scene.nodes[i, 1] < 0 and slot >= 0:
-            gap = values[PER_CONDITION * (conditions + scene.nodes[i, 2])]
-            watch.bands[slot] = UNDERFLOW if opens(found[i], gap, scene.gap) else math.inf
+    judge_atoms(values, scene.relative, fired, verdicts)
+    margin_bands(scene.nodes, values, scene.relative, scene.gap, verdicts, bands)
+    for i in range(bands.shape[0]):
+        if scene.slots[i] >= 0:
+            watch.bands[scene.slots[i]] = bands[i]
 
 
 @part
@@ -265,12 +241,7 @@ def switched(
     place, unsure = -1, False
     conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, found = np.empty(conditions, np.int64), np.empty(scene.nodes.shape[0], np.int64)
-    for k in range(conditions):
-        at = PER_CONDITION * k
-        verdict = judge(values[at], values[at + 1], values[at + 2], values[at + 3], scene.relative)
-        if verdict == UNSURE and abs(fired) == k + 1:
-            verdict = FAILS if fired > 0 else HOLDS
-        verdicts[k] = verdict
+    judge_atoms(values, scene.relative, fired, verdicts)
     truths(scene.nodes, verdicts, found)
     for c in range(kept.shape[0]):
         taken[c] = kept[c]

@@ -28,39 +28,63 @@ def _unite(parents: Ints, one: int, other: int) -> None:
     parents[max(one, other)] = min(one, other)
 
 
-@kernel
-def coupled_contacts(mass: Array, held: Array, jacobians: Array) -> Ints:
-    """Label the contacts (m,): those with one label feel each other's impulses.
+@part
+def _unite_row(parents: Ints, row: Array, count: int) -> int:
+    """Join the coordinates of the first `count` entries; return one of them, -1 for none."""
+    n, first = len(parents), -1
+    for j in range(count):
+        if row[j] != 0.0:
+            if first < 0:
+                first = j % n
+            _unite(parents, first, j % n)
+    return first
 
-    A label is the number of the first contact of its group.
+
+@kernel
+def coupled_contacts(
+    mass: Array, held: Array, jacobians: Array, which: Ints, constraints: Ints
+) -> Ints:
+    """Label the contacts `which` (m,): those with one label feel each other's impulses.
+
+    A label is the place in `which` of the first contact of its group. Rows may be longer than
+    said: what follows in them is not read.
 
     Parameters
     ----------
     mass : (n, n) array
     held : (r, n) array
         Rows of joints.
-    jacobians : (m, 2, n) array
-        Contacts.
+    jacobians : (c, 2 n) array
+        Normal and tangential rows of all contacts.
+    which : (m,) array of int
+    constraints : (c,) array of int
+        Positive for contacts that are constraints.
     """
-    m, n, r = len(jacobians), len(mass), len(held)
-    parents = np.empty(m + n, np.int64)
-    for node in range(m + n):
-        parents[node] = node
+    m, n = len(which), len(mass)
+    labels = np.zeros(m, np.int64)
+    if m == 1:
+        return labels
+    parents = np.empty(n, np.int64)
+    for j in range(n):
+        parents[j] = j
     for j in range(n):
         for k in range(j):
             if mass[j, k] != 0.0:
-                _unite(parents, m + j, m + k)
-    for i in range(r):
-        first = -1
-        for j in range(n):
-            if held[i, j] != 0.0:
-                first = j if first < 0 else first
-                _unite(parents, m + first, m + j)
+                _unite(parents, j, k)
+    for i in range(len(held)):
+        _unite_row(parents, held[i], n)
+    for i in range(len(constraints)):
+        if constraints[i] > 0:
+            _unite_row(parents, jacobians[i], 2 * n)
     for a in range(m):
-        for j in range(n):
-            if jacobians[a, 0, j] != 0.0 or jacobians[a, 1, j] != 0.0:
-                _unite(parents, a, m + j)
-    labels = np.empty(m, np.int64)
+        labels[a] = _unite_row(parents, jacobians[which[a]], 2 * n)
+    firsts = np.full(n, -1)
     for a in range(m):
-        labels[a] = root(parents, a)
+        if labels[a] < 0:
+            labels[a] = a
+            continue
+        node = root(parents, labels[a])
+        if firsts[node] < 0:
+            firsts[node] = a
+        labels[a] = firsts[node]
     return labels

@@ -39,7 +39,9 @@ def velocity_change(
     delassus = np.ascontiguousarray(rows @ moved)
     wanted = np.zeros((m, 2))
     wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
-    groups = coupled_contacts(mass, held, pushes)
+    groups = coupled_contacts(
+        mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
+    )
     good, _, _, impulses, _ = solve_impacts(
         delassus, groups, velocities, velocities.copy(), wanted, cones,
         restitution > 0.0, np.zeros(UNKNOWNS * m, dtype=np.bool_), np.zeros(0), False,

@@ -43,7 +43,7 @@ from contacts.time_stepping.scene_numbers import (
     Tape,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import indices, put
+from statechart.kernels.copies import put
 from statechart.kernels.jit import part
 
 # A contact that lands slower than this part of what a step without contact would make of rest
@@ -139,19 +139,16 @@ def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
 
 @part
 def _groups(scene: SceneNumbers, tape: Tape, which: Ints) -> Ints:
-    """Label the groups of the contacts `which` (m,), and of those that are constraints."""
-    numbers, n, m, c = tape.numbers, tape.size, len(which), len(scene.held)
-    constraints = indices(scene.held > 0)
-    jacobians, held = np.empty((m + len(constraints), 2, n)), np.empty((scene.joints, n))
-    for a in range(len(jacobians)):
-        i = which[a] if a < m else constraints[a - m]
-        for d in range(2):
-            for j in range(n):
-                jacobians[a, d, j] = numbers[tape.first + tape.per * i + d * n + j]
-    for i in range(scene.joints):
-        for j in range(n):
-            held[i, j] = numbers[tape.first + tape.per * c + (n + JOINT) * i + j]
-    return coupled_contacts(numbers[: n * n].reshape((n, n)), held, jacobians)
+    """Label the groups of the contacts `which` (m,)."""
+    numbers, n, c = tape.numbers, tape.size, len(scene.held)
+    joints, width = tape.first + tape.per * c, n + JOINT
+    return coupled_contacts(
+        numbers[: n * n].reshape((n, n)),
+        numbers[joints : joints + width * scene.joints].reshape((scene.joints, width)),
+        numbers[tape.first : joints].reshape((c, tape.per)),
+        which,
+        scene.held,
+    )
 
 
 @part
@@ -178,9 +175,7 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
-    return Problem(
-        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
-    )  # fmt: skip
+    return Problem(which, columns, delassus, groups, cones, before, free, wanted, rebounds, sudden)
 
 
 @part

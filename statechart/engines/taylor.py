@@ -70,7 +70,7 @@ def has_long_double() -> bool:
 @dataclass(eq=False)
 class _Stepper:
     integrator: Any
-    # Views into the integrator's own memory.
+    # Views into the integrator's own memory; it alone writes the last.
     state: NDArray[Any]
     pars: NDArray[Any]
     series: NDArray[Any]
@@ -155,7 +155,7 @@ class Taylor(Engine):
             fixed,
             len(pars) > 0,
             compiled,
-            (address, state, pars, fixed.program, np.zeros(2), series),
+            (address, state, pars, fixed.program, np.zeros(2), np.empty(series.shape)),
             series.shape,
             np.empty(0),
             np.empty(len(states)),
