@@ -10,6 +10,9 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 
+LANDED = 2
+"""The contact settles after an impact, not after a change of a mode."""
+
 
 class SceneNumbers(NamedTuple):
     """What does not change in a run, until a controller or a condition changes it.
@@ -89,8 +92,9 @@ class ContactMemory(NamedTuple):
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
-    settling, shown : (c,)
-        Whether its mode is read from accelerations, as after an impact; the mode of the last step.
+    settling, shown : (c,) array of int
+        Whether its mode is read from accelerations: 0, 1 after a change of a mode, `LANDED` after
+        an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
     missed : (c, 3)
@@ -106,7 +110,7 @@ class ContactMemory(NamedTuple):
     closed: Bools
     slid: Bools
     fresh: Ints
-    settling: Bools
+    settling: Ints
     shown: Ints
     off: Bools
     missed: Array
@@ -122,7 +126,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64),
             np.full(count, FREE),
             off.copy(),
             np.tile([0.0, 0.0, np.inf], (count, 1)),

@@ -24,7 +24,7 @@ from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING
-from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
+from contacts.time_stepping.scene_numbers import LANDED, ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import indices, put
@@ -43,9 +43,9 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     changes = False
     for i in range(len(memory.shown)):
         chunk.modes[k, i] = chunk.codes[k, i]
-        changes = changes or memory.settling[i] or memory.shown[i] != chunk.codes[k, i]
+        changes = changes or memory.settling[i] > 0 or memory.shown[i] != chunk.codes[k, i]
     for i in range(len(memory.shown)):
-        memory.settling[i] = changes
+        memory.settling[i] = max(memory.settling[i], int(changes))
     return changes
 
 
@@ -93,7 +93,7 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 
 @part
 def _solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, per_speed: float,
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, alike: Array,
     found: Array,
 ) -> bool:  # fmt: skip
     """Write the accelerations of contacts; return whether the problem was solved.
@@ -108,8 +108,8 @@ def _solve_accelerations(
         See `contacts.solvers.contact_lcp_kernels.problem`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
-    per_speed : float
-        Step over speed.
+    alike : (m,)
+        Step over speed, times `_ALIKE`, of contacts that landed; elsewhere 0.
     found : (m, 2)
         To be filled.
     """
@@ -124,7 +124,7 @@ def _solve_accelerations(
                     term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
                     found[a, d] += term
                     terms += abs(term)
-            if abs(found[a, d]) <= min(per_speed * terms, _MOST_ALIKE) * terms:
+            if abs(found[a, d]) <= max(min(alike[a] * terms, _MOST_ALIKE), ROUNDING) * terms:
                 found[a, d] = 0.0
     return solved
 
@@ -193,13 +193,15 @@ def settle(
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
-        forced, alone = np.empty((m, 2)), np.empty((m, 2))
+        forced, alone, alike = np.empty((m, 2)), np.empty((m, 2)), np.zeros(m)
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
             put(sizes[i], terms[a])
             put(scene.cones[i], cones[a])
+            if memory.settling[i] == LANDED:
+                alike[a] = _ALIKE * h / scene.speed
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
@@ -207,9 +209,9 @@ def settle(
                 if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
                     slides[a] = 1.0 if slips[a] > 0.0 else -1.0
         problem = delassus, alone, cones
-        solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        solved = _solve_accelerations(*problem, slides, terms, alike, forced)
         if solved and _end_slips(slips, forced, h, slides):
-            solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+            solved = _solve_accelerations(*problem, slides, terms, alike, forced)
         for a in range(m):
             i = which[a]
             if solved and near[i]:
@@ -234,4 +236,4 @@ def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
                 force = math.nan if mode != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
     for i in range(len(memory.shown)):
-        memory.settling[i] = not agree
+        memory.settling[i] = 0 if agree else memory.settling[i]

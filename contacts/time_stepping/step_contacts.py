@@ -35,6 +35,7 @@ from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
 from contacts.time_stepping.impact_order import order_matters
 from contacts.time_stepping.scene_numbers import (
+    LANDED,
     Answer,
     ContactMemory,
     Met,
@@ -297,7 +298,7 @@ def mixed_with_impacts(
             for b in range(m):
                 if groups[b] == groups[a]:
                     memory.fresh[which[b]] = _SETTLING
-                    memory.settling[which[b]] = True
+                    memory.settling[which[b]] = LANDED
     for a in range(m):
         if memory.fresh[which[a]] > 0:
             for b in range(m):
