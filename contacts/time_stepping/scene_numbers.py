@@ -10,6 +10,10 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 
+HOLDING = 3
+"""So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
+its level in the landing's; and the one after that, which ends what the next began."""
+
 LANDED = 2
 """The contact settles after an impact, not after a change of a mode."""
 

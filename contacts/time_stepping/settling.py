@@ -24,7 +24,7 @@ from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING
-from contacts.time_stepping.scene_numbers import LANDED, ContactMemory, SceneNumbers, Tape
+from contacts.time_stepping.scene_numbers import HOLDING, LANDED, ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import indices, put
@@ -206,7 +206,8 @@ def settle(
             if abs(slips[a]) > rounding:
                 along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
                 left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
-                if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
+                new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
+                if new or along * slips[a] > 0.0 or abs(slips[a]) > left:
                     slides[a] = 1.0 if slips[a] > 0.0 else -1.0
         problem = delassus, alone, cones
         solved = _solve_accelerations(*problem, slides, terms, alike, forced)
