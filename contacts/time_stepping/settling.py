@@ -19,14 +19,14 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, forces_near
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING
 from contacts.time_stepping.scene_numbers import HOLDING, LANDED, ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
@@ -93,8 +93,8 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 
 @part
 def _solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, alike: Array,
-    found: Array,
+    delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
+    sizes: Array, alike: Array, found: Array,
 ) -> bool:  # fmt: skip
     """Write the accelerations of contacts; return whether the problem was solved.
 
@@ -104,8 +104,8 @@ def _solve_accelerations(
 
     Parameters
     ----------
-    delassus, free, cones, slides
-        See `contacts.solvers.contact_lcp_kernels.problem`.
+    delassus, free, cones, slides, guess
+        See `contacts.solvers.contact_lcp_kernels.forces_near`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
     alike : (m,)
@@ -113,9 +113,11 @@ def _solve_accelerations(
     found : (m, 2)
         To be filled.
     """
-    solved, forces = impulses_by_lemke(delassus, free, cones, slides, False)
-    if not solved:
-        solved, forces = impulses_by_lemke(delassus, free, cones, slides, True)
+    support = guess.copy()
+    for a in range(len(found)):
+        for u in range(1, UNKNOWNS):
+            support[UNKNOWNS * a + u] = guess[UNKNOWNS * a + u] and slides[a] == 0.0
+    solved, forces = forces_near(delassus, free, cones, slides, support)
     for a in range(len(found)):
         for d in range(2):
             found[a, d], terms = free[a, d], sizes[a, d]
@@ -130,11 +132,19 @@ def _solve_accelerations(
 
 
 @part
-def _end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
-    """Clear the directions (m,) of slips that end within some steps; return whether there are."""
+def _end_slips(
+    slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
+) -> bool:
+    """Clear the directions (m,) of slips that some steps explain; return whether there are.
+
+    These are slips that end within these steps, and those `against` the mode of the step before
+    that its accelerations, of terms of these `sizes` (m, 2), make within them.
+    """
     found = False
     for a in range(len(slips)):
-        if slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0:
+        left = _LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
+        ends = slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0
+        if ends or (against[a] and abs(slips[a]) <= left):
             slides[a], found = 0.0, True
     return found
 
@@ -195,6 +205,7 @@ def settle(
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
         forced, alone, alike = np.empty((m, 2)), np.empty((m, 2)), np.zeros(m)
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
+        against, guess = np.zeros(m, np.bool_), np.zeros(UNKNOWNS * m, np.bool_)
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
@@ -204,15 +215,16 @@ def settle(
                 alike[a] = _ALIKE * h / scene.speed
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
-                along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
-                left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
-                new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
-                if new or along * slips[a] > 0.0 or abs(slips[a]) > left:
-                    slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+                slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+            new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
+            against[a] = not new and _direction(memory.shown[i]) != slides[a]
+            for u in range(UNKNOWNS):
+                guess[UNKNOWNS * a + u] = memory.bases[i, u]
+            guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved = _solve_accelerations(*problem, slides, terms, alike, forced)
-        if solved and _end_slips(slips, forced, h, slides):
-            solved = _solve_accelerations(*problem, slides, terms, alike, forced)
+        solved = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        if solved and _end_slips(slips, forced, against, terms, h, slides):
+            solved = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
         for a in range(m):
             i = which[a]
             if solved and near[i]:
