@@ -95,8 +95,8 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 def _solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
     sizes: Array, alike: Array, found: Array,
-) -> bool:  # fmt: skip
-    """Write the accelerations of contacts; return whether the problem was solved.
+) -> tuple[bool, Array]:  # fmt: skip
+    """Write the accelerations of contacts; return whether the problem was solved, and forces.
 
     Contacts of one body that have landed at different depths have lever arms that differ by the
     order of the step, so that their accelerations do: by ``h a`` beside the scene's speed. What is
@@ -128,7 +128,7 @@ def _solve_accelerations(
                     terms += abs(term)
             if abs(found[a, d]) <= max(min(alike[a] * terms, _MOST_ALIKE), ROUNDING) * terms:
                 found[a, d] = 0.0
-    return solved
+    return solved, forces
 
 
 @part
@@ -222,12 +222,13 @@ def settle(
                 guess[UNKNOWNS * a + u] = memory.bases[i, u]
             guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
         if solved and _end_slips(slips, forced, against, terms, h, slides):
-            solved = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
+            solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
         for a in range(m):
             i = which[a]
-            if solved and near[i]:
+            idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
+            if solved and near[i] and not idle:
                 modes[i] = _mode_of(
                     forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
                 )
