@@ -282,12 +282,45 @@ def impulses_by_lemke(
     vector /= most
     cover = scales / scales.max() if by_scales else np.abs(vector) + _COVERED
     outcome, z, _ = lemke(matrix, vector, cover, pivots(len(cones)), _ANEW)
-    impulses = impulses_of(most * scales * z)
+    return outcome == FOUND, _along_edges(impulses_of(most * scales * z), cones, slides)
+
+
+@part
+def forces_near(
+    delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools
+) -> tuple[bool, Array]:
+    """Return whether forces (m, 2) are found, and these: the guess improved, else by Lemke.
+
+    Parameters
+    ----------
+    delassus, free, cones, slides
+        See `problem`.
+    guess : (4 m,) array of bool
+        Which unknowns may be positive. Of several solutions theirs is taken.
+    """
+    matrix, vector = problem(delassus, free, cones, slides)
+    scales, size = _scales(matrix), len(vector)
+    for i in range(size):
+        vector[i] *= scales[i]
+        for j in range(size):
+            matrix[i, j] *= scales[i] * scales[j]
+    solved, _, z, _ = _improved(matrix, vector, guess)
+    if solved and step_residual(matrix, vector, z) <= RESIDUAL:
+        return True, _along_edges(impulses_of(scales * z), cones, slides)
+    solved, forces = impulses_by_lemke(delassus, free, cones, slides, False)
+    if not solved:
+        solved, forces = impulses_by_lemke(delassus, free, cones, slides, True)
+    return solved, forces
+
+
+@part
+def _along_edges(impulses: Array, cones: Array, slides: Array) -> Array:
+    """Return impulses (m, 2); of what slides they are those along its edge, in place."""
     for i in range(len(cones)):
         if slides[i] != 0.0:
             impulses[i, 1] = -slides[i] * cones[i, 1] * impulses[i, 0]
             impulses[i, 0] *= cones[i, 0]
-    return outcome == FOUND, impulses
+    return impulses
 
 
 @part

@@ -10,6 +10,13 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 
+HOLDING = 3
+"""So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
+its level in the landing's; and the one after that, which ends what the next began."""
+
+LANDED = 2
+"""The contact settles after an impact, not after a change of a mode."""
+
 
 class SceneNumbers(NamedTuple):
     """What does not change in a run, until a controller or a condition changes it.
@@ -89,8 +96,9 @@ class ContactMemory(NamedTuple):
         Whether it lasts, and slipped in the last step by more than rounding.
     fresh : (c,) array of int
         Of how many steps, this one included, impulses are not those of forces alone.
-    settling, shown : (c,)
-        Whether its mode is read from accelerations, as after an impact; the mode of the last step.
+    settling, shown : (c,) array of int
+        Whether its mode is read from accelerations: 0, 1 after a change of a mode, `LANDED` after
+        an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
     past : (c, 3)
@@ -108,7 +116,7 @@ class ContactMemory(NamedTuple):
     closed: Bools
     slid: Bools
     fresh: Ints
-    settling: Bools
+    settling: Ints
     shown: Ints
     off: Bools
     past: Array
@@ -125,7 +133,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.bool_),
             np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.bool_),
+            np.zeros(count, dtype=np.int64),
             np.full(count, FREE),
             off.copy(),
             np.full((count, 3), np.nan),

@@ -19,14 +19,14 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import STEEPEST, impulses_by_lemke
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS, forces_near
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING
-from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers, Tape
+from contacts.time_stepping.scene_numbers import HOLDING, LANDED, ContactMemory, SceneNumbers, Tape
 from contacts.time_stepping.step_contacts import delassus_of, moved_columns
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
@@ -43,9 +43,9 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     changes = False
     for i in range(len(memory.shown)):
         chunk.modes[k, i] = chunk.codes[k, i]
-        changes = changes or memory.settling[i] or memory.shown[i] != chunk.codes[k, i]
+        changes = changes or memory.settling[i] > 0 or memory.shown[i] != chunk.codes[k, i]
     for i in range(len(memory.shown)):
-        memory.settling[i] = changes
+        memory.settling[i] = max(memory.settling[i], int(changes))
     return changes
 
 
@@ -93,10 +93,10 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 
 @part
 def _solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, per_speed: float,
-    found: Array,
-) -> bool:  # fmt: skip
-    """Write the accelerations of contacts; return whether the problem was solved.
+    delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
+    sizes: Array, alike: Array, found: Array,
+) -> tuple[bool, Array]:  # fmt: skip
+    """Write the accelerations of contacts; return whether the problem was solved, and forces.
 
     Contacts of one body that have landed at different depths have lever arms that differ by the
     order of the step, so that their accelerations do: by ``h a`` beside the scene's speed. What is
@@ -104,18 +104,20 @@ def _solve_accelerations(
 
     Parameters
     ----------
-    delassus, free, cones, slides
-        See `contacts.solvers.contact_lcp_kernels.problem`.
+    delassus, free, cones, slides, guess
+        See `contacts.solvers.contact_lcp_kernels.forces_near`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
-    per_speed : float
-        Step over speed.
+    alike : (m,)
+        Step over speed, times `_ALIKE`, of contacts that landed; elsewhere 0.
     found : (m, 2)
         To be filled.
     """
-    solved, forces = impulses_by_lemke(delassus, free, cones, slides, False)
-    if not solved:
-        solved, forces = impulses_by_lemke(delassus, free, cones, slides, True)
+    support = guess.copy()
+    for a in range(len(found)):
+        for u in range(1, UNKNOWNS):
+            support[UNKNOWNS * a + u] = guess[UNKNOWNS * a + u] and slides[a] == 0.0
+    solved, forces = forces_near(delassus, free, cones, slides, support)
     for a in range(len(found)):
         for d in range(2):
             found[a, d], terms = free[a, d], sizes[a, d]
@@ -124,17 +126,25 @@ def _solve_accelerations(
                     term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
                     found[a, d] += term
                     terms += abs(term)
-            if abs(found[a, d]) <= min(per_speed * terms, _MOST_ALIKE) * terms:
+            if abs(found[a, d]) <= max(min(alike[a] * terms, _MOST_ALIKE), ROUNDING) * terms:
                 found[a, d] = 0.0
-    return solved
+    return solved, forces
 
 
 @part
-def _end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
-    """Clear the directions (m,) of slips that end within some steps; return whether there are."""
+def _end_slips(
+    slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
+) -> bool:
+    """Clear the directions (m,) of slips that some steps explain; return whether there are.
+
+    These are slips that end within these steps, and those `against` the mode of the step before
+    that its accelerations, of terms of these `sizes` (m, 2), make within them.
+    """
     found = False
     for a in range(len(slips)):
-        if slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0:
+        left = _LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
+        ends = slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0
+        if ends or (against[a] and abs(slips[a]) <= left):
             slides[a], found = 0.0, True
     return found
 
@@ -193,26 +203,32 @@ def settle(
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
-        forced, alone = np.empty((m, 2)), np.empty((m, 2))
+        forced, alone, alike = np.empty((m, 2)), np.empty((m, 2)), np.zeros(m)
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
+        against, guess = np.zeros(m, np.bool_), np.zeros(UNKNOWNS * m, np.bool_)
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
             put(sizes[i], terms[a])
             put(scene.cones[i], cones[a])
+            if memory.settling[i] == LANDED:
+                alike[a] = _ALIKE * h / scene.speed
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
-                along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
-                left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
-                if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
-                    slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+                slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+            new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
+            against[a] = not new and _direction(memory.shown[i]) != slides[a]
+            for u in range(UNKNOWNS):
+                guess[UNKNOWNS * a + u] = memory.bases[i, u]
+            guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
-        if solved and _end_slips(slips, forced, h, slides):
-            solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        if solved and _end_slips(slips, forced, against, terms, h, slides):
+            solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
         for a in range(m):
             i = which[a]
-            if solved and near[i]:
+            idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
+            if solved and near[i] and not idle:
                 modes[i] = _mode_of(
                     forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
                 )
@@ -234,4 +250,4 @@ def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
                 force = math.nan if mode != FREE else 0.0
                 chunk.solved[k, first + 2 * i + d] = force
     for i in range(len(memory.shown)):
-        memory.settling[i] = not agree
+        memory.settling[i] = 0 if agree else memory.settling[i]

@@ -35,6 +35,8 @@ from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
 from contacts.time_stepping.impact_order import order_matters
 from contacts.time_stepping.scene_numbers import (
+    HOLDING,
+    LANDED,
     Answer,
     ContactMemory,
     Met,
@@ -49,9 +51,6 @@ from statechart.kernels.jit import part
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
 _LATE = 1e-9
-# So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
-# its level in the landing's; and the one after that, which ends what the next began.
-_SETTLING = 3
 
 
 @part
@@ -255,8 +254,8 @@ def mixed_with_impacts(
         if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
             for b in range(m):
                 if groups[b] == groups[a]:
-                    memory.fresh[which[b]] = _SETTLING
-                    memory.settling[which[b]] = True
+                    memory.fresh[which[b]] = HOLDING
+                    memory.settling[which[b]] = LANDED
     for a in range(m):
         if memory.fresh[which[a]] > 0:
             for b in range(m):

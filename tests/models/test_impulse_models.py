@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +42,6 @@ CHARTS = ("bouncing_ball_chart", "simplest_walker")
 SEQUENTIAL = "newtons_cradle"
 # Modes differ where a few steps slide before they stick, or what slides lifts off within a step.
 SLIDES_ON = ("double_contact_bar", "raibert_hopper")
-# By Moreau's law a jam ends the slip; the tip comes off in the step after, half a step later.
-JAMS = "painleve_rod"
 
 
 @pytest.mark.parametrize(("name", "parameters", "until", "step", "constant"), SCENES)
@@ -52,13 +51,8 @@ def test_a_scene_moves_as_with_events(name, parameters, until, step, constant):
     trace = found.trace
     assert trace.outcome is exact.outcome
     assert np.abs(trace.final - exact.final).max() <= constant * step
-    modes = trace.modes
-    if name == JAMS:
-        (resting,) = (arc for arc in trace.arcs if arc.mode == ("pin",))
-        assert resting.duration == pytest.approx(0.5 * step)
-        modes = tuple(mode for mode in modes if mode != resting.mode)
     if name not in SLIDES_ON:
-        assert modes == exact.modes
+        assert trace.modes == exact.modes
     declared = [set(region.states) for region in found.observer.automaton.regions]
     assert all(s in d for key in trace.modes for s, d in zip(key, declared, strict=True))
 
@@ -116,7 +110,12 @@ def test_what_lasts_bears_no_part_of_an_impact():
 def test_a_paradox_is_an_impact_at_once():
     trace = Runner("painleve_rod", engine="impulse", step=1e-4).run({"e": 0.0}).trace
     assert trace.start_mode == ("slide+",)
-    assert [jump.cause for jump in trace.jumps][:2] == ["jam", "liftoff"]
+    jam = trace.jumps[0]
+    assert (jam.cause, jam.target) == ("jam", ("free",))
+    # The tip rests after the impact, but no mode would hold it there: it would have to be pulled.
+    lean, rate = -jam.after[2], -jam.after[5]
+    turning = 0.75 * math.sin(lean)
+    assert 1.0 - turning * math.sin(lean) - rate**2 * math.cos(lean) < -0.1
 
 
 def test_controllers_act_at_the_ends_of_steps():
