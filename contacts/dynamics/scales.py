@@ -83,17 +83,22 @@ def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
 
 # Groups of numbers that scales are read off; those of gravity and of the moves by a coordinate are
 # behind them.
-(PLACES, SPEEDS, PUSHES, MASS, DURATION, ACROSS, UPWARD, GAPS, EXTENTS, LEVERS, GRAVITY) = range(11)
+(
+    PLACES, SPEEDS, PUSHES, STIFFNESS, MASS, DURATION, ACROSS, UPWARD, GAPS, EXTENTS, LEVERS,
+    GRAVITY,
+) = range(12)  # fmt: skip
 
 
 class ScaleTape:
     """Reads the scales off the initial state and the prescribed motions of the run.
 
-    The length is the largest of the extents (radii, levers of surfaces that turn), the differences
-    of positions, the gaps at the start and the range of the prescribed motions over the run; and
-    not less than the distance ``v^2 / a`` in which the acceleration turns a motion round. Where
-    none of the former exceeds the round-off of what the run covers, ``v T`` and ``a T^2``, that is
-    the length. The acceleration is gravity's, or what the forces give; speed and force follow.
+    The length is the largest of the extents (radii, points of bodies, levers of surfaces that
+    turn), the differences of positions, the gaps at the start and the range of the prescribed
+    motions over the run; and not less than the distance ``v^2 / a`` in which the acceleration turns
+    a motion round. Without extents, where none of the others exceeds the round-off of what the run
+    covers, ``v T`` and ``a T^2``, that is the length; T is the duration, or the time in which
+    springs act, if that is shorter. The acceleration is gravity's, or what the forces give, and
+    that of the prescribed motions; speed and force follow.
 
     Parameters
     ----------
@@ -110,8 +115,9 @@ class ScaleTape:
         How many numbers places and their speeds are; how many groups gravity is; how many
         prescribed motions there are.
     motions : Tape
-        Outputs: prescribed displacements, angles that surfaces turn by, their rates in this order,
-        and accelerations by forces that vary in time. Their ranges over the run count.
+        Outputs: prescribed displacements, angles that surfaces turn by; their rates and second
+        derivatives in this order; and accelerations by forces that vary in time. Their ranges over
+        the run count.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -140,11 +146,16 @@ class ScaleTape:
             speeds += [mechanics.rate(component) for component in place]
             owners += [("joints", name)] * 2
             movers += [("joints", name)] * 2
-        pushes = [
-            force / mechanics.mass_matrix[i, i]
-            for i, force in enumerate(mechanics.generalised_forces)
+        accelerations = [
+            (force / mechanics.mass_matrix[i, i], q)
+            for i, (force, q) in enumerate(
+                zip(mechanics.generalised_forces, mechanics.q, strict=True)
+            )
             if mechanics.mass_matrix[i, i] != 0
         ]
+        pushes = [push for push, _ in accelerations]
+        extents = _extents(mechanics)
+        springs = [] if extents else [sp.diff(push, q) for push, q in accelerations]
         end = scene.stop.time
         duration = parse(end).to_sympy(mechanics.known) if end is not None else sp.S.One
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
@@ -157,8 +168,8 @@ class ScaleTape:
         shifts, turns, levers = _prescribed(mechanics)
         gravity = [[g] for g in mechanics.gravity]
         # Of each group the largest is wanted.
-        groups = [lengths, speeds, pushes, [mass], [duration], across, upward, gaps]
-        groups += [_radii(mechanics), levers, *gravity, *moves]
+        groups = [lengths, speeds, pushes, springs, [mass], [duration], across, upward, gaps]
+        groups += [extents, levers, *gravity, *moves]
         self.gravity = len(gravity)
         self._owners, self._movers = owners, movers
         # Their places are looked at where they are not off.
@@ -175,7 +186,7 @@ class ScaleTape:
             driven = []
         self.paths = len(moved)
         self.motions = mechanics.tape(
-            [*moved, *(sp.diff(motion, mechanics.time) for motion in moved), *driven],
+            [sp.diff(motion, mechanics.time, k) for k in range(3) for motion in moved] + driven,
             definitions=mechanics.controlled(),
         )
 
@@ -235,12 +246,15 @@ def _positions(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr]]:
     return across, upward
 
 
-def _radii(mechanics: Mechanics) -> list[sp.Expr]:
-    """Return the radii of discs and of circular surfaces."""
+def _extents(mechanics: Mechanics) -> list[sp.Expr]:
+    """Return radii of discs and circular surfaces, and coordinates of points in their bodies."""
     scene = mechanics.scene
     texts = [contact.radius for contact in scene.contacts.values()]
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
-    return [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
+    texts += [text for contact in scene.contacts.values() for text in contact.point.at]
+    texts += [text for joint in scene.joints.values() for text in joint.point.at]
+    found = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
+    return [extent for extent in found if extent != 0]
 
 
 def _prescribed(
@@ -339,27 +353,37 @@ def measure(
         acceleration = math.hypot(acceleration, largest[i])
     if acceleration == 0.0:
         acceleration = largest[PUSHES]
-        for i in range(2 * paths, ranges.shape[0]):
+        for i in range(3 * paths, ranges.shape[0]):
             push = max(abs(ranges[i, 0]), abs(ranges[i, 1]))
             acceleration = max(acceleration, push) if push < math.inf else acceleration
+    for i in range(paths):
+        turn = i - (paths - levers)
+        lever = 1.0 if turn < 0 else abs(numbers[begins[LEVERS] + turn])
+        push = lever * max(abs(ranges[2 * paths + i, 0]), abs(ranges[2 * paths + i, 1]))
+        acceleration = max(acceleration, push) if push < math.inf else acceleration
     rounding = _UNITS * _EPS * coordinates
     apart = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
-    length = max(largest[EXTENTS], largest[LEVERS])
+    extent = max(largest[EXTENTS], largest[LEVERS])
+    length = extent
     if apart > rounding:
         length = max(length, apart)
     if acceleration > 0.0:
         reach = min(reach, swift * swift / acceleration)
     length, start, speed = max(length, reach), largest[SPEEDS], max(largest[SPEEDS], swift)
-    farthest = max(speed * duration, acceleration * (duration * duration))
+    period = duration
+    if largest[STIFFNESS] * (duration * duration) > 1.0:
+        period = 1.0 / math.sqrt(largest[STIFFNESS])
+    farthest = max(speed * period, acceleration * (period * period))
     # A start that is off zero by rounding of what the run covers has no length.
-    if length <= max(_LEAST, _EPS * farthest):
+    if extent <= _LEAST and length <= max(_LEAST, _EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
         length = max(length, min(start * duration, start * start / acceleration))
+        speed = start
     acceleration = max(acceleration, speed * speed / length)
     if acceleration == 0.0:
         acceleration = length / (duration * duration)
-    speed = max(speed, math.sqrt(acceleration * length))
+    speed = max(start, swift, math.sqrt(acceleration * length))
     scales[0], scales[1], scales[2] = length, speed, acceleration
     scales[3], scales[4] = largest[MASS] * acceleration, rounding
     for i in range(n):

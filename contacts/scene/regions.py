@@ -126,9 +126,10 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
     sliding = [s for s in closed if s != "pin"]
     result: list[Edge] = []
     if "free" in present:
-        if contact.restitution != 0:
-            rebound = "impact: rebound by restitution"
-            result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
+        # A plastic impact ends in flight, too, where the surface recedes at once.
+        plastic = contact.restitution == 0
+        rebound = _landing("free") if plastic else "impact: rebound by restitution"
+        result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
         for state in closed:
             result.append(Edge("touchdown", "free", state, "gap = 0, dgap < 0", _landing(state)))
             if bounces:

@@ -16,7 +16,8 @@ PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
 """Kinds of margins: their numbers, and their names in that order."""
 
-
+EVALUATED = 8.0 * float(np.finfo(float).eps)
+"""Round-off of an instant, and of a formula in parts of its terms."""
 JUMP = 1e-9
 """Where a margin has jumped below zero, it is above this part of its first value just before."""
 

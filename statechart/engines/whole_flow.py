@@ -14,6 +14,7 @@ from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
 from statechart.engines.flow_watch import (
+    EVALUATED,
     FORCE,
     JUMP,
     PLAIN,
@@ -236,22 +237,16 @@ def flow_to_event(
         # An angle is above zero up to its branch cut, and jumps below.
         value = value_at(ready[0], step, guards[guard], place, ready[3])
         jumps = value > max(usual[guard], JUMP * abs(begun[guard]))
-        if at_zero or jumps or not _falls_far(ready, guards, usual, made - 1, guard, at, jets):
+        latest = max(at, crossed) * (1.0 + EVALUATED)
+        clear_whole(ready, guards, usual, made - 1, jets)
+        verdict, first, _, _, at, crossed, _ = search_step(ready, guards, usual, made - 1, BOXES)
+        far = verdict == CROSSING and first == guard and at <= latest
+        if at_zero or jumps or not far:
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
     lift_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
-
-
-@part
-def _falls_far(
-    ready: Ready, guards: Ints32, usual: Array, step: int, guard: int, at: float, jets: Array
-) -> bool:
-    """Whether a margin whose zero is known falls below its usual tolerance in a step, and first."""
-    clear_whole(ready, guards, usual, step, jets)
-    verdict, first, _, _, time, _, _ = search_step(ready, guards, usual, step, BOXES)
-    return verdict == CROSSING and first == guard and time == at
 
 
 @part

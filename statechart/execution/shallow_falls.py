@@ -14,6 +14,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.engines.engine import Engine, FlowWatch
 from statechart.engines.event_location import Crossing, Search, Verdict, search
+from statechart.engines.flow_watch import EVALUATED
 from statechart.engines.path import Path
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import sizes_at
@@ -22,8 +23,6 @@ from statechart.kernels.polynomials import sample_states
 
 STATE_TOLERANCES, STATE_ROUND_OFF = 10.0, 1e-13
 """Error of a variable: so many tolerances of the engine, or that part of its size."""
-# Round-off of an instant, and of a formula in parts of its terms.
-_EVALUATED = 8.0 * float(np.finfo(float).eps)
 _LOCATED = (Verdict.CROSSING, Verdict.GRAZE)
 
 
@@ -84,7 +83,7 @@ def _search(watch: FlowWatch, path: Path, tolerances: Array, first: int, last: i
 
 def _same(one: Crossing, other: Crossing) -> bool:
     """Tell whether two crossings are one root to within round-off of time."""
-    return one.time <= max(other.time, other.crossed) * (1.0 + _EVALUATED)
+    return one.time <= max(other.time, other.crossed) * (1.0 + EVALUATED)
 
 
 def relative_error(engine: Engine) -> float:
@@ -108,8 +107,8 @@ def margin_errors(
     """
     states = np.vstack([state, state, state + np.diag(errors)])
     times = np.full(len(states), time)
-    times[1] += _EVALUATED * abs(time)
+    times[1] += EVALUATED * abs(time)
     with np.errstate(all="ignore"):
         values = guards.table(states, parameters, times)[:, guard]
     (terms,) = sizes_at(guards, (guard,), state, np.abs(state), parameters, time)
-    return float(np.abs(values[1:] - values[0]).sum()) + _EVALUATED * terms
+    return float(np.abs(values[1:] - values[0]).sum()) + EVALUATED * terms

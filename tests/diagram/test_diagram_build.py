@@ -71,18 +71,20 @@ def test_one_contact_is_drawn_as_boxes_in_boxes() -> None:
     assert all(part.visits is None for part in (*diagram.nodes, *diagram.links))
     ends = {(link.source, link.cause, link.target) for link in chart.links}
     assert {("closed", "liftoff", "free"), ("free", "touchdown", "closed")} <= ends
-    assert ("slide", "stick", "pin") in ends
-    assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 3
+    # Where the stick turns so fast that its tip recedes, the impact ends in flight.
+    assert {("free", "touchdown", "free"), ("slide", "stick", "pin")} <= ends
+    assert sum(link.cause in ("liftoff", "touchdown", "stick") for link in chart.links) == 4
 
 
 def test_a_choice_of_targets_says_what_each_resets() -> None:
     runner = Runner("toppling_stick")
     (chart,) = build(runner.automaton, runner.start()[0]).charts
-    (touchdown,) = [link for link in chart.links if link.cause == "touchdown"]
-    assert touchdown.reset.split("\n") == [
+    resets = {link.target: link.reset for link in chart.links if link.cause == "touchdown"}
+    assert resets["closed"].split("\n") == [
         "to slide: impact; dgap := 0",
         "to pin: impact; dgap := 0, slip := 0",
     ]
+    assert resets["free"] == "impact; dgap := 0"
 
 
 def test_two_contacts_are_a_grid_of_nine_modes_with_guards_of_both_directions() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from runs import golden
 
+from contacts.event_driven import accumulation
 from statechart.automaton.trace import Outcome, Trace
 from statechart.cli.main import main
 from statechart.documents.setting import Setting
@@ -275,11 +276,13 @@ def test_the_error_of_events_is_that_of_the_integrator(
         assert found.largest <= factor * tolerance
 
 
-def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion() -> None:
-    few, many = (
-        run("rocking_block", until=13.0, engine="scipy", tolerance=tolerance)
-        for tolerance in (1e-11, 2.3e-14)
-    )
+def test_sums_of_alternating_impacts_that_begin_elsewhere_are_the_same_motion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    many = run("rocking_block", until=13.0, engine="scipy", tolerance=2.3e-14)
+    # They begin at a part of the length, whatever the tolerance.
+    monkeypatch.setattr(accumulation, "_LOW_AT_REST", 1e-4)
+    few = run("rocking_block", until=13.0, engine="scipy", tolerance=1e-11)
     assert len(many.trace.jumps) > len(few.trace.jumps)
     assert few.endless == many.endless != frozenset()
     found = compare(few.trace, many.trace, few.outputs, many.outputs, endless=few.endless)
@@ -312,10 +315,10 @@ bodies:
             dx: -0.11982062507388047}
 surfaces: {floor: {height: 0}}
 contacts:
-  A: {point: {body: bar, at: [-1, 0]}, surface: floor, friction: 0.011015240152582543,
-      restitution: 0.12238161760779072}
-  B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.011015240152582543,
-      restitution: 0.12238161760779072}
+  A: {point: {body: bar, at: [-1, 0]}, surface: floor, friction: 0.011,
+      restitution: 0.12}
+  B: {point: {body: bar, at: [1, 0]}, surface: floor, friction: 0.011,
+      restitution: 0.12}
 stop: {time: 2}
 """
 
@@ -323,7 +326,7 @@ stop: {time: 2}
 def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
     assert result.error_estimate == math.inf
-    assert "accuracy is undefined from t = 0.4441" in result.warnings[-1]
+    assert "accuracy is undefined from t = 0.444059" in result.warnings[-1]
 
 
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
