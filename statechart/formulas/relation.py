@@ -172,7 +172,8 @@ class Relation:
         source = Source(self.text)
         for member in self.members:
             if not states:
-                source.fail("no state can be asked for here", member.offset)
+                advice = "`in` is for guards, stop conditions, and `enabled` with controllers"
+                source.fail("no state can be asked for here", member.offset, advice)
             for kind, name, known in (
                 ("region", member.region, states),
                 ("state", member.state, states.get(member.region, ())),
@@ -232,7 +233,7 @@ class Relation:
             if (tree.region, tree.state) not in states:
                 self.require_states({})
             return _within(tree, states).expression
-        parts = [self._margin(part, symbols, states) for part in tree.parts]
+        parts = (self._margin(part, symbols, states) for part in tree.parts)
         return (sympy.Max if isinstance(tree, Every) else sympy.Min)(*parts)
 
     def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:
@@ -287,8 +288,7 @@ def _normal(term: Term, negated: bool = False) -> Any:
 
 
 def _within(tree: Within, states: States) -> Atom:
-    value = states[tree.region, tree.state]
-    return Atom(-value if tree.holds else value, False)
+    return Atom(states[tree.region, tree.state] * (-1 if tree.holds else 1), False)
 
 
 @lru_cache(_REMEMBERED)
