@@ -41,6 +41,13 @@ regions:
       - {name: down, from: swing, to: again, guard: ball.x >= 1}
 stop: {time: 1.25}
 """
+# High above the floor: a relation, and when it changes from true at the start to false, and so on.
+ALOFT = {
+    "in(leg.soft) or not (in(leg.stance) and ball.x >= 0.125)": (0.125, 0.25),
+    "in(leg.firm) and ball.x < 0.2 or in(leg.swing) and ball.x >= 0.7": (0.2, 0.7, 1.0),
+    "ball.x <= 0.3 and (in(leg.stance) or in(leg.again)) or in(leg.again)": (0.3, 1.0),
+    "not in(leg.soft) and not (in(leg.swing) and ball.x > 0.6)": (0.25, 0.5, 0.6, 1.0),
+}
 LIFTS = pytest.mark.parametrize("lift", ["after: 0.5", "guard: ball.x >= 0.5"])
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
 
@@ -106,6 +113,18 @@ def test_an_inner_state_ends_a_contact_inside_its_superstate(engine):
     assert [jump.cause for jump in trace.jumps] == ["soften", "disable", "lift", "down"]
     within = 2 * STEP if engine == "impulse" else 1e-12
     assert trace.final[1] == pytest.approx(-G / 2, abs=2 * G * within)
+
+
+@ENGINES
+@pytest.mark.parametrize("enabled", ALOFT)
+def test_states_and_comparisons_switch_a_contact_together(enabled, engine):
+    trace = run(enabled, 50, "after: 0.5", engine)
+    found = [jump for jump in trace.jumps if jump.cause in ("disable", "enable")]
+    expected = ALOFT[enabled]
+    within = 2 * STEP if engine == "impulse" else 1e-12
+    assert [jump.t for jump in found] == pytest.approx(expected, abs=within)
+    causes = ["disable", "enable"] * len(expected)
+    assert [jump.cause for jump in found] == causes[: len(expected)]
 
 
 def test_a_ball_passes_a_floor_that_is_off_until_it_is_below():
