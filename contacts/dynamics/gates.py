@@ -20,7 +20,7 @@ from contacts.states import OFF
 from statechart.arrays import Ints
 from statechart.automaton.regions import Margin
 from statechart.formulas.condition import Every, Some, replaced
-from statechart.formulas.relation import parse_relation
+from statechart.formulas.relation import States, parse_relation
 from statechart.kernels.jit import seldom
 
 HOLDS, FAILS, UNSURE = 1, -1, 0
@@ -123,6 +123,7 @@ def gate_of(
     contact: str,
     relations: Sequence[str],
     known: Mapping[str, sp.Expr],
+    states: States,
     ends: Mapping[str, sp.Expr],
 ) -> Gate:
     """Return the gate of a contact.
@@ -134,6 +135,8 @@ def gate_of(
         Must all hold.
     known : mapping
         Name -> expression.
+    states : mapping
+        (controller, state) -> what is above 0 while the state is active, below 0 else.
     ends : mapping
         Words -> expression that must be at or above 0, too: ends of an edge.
     """
@@ -142,9 +145,13 @@ def gate_of(
     wholes: dict[str, sp.Expr] = {}
     for text in relations:
         relation = parse_relation(text)
-        condition, words, first = relation.condition(known), f"{contact}: {text}", len(atoms)
+        condition, words, first = (
+            relation.condition(known, states),
+            f"{contact}: {text}",
+            len(atoms),
+        )
         if not condition.single:
-            wholes[words] = -relation.margin(known)
+            wholes[words] = -relation.margin(known, states)
         backs = condition.names(f"{contact}.{OFF}: {text}")
         for name, back, atom in zip(condition.names(words), backs, condition.atoms, strict=True):
             atoms.append(GateAtom(name, back, words, -atom.expression, not atom.strict))

@@ -94,10 +94,15 @@ class Mechanics(FreeMotion):
             for i, (name, contact) in enumerate(scene.contacts.items())
             if self._controls.region_of(contact.friction) is not None
         }
+        self._asked = {
+            (member.region, member.state): sp.Symbol(f"in{i}", real=True)
+            for i, member in enumerate(scene.asked_states)
+        }
         self.controls = (
             *self._coefficients.values(),
             *(s for name in self._coefficients for s in cones[name]),
             *controls.values(),
+            *self._asked.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -230,6 +235,10 @@ class Mechanics(FreeMotion):
                     found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             found[self.known[control]] = self._formula(text)
+        active = self._controls.flat[region].active(state)
+        for (asked, name), symbol in self._asked.items():
+            if asked == region:
+                found[symbol] = sp.Integer(1 if name in active else -1)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
@@ -282,7 +291,9 @@ class Mechanics(FreeMotion):
                 along = ((x1 - x0) * (x - x0) + (y1 - y0) * (y - y0)) / length
                 ends = {"begin of its edge": along, "end of its edge": length - along}
             gated = contact.enabled or ends
-            self._gates[name] = gate_of(name, contact.enabled, known, ends) if gated else None
+            self._gates[name] = (
+                gate_of(name, contact.enabled, known, self._asked, ends) if gated else None
+            )
         return self._gates[name]
 
     def _stuck(

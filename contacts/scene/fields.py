@@ -30,7 +30,7 @@ from statechart.documents.quantities import POWERS, Dimension, Quantity
 from statechart.documents.quantities import per_time as rate_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.formulas.relation import conjunction
+from statechart.formulas.relation import Member, conjunction, parse_relation
 from statechart.formulas.tree import Name
 
 _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "angle"}
@@ -316,6 +316,13 @@ class SceneFields(Declaration):
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.memory
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
+
+    @cached_property
+    def asked_states(self) -> tuple[Member, ...]:
+        """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
+        texts = [text for contact in self.contacts.values() for text in contact.enabled]
+        members = [member for text in texts for member in parse_relation(text).members]
+        return tuple({(m.region, m.state): m for m in members}.values())
 
     def surface_of(self, contact: str) -> Surface:
         """Return the surface that a contact touches."""

@@ -26,6 +26,7 @@ from statechart.documents.outputs import check_member
 from statechart.documents.uses import check_uses
 from statechart.errors import DeclarationProblem, Findings
 from statechart.formulas.formula import parse
+from statechart.formulas.relation import parse_relation
 
 
 class Scene(SceneFields):
@@ -289,7 +290,18 @@ class Scene(SceneFields):
         for place, text in enumerate(contact.enabled):
             with found:
                 known = seen | {*self.controls}
-                check_relation(text, known, {}, known - {*parameters}, *at, "enabled", place)
+                here = (*at, "enabled", place)
+                for member in parse_relation(text).members:
+                    if member.region in self.contacts:
+                        raise DeclarationProblem(
+                            f"in({member.region}.{member.state}) asks for a state of a contact, "
+                            "which `enabled` cannot",
+                            advice=f"write a relation of {member.region}.gap, or ask for a state "
+                            "of a controller",
+                            loc=here,
+                        )
+                named = {name: {*region.named} for name, region in self.controlled.flat.items()}
+                check_relation(text, known, named, known - {*parameters}, *here)
 
     def _coordinates_move_bodies(self, found: Findings) -> None:
         texts = [text for body in self.bodies.values() for text in body.position or ()]

@@ -121,3 +121,13 @@ class Nesting:
     exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     edges: tuple[HierarchicalEdge, ...] = ()
     unreached: frozenset[str] = frozenset()
+
+    def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the states that are active with one of the region, and those that hold them."""
+        found: dict[str, None] = {}
+        for name in self.configurations.get(state, (state,)):
+            found[name] = None
+            while name in superstates:
+                name = superstates[name]
+                found[name] = None
+        return tuple(found)

@@ -301,13 +301,7 @@ class Region:
         return {}
 
     def _active(self, state: str) -> tuple[str, ...]:
-        found: dict[str, None] = {}
-        for name in self.nesting.configurations.get(state, (state,)):
-            found[name] = None
-            while name in self.superstates:
-                name = self.superstates[name]
-                found[name] = None
-        return tuple(found)
+        return self.nesting.active(state, self.superstates)
 
     def causes(self, cause: str) -> tuple[str, ...]:
         """Return what a cause of jumps stands for: itself, or transitions taken together."""

@@ -131,6 +131,10 @@ class FlatRegion:
             for t in self.transitions
         )
 
+    def active(self, state: str) -> tuple[str, ...]:
+        """Return what is active with a configuration: its states, and those that hold them."""
+        return self.nesting.active(state, self.superstates)
+
     @cached_property
     def named(self) -> tuple[str, ...]:
         """States and superstates, as declared: what outputs and events may ask for."""

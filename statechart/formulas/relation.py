@@ -20,7 +20,6 @@ from statechart.formulas.condition import (
     Some,
     Within,
     condition_of,
-    replaced,
 )
 from statechart.formulas.formula import Formula, finished
 from statechart.formulas.syntax import RELATIONS, Reader
@@ -39,6 +38,10 @@ _COMPARISONS = (*RELATIONS, *_EQUALITIES)
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 _TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
 _OR = re.compile(r"\bor\b")
+States = Mapping[tuple[str, str], "sp.Expr"]
+"""(region, state) -> a number above 0 while the state is active, below 0 else."""
+
+_NO_STATES: States = {}
 _JOINTS = frozenset({"<", "<=", ">", ">=", "==", "!=", "=", "!", "and", "or", "not", "in"})
 
 
@@ -169,7 +172,8 @@ class Relation:
         source = Source(self.text)
         for member in self.members:
             if not states:
-                source.fail("no state can be asked for here", member.offset)
+                advice = "`in` is for guards, stop conditions, and `enabled` with controllers"
+                source.fail("no state can be asked for here", member.offset, advice)
             for kind, name, known in (
                 ("region", member.region, states),
                 ("state", member.state, states.get(member.region, ())),
@@ -199,7 +203,7 @@ class Relation:
                     "write <= or >=: it becomes true as the value passes the other side",
                 )
 
-    def margin(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+    def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:
         """Return what is >= 0 while the relation does not hold and falls as it begins to.
 
         For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` it is
@@ -210,31 +214,37 @@ class Relation:
         ----------
         symbols : mapping of str to sympy.Expr
             The expression that every name stands for.
+        states : mapping, optional
+            (region, state) -> what is above 0 while the state is active, below 0 else.
 
         Raises
         ------
         FormulaError
             As `Formula.to_sympy`.
         """
-        return self._margin(_normal(self.root, False), symbols)
+        return self._margin(_normal(self.root, False), symbols, states)
 
-    def _margin(self, tree: Any, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
+    def _margin(self, tree: Any, symbols: Mapping[str, sp.Expr], states: States) -> sp.Expr:
         import sympy
 
         if isinstance(tree, Comparison):
             return tree.margin(symbols)
         if isinstance(tree, Within):
-            self.require_states({})
-        parts = [self._margin(part, symbols) for part in tree.parts]
+            if (tree.region, tree.state) not in states:
+                self.require_states({})
+            return _within(tree, states).expression
+        parts = (self._margin(part, symbols, states) for part in tree.parts)
         return (sympy.Max if isinstance(tree, Every) else sympy.Min)(*parts)
 
-    def condition(self, symbols: Mapping[str, sp.Expr]) -> Condition:
+    def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:
         """Return the relation over smooth atoms: `min`, `max` and `abs` are rewritten.
 
         Parameters
         ----------
         symbols : mapping of str to sympy.Expr
             The expression that every name stands for.
+        states : mapping, optional
+            As for `margin`; what it has becomes an atom.
 
         Raises
         ------
@@ -242,10 +252,14 @@ class Relation:
             As `Formula.to_sympy`, and if it has too many atoms.
         """
 
-        def atom(one: Comparison) -> Atom:
-            return Atom(one.margin(symbols), one.strict)
+        def atoms(tree: Any) -> Any:
+            if isinstance(tree, Every | Some):
+                return type(tree)(tuple(map(atoms, tree.parts)))
+            if isinstance(tree, Comparison):
+                return Atom(tree.margin(symbols), tree.strict)
+            return _within(tree, states) if (tree.region, tree.state) in states else tree
 
-        return condition_of(replaced(_normal(self.root), atom), Source(self.text))
+        return condition_of(atoms(_normal(self.root)), Source(self.text))
 
 
 def _terms(term: Term) -> Iterator[Term]:
@@ -271,6 +285,10 @@ def _normal(term: Term, negated: bool = False) -> Any:
     if one.operator in _EQUALITIES:
         return (Every if one.operator == "==" else Some)(tuple(one.ordered()))
     return one
+
+
+def _within(tree: Within, states: States) -> Atom:
+    return Atom(states[tree.region, tree.state] * (-1 if tree.holds else 1), False)
 
 
 @lru_cache(_REMEMBERED)
