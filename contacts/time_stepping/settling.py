@@ -31,10 +31,10 @@ from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
 # So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
-_LEFT = 4.0
+LEFT = 4.0
 # Accelerations below this part of what the step makes of them are zero to the first order; above
 # that part of their terms they are not, however long the step is.
-_ALIKE, _MOST_ALIKE = 0.1, 1e-2
+ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
 @part
@@ -86,13 +86,13 @@ def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes:
 @part
 def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
     """Whether steps of an acceleration of this size explain the gap and the rate of a contact."""
-    row, left = tape.first + tape.per * i + 2 * tape.size, _LEFT * h * size
+    row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
-    return gap <= _LEFT * h * left and rate <= left
+    return gap <= LEFT * h * left and rate <= left
 
 
 @part
-def _solve_accelerations(
+def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, per_speed: float,
     found: Array,
 ) -> bool:  # fmt: skip
@@ -130,11 +130,11 @@ def _solve_accelerations(
 
 
 @part
-def _end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
+def end_slips(slips: Array, accelerations: Array, h: float, slides: Array) -> bool:
     """Clear the directions (m,) of slips that end within some steps; return whether there are."""
     found = False
     for a in range(len(slips)):
-        if slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0:
+        if slides[a] * (slips[a] + LEFT * h * accelerations[a, 1]) < 0.0:
             slides[a], found = 0.0, True
     return found
 
@@ -145,7 +145,7 @@ def _direction(mode: int) -> float:
 
 
 @part
-def _mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
+def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact with these accelerations (2,)."""
     if acceleration[0] > 0.0:
         return FREE
@@ -203,17 +203,17 @@ def settle(
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 along, mu = _direction(memory.shown[i]), cones[a, 1] / max(cones[a, 0], STEEPEST)
-                left = _LEFT * h * (terms[a, 1] + mu * terms[a, 0])
+                left = LEFT * h * (terms[a, 1] + mu * terms[a, 0])
                 if memory.shown[i] == FREE or along * slips[a] > 0.0 or abs(slips[a]) > left:
                     slides[a] = 1.0 if slips[a] > 0.0 else -1.0
         problem = delassus, alone, cones
-        solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
-        if solved and _end_slips(slips, forced, h, slides):
-            solved = _solve_accelerations(*problem, slides, terms, _ALIKE * h / scene.speed, forced)
+        solved = solve_accelerations(*problem, slides, terms, ALIKE * h / scene.speed, forced)
+        if solved and end_slips(slips, forced, h, slides):
+            solved = solve_accelerations(*problem, slides, terms, ALIKE * h / scene.speed, forced)
         for a in range(m):
             i = which[a]
             if solved and near[i]:
-                modes[i] = _mode_of(
+                modes[i] = mode_of(
                     forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
                 )
     _show(memory, n + scene.joints, k, chunk)
