@@ -26,6 +26,9 @@ from statechart.kernels.jit import beside, part
 # A normal this near to that of a plate is that of its face, not of its end.
 _PARALLEL = 1e-9
 
+HOVERS = 2
+"""In the place of 1 in `Memory.shown`: the body falls over the gap at which it landed."""
+
 
 @part
 def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
@@ -35,7 +38,7 @@ def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
         code = chunk.modes[k, b] = chunk.codes[k, b]
         if memory.shown[b, 0] != code or chunk.struck[k, b]:
             memory.shown[b, 1] = 1
-        found = found or memory.shown[b, 1] == 1
+        found = found or memory.shown[b, 1] != 0
     return found
 
 
@@ -118,8 +121,11 @@ def _remember_landing(
 
 
 @part
-def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float) -> bool:
-    """Whether a body falls over no more than the gap at which it landed."""
+def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float, alone: bool) -> bool:
+    """Whether a corner falls over no more than the gap at which it landed.
+
+    What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
+    """
     above, nx, ny, zero, u, v = memory.landed[b]
     look, turning = room.look, rates[b, 2]
     x, y = look.places[b, 0], look.places[b, 1]
@@ -132,7 +138,9 @@ def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float) -> bool:
     bias = -(turning**2) * along
     left = LEFT * h * (abs(forced) + abs(bias))
     gap = nx * (x + u) + ny * (y + v) - zero
-    return above > 0.0 and forced + bias <= 0.0 and rate <= left and gap <= above + LEFT * h * left
+    falls = above > 0.0 and forced + bias <= 0.0 and rate <= left
+    near = LEFT * h * left
+    return falls and gap <= above + near and (alone or gap > near)
 
 
 @beside
@@ -160,14 +168,17 @@ def settle_bodies(
     counts = room.local
     _count_contacts(numbers, room.touches, count, counts)
     for b in range(len(counts)):
-        if memory.shown[b, 1] == 0 or counts[b] < 0:
+        if memory.shown[b, 1] == 0:
+            continue
+        memory.shown[b, 1] = 1
+        if counts[b] < 0:
             continue
         mode = FREE
         if counts[b] > 0:
             mode = _body_mode(numbers, memory, room, rates, count, b, counts[b], k, chunk)
         lands = memory.shown[b, 0] != FREE and not chunk.struck[k, b]
-        if mode == FREE and lands and _hovers(memory, room, rates, b, chunk.h):
-            mode = memory.shown[b, 0]
+        if lands and _hovers(memory, room, rates, b, chunk.h, mode == FREE):
+            mode, memory.shown[b, 1] = memory.shown[b, 0], HOVERS
         chunk.modes[k, b] = mode
 
 
@@ -176,7 +187,8 @@ def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
     """End the settling of bodies whose impulses in step k agree with the modes shown."""
     for b in range(len(memory.shown)):
         mode = memory.shown[b, 0] = chunk.modes[k, b]
-        if mode == chunk.codes[k, b] and not chunk.struck[k, b]:
+        hovers = memory.shown[b, 1] == HOVERS
+        if mode == chunk.codes[k, b] and not chunk.struck[k, b] and not hovers:
             memory.shown[b, 1] = 0
             memory.landed[b, 0] = 0.0
 

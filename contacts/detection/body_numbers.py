@@ -143,7 +143,7 @@ class Memory(NamedTuple):
 
     def copy(self) -> Memory:
         """Return it as it is now."""
-        return Memory(*(rows.copy() for rows in self))
+        return Memory._make(rows.copy() for rows in self)
 
     def as_large(self, other: Memory) -> Memory:
         """Return it with place for as many contacts as another."""
