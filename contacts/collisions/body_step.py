@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from contacts.collisions.body_modes import finish_settling, settle_bodies, unsettle_bodies
 from contacts.collisions.island_step import solved
 from contacts.collisions.islands import push
 from contacts.collisions.order import PLASTIC
@@ -228,6 +229,9 @@ def _remember(memory: Memory, kept: Memory) -> None:
     put_rows(memory.contacts[:count], kept.contacts)
     kept.many[0] = count
     put(memory.past, kept.past)
+    put_rows(memory.landed, kept.landed)
+    for b in range(len(memory.shown)):
+        kept.shown[b, 0], kept.shown[b, 1] = memory.shown[b]
 
 
 @part
@@ -348,6 +352,9 @@ def step_bodies(
         # What lands has gone on as it did until it touched.
         chunk.late[k] = _landing(room, rates, early, h, fall, count) if lands else 0.0
         _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        if unsettle_bodies(memory, k, chunk):
+            settle_bodies(numbers, memory, room, rates, seen.contacts, k, chunk)
+        finish_settling(memory, k, chunk)
         if forces:
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(touches, old, forced, count))
         if joins:

@@ -341,6 +341,7 @@ class SteppedHeap:
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
+        chunk = chunk._replace(modes=chunk.codes.copy())
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():

@@ -113,12 +113,20 @@ class Memory(NamedTuple):
     past : (3,)
         Length of the step before; the fastest approach so far, and the longest in a step, of
         which half is how deep bodies may be kept.
+    shown : (b, 2) array of int
+        Mode of every body in the last step, and 1 where it is read from accelerations; see
+        `contacts.collisions.body_modes`.
+    landed : (b, 6)
+        The largest gap at which a body landed, since it settles; the normal there, what lies at the
+        gap zero along it, and the corner in the frame of the body.
     """
 
     keys: Ints
     contacts: Array
     many: Ints
     past: Array
+    shown: Ints
+    landed: Array
 
     @classmethod
     def room(cls, numbers: BodyNumbers) -> Memory:
@@ -129,11 +137,13 @@ class Memory(NamedTuple):
             np.zeros((most, MEMORY)),
             np.zeros(1, dtype=np.int64),
             np.zeros(3),
+            np.zeros((len(numbers.sizes), 2), dtype=np.int64),
+            np.zeros((len(numbers.sizes), 6)),
         )
 
     def copy(self) -> Memory:
         """Return it as it is now."""
-        return Memory(self.keys.copy(), self.contacts.copy(), self.many.copy(), self.past.copy())
+        return Memory._make(rows.copy() for rows in self)
 
     def as_large(self, other: Memory) -> Memory:
         """Return it with place for as many contacts as another."""

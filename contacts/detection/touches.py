@@ -26,9 +26,10 @@ class Touches(NamedTuple):
         Velocities, normal and tangential, per unit rates of the two.
     keys : (c, 2) array of int
         See `Memory`.
-    memory : (c, 3)
+    memory : (c, 4)
         The level at which each is kept; how far above that it is, or, where it is struck, above
-        the other; slip that the impulses of the step before may have missed.
+        the other; slip that the impulses of the step before may have missed; how far it is above
+        the level at which it was kept.
     materials : (c, 3)
         See `BodyNumbers`.
     before, free, wanted : (c, 2)
@@ -61,7 +62,7 @@ class Touches(NamedTuple):
             np.empty((most, 2), np.int64),
             np.zeros((most, 2, 6)),
             np.empty((most, 2), np.int64),
-            np.empty((most, 3)),
+            np.empty((most, 4)),
             np.empty((most, 3)),
             np.empty((most, 2)),
             np.empty((most, 2)),

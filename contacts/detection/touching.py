@@ -298,6 +298,7 @@ def _takes_part(
         _note(points, PASSED, came(numbers, look, *where, since, points.aside))
     if role == APART:
         return False
+    touches.memory[m, 3] = above
     _note(points, APPROACH, nearing)
     if nearing > slow and -gap > max(memory.past[2], h * nearing):
         _note(points, SUNK, -gap)

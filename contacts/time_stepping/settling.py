@@ -31,10 +31,10 @@ from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
 # So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
-_LEFT = 4.0
+LEFT = 4.0
 # Accelerations below this part of what the step makes of them are zero to the first order; above
 # that part of their terms they are not, however long the step is.
-_ALIKE, _MOST_ALIKE = 0.1, 1e-2
+ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
 @part
@@ -86,13 +86,13 @@ def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes:
 @part
 def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
     """Whether steps of an acceleration of this size explain the gap and the rate of a contact."""
-    row, left = tape.first + tape.per * i + 2 * tape.size, _LEFT * h * size
+    row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
-    return gap <= _LEFT * h * left and rate <= left
+    return gap <= LEFT * h * left and rate <= left
 
 
 @part
-def _solve_accelerations(
+def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
     sizes: Array, alike: Array, found: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
@@ -109,7 +109,7 @@ def _solve_accelerations(
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
     alike : (m,)
-        Step over speed, times `_ALIKE`, of contacts that landed; elsewhere 0.
+        Step over speed, times `ALIKE`, of contacts that landed; elsewhere 0.
     found : (m, 2)
         To be filled.
     """
@@ -132,7 +132,7 @@ def _solve_accelerations(
 
 
 @part
-def _end_slips(
+def end_slips(
     slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
 ) -> bool:
     """Clear the directions (m,) of slips that some steps explain; return whether there are.
@@ -142,8 +142,8 @@ def _end_slips(
     """
     found = False
     for a in range(len(slips)):
-        left = _LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
-        ends = slides[a] * (slips[a] + _LEFT * h * accelerations[a, 1]) < 0.0
+        left = LEFT * h * (sizes[a, 1] + abs(accelerations[a, 1]))
+        ends = slides[a] * (slips[a] + LEFT * h * accelerations[a, 1]) < 0.0
         if ends or (against[a] and abs(slips[a]) <= left):
             slides[a], found = 0.0, True
     return found
@@ -155,7 +155,7 @@ def _direction(mode: int) -> float:
 
 
 @part
-def _mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
+def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact with these accelerations (2,)."""
     if acceleration[0] > 0.0:
         return FREE
@@ -212,7 +212,7 @@ def settle(
             put(sizes[i], terms[a])
             put(scene.cones[i], cones[a])
             if memory.settling[i] == LANDED:
-                alike[a] = _ALIKE * h / scene.speed
+                alike[a] = ALIKE * h / scene.speed
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
@@ -222,14 +222,14 @@ def settle(
                 guess[UNKNOWNS * a + u] = memory.bases[i, u]
             guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
-        if solved and _end_slips(slips, forced, against, terms, h, slides):
-            solved, forces = _solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        solved, forces = solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        if solved and end_slips(slips, forced, against, terms, h, slides):
+            solved, forces = solve_accelerations(*problem, slides, guess, terms, alike, forced)
         for a in range(m):
             i = which[a]
             idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
             if solved and near[i] and not idle:
-                modes[i] = _mode_of(
+                modes[i] = mode_of(
                     forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
                 )
     _show(memory, n + scene.joints, k, chunk)
