@@ -176,7 +176,7 @@ class SceneLaws:
         usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
         if usual and fired != (UNBOUNDED,):
             mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
-            if mode is not None:
+            if mode is not None and not (fired and mode[0] == flow.mode):
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
         strike = partial(self._strike, at, setup, snapshot)
@@ -259,9 +259,13 @@ class SceneLaws:
             goes_on = shown_roles(flow.mode, choice.taken.roles)
             if goes_on != flow.roles:
                 return None, flow._replace(roles=goes_on, warning=choice.warning, settled=True)
-            if state is at.state or not fired or flow.settled:
+            if not fired or flow.settled:
                 return None
-            # What fell off the constraints has not fallen on them.
+            # What fell off the constraints, by however little, has not fallen on them.
+            if state is at.state:
+                state = on_constraints(moving, snapshot, state)
+            if np.array_equal(state, at.state):
+                return None
             return None, flow._replace(settled=True, start=state)
         after = landed(target, snapshot, state, setup.tolerances)
         left = snapshot if after is state else self._tape.at(setup.values, after, clock.high)
