@@ -221,8 +221,9 @@ def settle(
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
-            new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
-            against[a] = not new and _direction(memory.shown[i]) != slides[a]
+            lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
+            lasts = lasts and chunk.codes[k, i] != FREE
+            against[a] = lasts and _direction(memory.shown[i]) != slides[a]
             for u in range(UNKNOWNS):
                 guess[UNKNOWNS * a + u] = memory.bases[i, u]
             guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
