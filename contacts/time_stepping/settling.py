@@ -8,9 +8,10 @@ impact, or a change of a mode, on the modes are those of the engines with events
 
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
 
-with the velocities after the step, until its impulses say the same. What a few steps of the free
-accelerations explain counts as zero: gaps up to ``16 h^2 a``, and, against the mode of the step
-before, their rates and slips up to ``4 h a``. So does a slip that ends within four steps.
+with the velocities after the step, until its impulses say the same. What a few steps of the
+accelerations explain counts as zero: gaps up to ``16 h^2 a`` and their rates, slips against the
+mode of the step before up to ``4 h a`` while the contact bears, and slips that end within four
+steps; accelerations of the order ``h a`` only after an impact or against the impulses.
 """
 
 from __future__ import annotations
