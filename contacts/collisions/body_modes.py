@@ -19,7 +19,14 @@ from contacts.detection.touches import Touches, velocity
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.settling import ALIKE, LEFT, end_slips, mode_of, solve_accelerations
+from contacts.time_stepping.settling import (
+    ALIKE,
+    LEFT,
+    clear_alike,
+    end_slips,
+    mode_of,
+    solve_accelerations,
+)
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
 from statechart.kernels.jit import beside, part
@@ -239,17 +246,18 @@ def _body_mode(
                         row = touches.rows[which[a], d, j] * numbers.inverse[b, j]
                         delassus[2 * a + d, 2 * c + e] += row * touches.rows[which[c], e, j]
     per_speed = ALIKE * h / max(memory.past[1], h * sizes[:m].max())
-    alike, against = np.full(m, per_speed), np.zeros(m, np.bool_)
+    sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]
     terms, forced, directions = sizes[:m], found[:m], slides[:m]
     support = guess[: UNKNOWNS * m]
-    solved, _ = solve_accelerations(*problem, directions, support, terms, alike, forced)
+    solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
     if solved and end_slips(slips[:m], forced, against, terms, h, directions):
-        solved, _ = solve_accelerations(*problem, directions, support, terms, alike, forced)
+        solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
     if not solved:
         return chunk.codes[k, b]
     mode = FREE
     for a in range(m):
+        clear_alike(forced[a], sums[a], per_speed)
         one = mode_of(found[a], slips[a], slides[a] == 0.0, cones[a], False)
         if one == PIN:
             return PIN

@@ -8,9 +8,10 @@ impact, or a change of a mode, on the modes are those of the engines with events
 
     0 <= V,  0 <= a_n,  V a_n = 0,  a = J M^-1 f + b + W F,  F in the cone of friction
 
-with the velocities after the step, until its impulses say the same. What a few steps of the free
-accelerations explain counts as zero: gaps up to ``16 h^2 a``, and, against the mode of the step
-before, their rates and slips up to ``4 h a``. So does a slip that ends within four steps.
+with the velocities after the step, until its impulses say the same. What a few steps of the
+accelerations explain counts as zero: gaps up to ``16 h^2 a`` and their rates, slips against the
+mode of the step before up to ``4 h a`` while the contact bears, and slips that end within four
+steps; accelerations of the order ``h a`` only after an impact or against the impulses.
 """
 
 from __future__ import annotations
@@ -94,13 +95,9 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
 @part
 def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
-    sizes: Array, alike: Array, found: Array,
+    sizes: Array, found: Array, sums: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
     """Write the accelerations of contacts; return whether the problem was solved, and forces.
-
-    Contacts of one body that have landed at different depths have lever arms that differ by the
-    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed. What is
-    zero to this order is zero.
 
     Parameters
     ----------
@@ -108,10 +105,8 @@ def solve_accelerations(
         See `contacts.solvers.contact_lcp_kernels.forces_near`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
-    alike : (m,)
-        Step over speed, times `ALIKE`, of contacts that landed; elsewhere 0.
-    found : (m, 2)
-        To be filled.
+    found, sums : (m, 2)
+        To be filled; sums of the sizes of the terms.
     """
     support = guess.copy()
     for a in range(len(found)):
@@ -126,9 +121,22 @@ def solve_accelerations(
                     term = delassus[2 * a + d, 2 * b + e] * forces[b, e]
                     found[a, d] += term
                     terms += abs(term)
-            if abs(found[a, d]) <= max(min(alike[a] * terms, _MOST_ALIKE), ROUNDING) * terms:
+            sums[a, d] = terms
+            if abs(found[a, d]) <= ROUNDING * terms:
                 found[a, d] = 0.0
     return solved, forces
+
+
+@part
+def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
+    """Clear accelerations (2,) that are zero to the first order of the step.
+
+    Contacts of one body that have landed at different depths have lever arms that differ by the
+    order of the step, so that their accelerations do: by ``h a`` beside the scene's speed.
+    """
+    for d in range(2):
+        if abs(accelerations[d]) <= min(per_speed * sums[d], _MOST_ALIKE) * sums[d]:
+            accelerations[d] = 0.0
 
 
 @part
@@ -203,7 +211,7 @@ def settle(
     if m > 0:
         delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
-        forced, alone, alike = np.empty((m, 2)), np.empty((m, 2)), np.zeros(m)
+        forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
         against, guess = np.zeros(m, np.bool_), np.zeros(UNKNOWNS * m, np.bool_)
         for a in range(m):
@@ -211,27 +219,28 @@ def settle(
             put(free[i], alone[a])
             put(sizes[i], terms[a])
             put(scene.cones[i], cones[a])
-            if memory.settling[i] == LANDED:
-                alike[a] = ALIKE * h / scene.speed
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
-            new = memory.shown[i] == FREE or memory.fresh[i] == HOLDING
-            against[a] = not new and _direction(memory.shown[i]) != slides[a]
+            lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
+            lasts = lasts and chunk.codes[k, i] != FREE
+            against[a] = lasts and _direction(memory.shown[i]) != slides[a]
             for u in range(UNKNOWNS):
                 guess[UNKNOWNS * a + u] = memory.bases[i, u]
             guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved, forces = solve_accelerations(*problem, slides, guess, terms, alike, forced)
+        solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
         if solved and end_slips(slips, forced, against, terms, h, slides):
-            solved, forces = solve_accelerations(*problem, slides, guess, terms, alike, forced)
+            solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
         for a in range(m):
             i = which[a]
             idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
             if solved and near[i] and not idle:
-                modes[i] = mode_of(
-                    forced[a], slips[a], slides[a] == 0.0, cones[a], scene.slips[i] == 2
-                )
+                still, directed = slides[a] == 0.0, scene.slips[i] == 2
+                modes[i] = mode_of(forced[a], slips[a], still, cones[a], directed)
+                if memory.settling[i] == LANDED or modes[i] != chunk.codes[k, i]:
+                    clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
+                    modes[i] = mode_of(forced[a], slips[a], still, cones[a], directed)
     _show(memory, n + scene.joints, k, chunk)
 
 

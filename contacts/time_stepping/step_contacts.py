@@ -33,7 +33,7 @@ from contacts.time_stepping.chunk import (
 from contacts.time_stepping.energy import energy_added
 from contacts.time_stepping.equations import JOINT, back
 from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
-from contacts.time_stepping.impact_order import order_matters
+from contacts.time_stepping.impact_order import coupled_order_matters
 from contacts.time_stepping.scene_numbers import (
     HOLDING,
     LANDED,
@@ -306,16 +306,16 @@ def told(
 def order_decides(scene: SceneNumbers, problem: Problem, k: int, chunk: Chunk) -> bool:
     """Whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
-    bodies, pairs = np.empty((m, 2), np.int64), np.empty(m, np.int64)
-    lively, struck = np.empty(m, np.bool_), np.empty(scene.bodies.max() + 1, np.int64)
+    lively = np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
         slow = max(SLOW * abs(problem.free[a, 0] - problem.before[a, 0]), scene.still)
         sudden = problem.delassus[2 * a, 2 * a] * chunk.impulses[k, i, 0]
         lively[a] = scene.restitution[i] >= LIVELY and sudden > slow
-        bodies[a, 0], bodies[a, 1] = scene.bodies[i, 0], scene.bodies[i, 1]
-        pairs[a] = scene.pairs[i]
-    return order_matters(bodies, pairs, lively, struck)
+    bodies, pairs = scene.bodies[which], scene.pairs[which]
+    return coupled_order_matters(
+        bodies, pairs, lively, problem.delassus, problem.cones, chunk.impulses[k][which]
+    )
 
 
 @part
