@@ -148,10 +148,9 @@ class StepControl:
             If they do not end.
         """
         pending: dict[str, tuple[Jump, ...]] = {}
-        for _, together in groupby(jumps, key=lambda jump: (jump.t, bool(jump.impulse))):
+        for _, together in groupby(jumps, key=lambda jump: jump.t):
             first, *others = together
-            # Changes of several contacts at one instant are one event, as with events; an impact
-            # comes before a liftoff at its instant.
+            # What several contacts do at one instant is one event, as with events.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._listening.heard(pending, jump)
         time = np.array([recorder.clock.high])

@@ -15,8 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.states import (
-    FREE,
-    OFF_CODE,
     PIN,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -133,7 +131,6 @@ class Recorder:
         steps = Steps.of(chunk, hit, self.coordinates, self.clock)
         if self.forces is not None:
             steps = steps.without_forces(self._before(shown), shown, self.forces)
-        landed = self._landed(chunk, shown)
         first, done, shared = 0, 0, self.modes and bool(chunk.shared.any())
         for k in np.flatnonzero(self._changed(shown) | hit).tolist():
             if shared:
@@ -141,12 +138,7 @@ class Recorder:
             first = k + int(hit[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
-                self._strike(steps, k, landed[k])
-                if (landed[k] != shown[k]).any():
-                    last = (
-                        self._maker.jump(self._jumps[-1]).after if self.modes else steps.states[k]
-                    )
-                    self._change(shown[k], last)
+                self._strike(steps, k, shown[k])
             else:
                 self._change(shown[k], chunk.states[k])
         if shared:
@@ -160,8 +152,7 @@ class Recorder:
         """Count the jumps of steps; return the last of them as it can be appended."""
         last, half = len(chunk.codes) - 1, 0.5 * chunk.h
         shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
-        left = np.count_nonzero(self._landed(chunk, shown) != shown, axis=1)
-        jumps = np.where(hit, 1 + left, np.count_nonzero(self._differs(shown), axis=1))
+        jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
         begin = self.clock.later(last * chunk.h).short
         tail = _Tail(
             chunk.after(last),
@@ -256,14 +247,6 @@ class Recorder:
         before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         return np.where((codes == PIN) & slid & self.sticks & ~chunk.struck, before, codes)
-
-    def _landed(self, chunk: Chunk, shown: Ints) -> Ints:
-        """Return the modes (k, r) right after impacts: what lands is closed before it comes off."""
-        if not chunk.struck.any():
-            return shown
-        before = self._before(shown)
-        opened = (before == FREE) | (before == OFF_CODE)
-        return np.where(chunk.struck & opened & (shown == FREE), chunk.codes, shown)
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])
