@@ -97,6 +97,7 @@ class Conditions:
         self.nodes = tree(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.memory)
+        self._moving = {*mechanics.variables}
         memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
@@ -271,7 +272,7 @@ class Conditions:
         """Judge a condition that stays on its boundary as far as its derivatives tell."""
         if one.atom.name in fired:
             return FAILS
-        if on and on[one.contact]:
+        if on and on[one.contact] and one.margin.free_symbols & self._moving:
             return HOLDS
         return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
 

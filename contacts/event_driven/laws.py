@@ -55,6 +55,8 @@ from statechart.errors import NoConsistentMode, SingularMode
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
+# Margins of the forces of a closed contact (`contacts.scene.modes`).
+_FORCES = ("V", "mu V - H", "mu V + H")
 
 
 class SceneLaws:
@@ -176,7 +178,7 @@ class SceneLaws:
         usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
         if usual and fired != (UNBOUNDED,):
             mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
-            if mode is not None and not (fired and mode[0] == flow.mode):
+            if mode is not None and not (mode[0] == flow.mode and self._of_forces(fired)):
                 return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
         strike = partial(self._strike, at, setup, snapshot)
@@ -262,7 +264,7 @@ class SceneLaws:
             if not fired or flow.settled:
                 return None
             # What fell off the constraints, by however little, has not fallen on them.
-            if state is at.state:
+            if state is at.state and self._plain and self._of_forces(fired):
                 state = on_constraints(moving, snapshot, state)
             if np.array_equal(state, at.state):
                 return None
@@ -279,6 +281,11 @@ class SceneLaws:
         roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
         following = flow_in(setup, target, roles, warning=warning, notes=notes)
         return jump, following._replace(doubted=choice.doubted)
+
+    def _of_forces(self, fired: tuple[str, ...]) -> bool:
+        """Tell whether margins of contact forces alone fell."""
+        forces = {f"{name}.{force}" for name in self._names for force in _FORCES}
+        return bool(fired) and forces.issuperset(fired)
 
     def _rested(
         self, flow: Flow, moving: Key, snapshot: Snapshot, fired: tuple[str, ...], still: float

@@ -45,7 +45,7 @@ from contacts.time_stepping.scene_numbers import (
     Tape,
 )
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.copies import put
+from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import part
 
 # A contact that lands slower than this part of what a step without contact would make of rest
@@ -138,14 +138,18 @@ def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
 
 @part
 def _groups(scene: SceneNumbers, tape: Tape, which: Ints) -> Ints:
-    """Label the groups of the contacts `which` (m,)."""
-    numbers, n, c = tape.numbers, tape.size, len(scene.held)
+    """Label the groups of the contacts `which` (m,), then those of constraints."""
+    numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
+    constraints = indices(scene.held > 0)
+    members = np.empty(m + len(constraints), np.int64)
+    for a in range(len(members)):
+        members[a] = which[a] if a < m else constraints[a - m]
     joints, width = tape.first + tape.per * c, n + JOINT
     return coupled_contacts(
         numbers[: n * n].reshape((n, n)),
         numbers[joints : joints + width * scene.joints].reshape((scene.joints, width)),
         numbers[tape.first : joints].reshape((c, tape.per)),
-        which,
+        members,
         scene.held,
     )
 
@@ -174,7 +178,9 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
-    return Problem(which, columns, delassus, groups, cones, before, free, wanted, rebounds, sudden)
+    return Problem(
+        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
+    )  # fmt: skip
 
 
 @part

@@ -66,7 +66,7 @@ def draw(
     Examples
     --------
     >>> draw("toppling_stick")
-    <diagram of toppling_stick: 6 states, 11 transitions>
+    <diagram of toppling_stick: 6 states, 12 transitions>
     """
     if guards not in GUARDS:
         raise StatechartError(f"guards is one of {', '.join(GUARDS)}, not {guards!r}")

@@ -45,14 +45,15 @@ def test_a_contact_is_free_or_closed_which_is_pinned_or_slides() -> None:
     assert [region.declared(s) for s in ("slide-", "pin", "free")] == ["slide", "pin", "free"]
 
 
-def test_twelve_edges_of_a_contact_are_drawn_as_seven() -> None:
+def test_thirteen_edges_of_a_contact_are_drawn_as_eight() -> None:
     region = contact(friction=1, restitution=0)
     flat = [e for e in region.edges if e.cause not in ("zeno", "jam")]
     drawn = [e for e in hierarchical_edges(region) if e.cause not in ("zeno", "jam")]
-    assert (len(flat), len(drawn)) == (12, 7)
+    assert (len(flat), len(drawn)) == (13, 8)
     ends = {(e.cause, e.source, e.target) for e in drawn}
     assert ends == {
         ("touchdown", "free", "closed"),
+        ("touchdown", "free", "free"),
         ("liftoff", "closed", "free"),
         ("stick", "slide", "pin"),
         ("slip", "pin", "slide+"),
@@ -60,7 +61,7 @@ def test_twelve_edges_of_a_contact_are_drawn_as_seven() -> None:
         ("reverse", "slide+", "slide-"),
         ("reverse", "slide-", "slide+"),
     }
-    (touchdown,) = (e for e in drawn if e.cause == "touchdown")
+    (touchdown,) = (e for e in drawn if (e.cause, e.target) == ("touchdown", "closed"))
     resets = {c.target: c.reset for c in touchdown.choices}
     assert resets["pin"].endswith("slip := 0")
     assert resets["slide+"] == resets["slide-"] == "impact; dgap := 0"
