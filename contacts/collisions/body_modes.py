@@ -60,7 +60,7 @@ def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
 
 @part
 def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
-    """Whether a contact is that of a corner or a disc on a straight surface at rest."""
+    """Return whether a contact is that of a corner or a disc on a straight surface at rest."""
     _, s = _piece_on_surface(numbers, key)
     surfaces = numbers.surfaces
     if s < 0 or surfaces.carriers[s] >= 0 or surfaces.moves[s]:
@@ -130,7 +130,7 @@ def _remember_landing(
 
 @part
 def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float, alone: bool) -> bool:
-    """Whether a corner falls over no more than the gap at which it landed.
+    """Return whether a corner falls over no more than the gap at which it landed.
 
     What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
     """

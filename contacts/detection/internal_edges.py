@@ -118,7 +118,7 @@ def _is_covered(
     numbers: BodyNumbers, ground: Ground, look: Look, which: int, covering: Ints,
     place: tuple[float, float], outward: tuple[float, float],
 ) -> bool:  # fmt: skip
-    """Whether a point is on a face that solid obstacles cover all along."""
+    """Return whether a point is on a face that solid obstacles cover all along."""
     one = obstacle(numbers, ground, look, which, place[0], place[1])
     i = _face(one, place, outward)
     if i < 0:
@@ -135,7 +135,7 @@ def _stands_between(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
     i: int, place: tuple[float, float], middle: tuple[float, float], rays: Array,
 ) -> bool:  # fmt: skip
-    """Whether an obstacle at an end of a face stands between the face and a body.
+    """Return whether an obstacle at an end of a face stands between the face and a body.
 
     From where the face is bare, it is the first that the way out of the face turns to. The body's
     middle is beyond it, and the segment from there to the point of contact crosses it, or the face,
@@ -179,7 +179,7 @@ def _crosses(
     place: tuple[float, float], middle: tuple[float, float], start: tuple[float, float],
     ray: tuple[float, float], reach: float, near: float,
 ) -> bool:  # fmt: skip
-    """Whether the segment from a place to a middle crosses a ray, or comes as near to its start."""
+    """Return whether the segment from a place to a middle crosses a ray or passes its start."""
     (u, v), (cx, cy), (x, y), (dx, dy) = place, middle, start, ray
     # On which sides of the ray both are, and where on it the segment is.
     here, there = dx * (v - y) - dy * (u - x), dx * (cy - y) - dy * (cx - x)
@@ -286,7 +286,7 @@ def _in_cone(
     other: Obstacle, place: tuple[float, float], outward: tuple[float, float], near: float,
     rays: Array,
 ) -> bool:  # fmt: skip
-    """Whether a direction is inside the normal cone of an obstacle at a point of its boundary.
+    """Return whether a direction is inside the normal cone of an obstacle at a boundary point.
 
     On the boundary of the cone it is the normal of a face, which has this contact itself.
     """

@@ -146,7 +146,7 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
 def between_normals(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
 ) -> bool:
-    """Whether a direction is in the normal cone of a piece at a point of its boundary."""
+    """Return whether a direction is in the normal cone of a piece at a point of its boundary."""
     (x, y), (nx, ny) = place, outward
     if one.sort == DISC:
         ux, uy = x - one.centre[0], y - one.centre[1]
@@ -196,7 +196,7 @@ def chord(
 
 @part
 def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
-    """Whether an obstacle has a face on the same line that faces the same way.
+    """Return whether an obstacle has a face on the same line that faces the same way.
 
     It covers nothing of what it makes one face with.
     """
@@ -210,7 +210,7 @@ def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
 
 @part
 def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
-    """Whether two pieces, or a piece and a surface, touch each other by a law."""
+    """Return whether two pieces, or a piece and a surface, touch each other by a law."""
     count = len(numbers.pieces.sizes)
     if one >= count:
         one, other = other, one
@@ -249,7 +249,7 @@ def rest_together(
     numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], x: float, y: float,
     h: float, near: float,
 ) -> bool:  # fmt: skip
-    """Whether two obstacles move against each other by less than `near` at x, y in a step."""
+    """Return whether two obstacles move at x, y by less than `near` in a step, relatively."""
     u, v, turning = _velocity(numbers, ground, look, pair[0], x, y, h)
     other_u, other_v, other_turning = _velocity(numbers, ground, look, pair[1], x, y, h)
     along, across = u - other_u, v - other_v

@@ -154,7 +154,7 @@ class Conditions:
         return found
 
     def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
-        """Whether a condition is zero within its round-off."""
+        """Return whether a condition is zero within its round-off."""
         numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
         return any(
             abs(value) <= round_off(size, setup.precision)

@@ -203,7 +203,7 @@ def truths(nodes: Ints, verdicts: Ints, found: Ints) -> None:
 
 @seldom
 def opens(whole: int, gap: float, near: float) -> bool:
-    """Whether the gap of a contact that is off is watched, by the verdict of its gate.
+    """Return whether the gap of a contact that is off is watched, by the verdict of its gate.
 
     A gate that is open to doubt fails if the contact is off though its gap is not below -`near`.
     """

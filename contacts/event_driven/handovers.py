@@ -82,7 +82,7 @@ class Handovers:
         )
 
     def _goes_below(self, setup: SceneSetup, arcs: Sequence[Arc]) -> bool:
-        """Whether a contact is off in a sample where its conditions hold and its gap is closed."""
+        """Return whether a sample has a contact off with its conditions true and its gap closed."""
         if not self._gated:
             return False
         near = setup.tolerances["gap"]

@@ -184,7 +184,7 @@ class Switching:
 
 
 def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
-    """Whether the margins of conditions that are watched are those of `tolerances`."""
+    """Return whether the margins of conditions that are watched are those of `tolerances`."""
     return all(
         (tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
         for name, tolerance in own.items()

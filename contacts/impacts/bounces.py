@@ -159,7 +159,7 @@ def _blur(snapshot: Snapshot, state: Array, contact: int, falling: float) -> flo
 def _alone(
     bouncing: int, snapshot: Snapshot, lying: Sequence[bool], falling: Array, rest: float
 ) -> bool:
-    """Whether every other contact lies, or stays open for a time, with room."""
+    """Return whether every other contact lies, or stays open for a time, with room."""
     for i, contact in enumerate(snapshot.contacts):
         fall = abs(contact.gap_rate) * rest + 0.5 * abs(float(falling[i])) * rest * rest
         if i != bouncing and not lying[i] and not contact.gap > _ROOM * fall:

@@ -12,7 +12,7 @@ _FELT = 1e-3
 
 @part
 def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> bool:
-    """Whether a body is struck at once at several of the things that it touches.
+    """Return whether a body is struck at once at several of the things that it touches.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> boo
 def coupled_order_matters(
     bodies: Ints, pairs: Ints, lively: Bools, delassus: Array, cones: Array, impulses: Array
 ) -> bool:
-    """Whether a body is struck at once where the impact at one contact changes that at another.
+    """Return whether a body is struck at once at contacts whose impacts change each other.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes:
 
 @part
 def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
-    """Whether steps of an acceleration of this size explain the gap and the rate of a contact."""
+    """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
     row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
     return gap <= LEFT * h * left and rate <= left

@@ -310,7 +310,7 @@ def told(
 
 @part
 def order_decides(scene: SceneNumbers, problem: Problem, k: int, chunk: Chunk) -> bool:
-    """Whether the impacts of step k, one after another, would have another outcome."""
+    """Return whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
     lively = np.empty(m, np.bool_)
     for a in range(m):

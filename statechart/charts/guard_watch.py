@@ -247,7 +247,7 @@ class Judgement:
         return self._watch.conditions[guard].truth(self._of(guard), self._active)
 
     def _touched(self, guard: int) -> bool:
-        """Whether a guard of several atoms is true at this very instant, to which a flow came."""
+        """Return whether a guard of several atoms is true at this very instant."""
         condition, first = self._watch.conditions[guard], self._watch.firsts[guard]
         places = range(first, first + len(condition.atoms))
         if condition.single or not any(self._watch.margins[k] in self._fired for k in places):

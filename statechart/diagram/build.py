@@ -92,7 +92,7 @@ def _moving(automaton: Automaton) -> list[Region]:
 
 
 def _is_composed(region: Region) -> bool:
-    """Whether states are active side by side or remembered, which are no rows of a grid."""
+    """Return whether states are active side by side or remembered, which are no rows of a grid."""
     return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
 
 

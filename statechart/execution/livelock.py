@@ -42,7 +42,7 @@ class Livelock:
         self._stalls = 0
 
     def _stays(self, before: Clock, clock: Clock) -> bool:
-        """Whether a clock has not passed another by more than round-off."""
+        """Return whether a clock has not passed another by more than round-off."""
         return between(before, clock) <= _ROUND_OFF * max(abs(clock.high), self._scale)
 
     def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:

@@ -126,7 +126,7 @@ class _Atoms:
         self.names = [margin.name for margin in automaton.stop_margins]
 
     def near(self, k: int) -> bool:
-        """Whether an atom is on its boundary."""
+        """Return whether an atom is on its boundary."""
         return bool(abs(self._values[k]) <= self.room[k])
 
     def way(self, k: int) -> float:
@@ -146,11 +146,11 @@ class _Atoms:
         return way < 0.0 or (way == 0.0 and not strict)
 
     def rests(self, first: int, k: int) -> bool:
-        """Whether atom k of a condition stays on its boundary."""
+        """Return whether atom k of a condition stays on its boundary."""
         return self.near(first + k) and self.way(first + k) == 0.0
 
     def touches(self, stop: StopCondition, first: int, k: int) -> bool:
-        """Whether atom k of a condition holds at this very instant."""
+        """Return whether atom k of a condition holds at this very instant."""
         place, strict = first + k, stop.condition.atoms[k].strict
         return bool(self._values[place] <= (-1.0 if strict else 1.0) * self.room[place])
 

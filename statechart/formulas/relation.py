@@ -388,7 +388,7 @@ class _RelationReader(Reader):
         return Comparison(Formula(text, left), Formula(text, right), sign.text, sign.offset, own)
 
     def _holds_relation(self) -> bool:
-        """Whether the parenthesis that opens here holds a relation, not a formula."""
+        """Return whether the parenthesis that opens here holds a relation, not a formula."""
         depth = 0
         for match in _TOKENS.finditer(self.source.text, self.token.offset):
             token = match[0]

@@ -1,4 +1,4 @@
-"""Whether relations are true where the mode of a run claims it, judged by their own two sides.
+"""Truth of relations along a run, compared with the claims of its modes.
 
 The margins of a run, their tolerances and what its search has found are not used: a relation is
 evaluated in floats on a grid of the run's states. It may disagree with its mode only where an error
