@@ -88,7 +88,7 @@ def _relation(value: str) -> str:
         raise problem(error) from None
     _check_jumps(*relation.formulas)
     for one in relation.comparisons:
-        # Which way a margin goes on its boundary is told by its derivatives, whatever it is of.
+        # The derivatives of a margin decide which way it goes on its boundary.
         check_derived(Binary("-", one.left.root, one.right.root), relation.names)
     if any(formula.names_infinity for formula in relation.formulas):
         raise DeclarationProblem(

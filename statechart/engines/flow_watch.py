@@ -19,11 +19,11 @@ KINDS = ("plain", "gap", "speed", "force")
 EVALUATED = 8.0 * float(np.finfo(float).eps)
 """Round-off of an instant, and of a formula in parts of its terms."""
 JUMP = 1e-9
-"""Where a margin has jumped below zero, it is above this part of its first value just before."""
+"""A margin that jumps below zero is above this part of its first value just before."""
 
 
 class Watch(NamedTuple):
-    """What a flow is watched for, beside its margins.
+    """Numbers that the search of a flow needs, beside its margins.
 
     Attributes
     ----------
