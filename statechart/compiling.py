@@ -47,15 +47,7 @@ def working_time() -> float:
 
 
 def begin(name: str, count: Callable[[], int]) -> None:
-    """Begin to compile a function, for itself or for the one that was begun before.
-
-    Parameters
-    ----------
-    name : str
-        Of the function.
-    count : callable
-        Tells how many functions are compiled with it; asked of the outermost one.
-    """
+    """Begin to compile a function, for itself or for the one that was begun before."""
     _now.depth += 1
     if _now.depth > 1:
         return

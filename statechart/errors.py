@@ -309,15 +309,7 @@ class Unsupported(SimulationError):
 
 
 def close_matches(name: str, known: Iterable[str]) -> str:
-    """Return advice: the names in `known` that `name` may have meant, and all of them.
-
-    Parameters
-    ----------
-    name : str
-        What was written.
-    known : iterable of str
-        What could have been written.
-    """
+    """Return advice: the names in `known` that `name` may have meant, and all of them."""
     names = sorted(known, key=_numbers_in)
     if numbered := _numbered(name, names):
         return numbered

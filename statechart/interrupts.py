@@ -67,11 +67,6 @@ def held(*, firmly: bool = False) -> Iterator[None]:
     """Only note signals, for `check` to find.
 
     In a process that does not `listen` that holds for SIGINT, and for the main thread.
-
-    Parameters
-    ----------
-    firmly : bool
-        Let none through either.
     """
     outer = _now.hold
     lent = (

@@ -72,15 +72,7 @@ def several(count: int, noun: str) -> str:
 
 
 def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:
-    """Return the items that people are shown, in the place of many the number left out.
-
-    Parameters
-    ----------
-    items : sequence
-        Such as events; none is a number.
-    half : int
-        How many of many are shown from each end.
-    """
+    """Return the items that people are shown, in the place of many the number left out."""
     left_out = len(items) - 2 * half
     if left_out <= 0:
         return list(items)

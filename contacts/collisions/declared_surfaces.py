@@ -30,16 +30,7 @@ def touched(scene: Scene) -> list[str]:
 def surface_numbers(
     scene: Scene, bodies: Sequence[str], known: Mapping[str, float]
 ) -> SurfaceNumbers:
-    """Evaluate the surfaces of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-    bodies : sequence of str
-        Names of its bodies, copies one by one.
-    known : mapping of str to float
-        Parameters.
-    """
+    """Evaluate the surfaces of a scene."""
 
     def number(text: FormulaText) -> float:
         return parse(text).value(known)

@@ -45,17 +45,7 @@ def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst
 
 
 def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[str, ...]:
-    """Return what is said of masses at which a tolerance cannot be met.
-
-    Parameters
-    ----------
-    worst : (4,)
-        See `note_worst`; a ratio of zero is of no island.
-    names : sequence of str
-        Of the bodies.
-    allowed : float
-        The tolerance.
-    """
+    """Return what is said of masses at which a tolerance cannot be met."""
     ratio, light, heavy, missed = worst.tolist()
     # Beside bodies of one mass it is the tolerance that is below rounding.
     if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:

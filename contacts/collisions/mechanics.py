@@ -98,14 +98,7 @@ class BodyMechanics(Mechanics):
         return self._given_tapes[key]
 
     def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
-        """Return the forces on bodies while controllers are in these states.
-
-        Parameters
-        ----------
-        states : mapping of str to str
-        values : (p,) array
-            Of the parameters.
-        """
+        """Return the forces on bodies while controllers are in these states."""
         key = tuple(states.items())
         if key not in self._force_tapes:
             self._force_tapes[key] = self._force_tape(states)

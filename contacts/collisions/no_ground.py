@@ -33,17 +33,7 @@ class NoGround:
         self.remarks: tuple[str, ...] = ()
 
     def look(self, start: float, h: float, states: Array, frames: Array) -> None:
-        """Look below the left and the right end of bodies, and their centres, at ends of steps.
-
-        Parameters
-        ----------
-        start, h : float
-            When the steps begin, and how long each is.
-        states : (k + 1, w)
-            Where they begin and end.
-        frames : (k, s, 3)
-            Of the surfaces in their middles.
-        """
+        """Look below the left and the right end of bodies, and their centres, at ends of steps."""
         for s in self._unseen.copy():
             if found := self._first(s, states, frames):
                 step, body, x = found

@@ -27,15 +27,6 @@ def body_numbers(
 ) -> BodyNumbers:
     """Evaluate a scene with collisions.
 
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
-    known : mapping of str to float
-        Parameters.
-    owners : mapping of str to str, optional
-        The scene's `owners`, of one that is evaluated many times.
-
     Raises
     ------
     DeclarationProblem

@@ -69,16 +69,7 @@ class Paths:
         return Where(np.zeros((count, self._surfaces, 3)), np.zeros((count, 0, 2)))
 
     def at(self, known: Mapping[str, float], times: Array, memories: Array) -> Where:
-        """Return where all is at instants.
-
-        Parameters
-        ----------
-        known : mapping of str to float
-            Parameters.
-        times : (m,)
-        memories : (m, w)
-            What controllers remember then.
-        """
+        """Return where all is at instants."""
         count, moved = len(times), len(self._moved)
         if not self.any:
             return self.none(count)

@@ -57,13 +57,7 @@ class Sinking:
         self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
     def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
-        """Return a warning of what has sunk.
-
-        Parameters
-        ----------
-        deepest_at : callable
-            (body, state, time) -> what the body is in the deepest there.
-        """
+        """Return a warning of what has sunk."""
         if self._found is None:
             return ()
         body, depth, state, time, h = self._found

@@ -55,13 +55,6 @@ class Starts:
     def at(self, values: Array, known: Mapping[str, float]) -> Array:
         """Return coordinates, then rates, of all bodies (6 b,).
 
-        Parameters
-        ----------
-        values : (p,) array
-            Of the parameters and what follows from them.
-        known : mapping of str to float
-            Of the parameters, by name.
-
         Raises
         ------
         DeclarationProblem

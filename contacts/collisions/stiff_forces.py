@@ -142,15 +142,7 @@ class Held(NamedTuple):
 
 
 def check_followed(found: Stiffness, inverse: Array, held: Held, h: float) -> None:
-    """Raise `StepTooLarge` where steps of this length swing ever farther under forces.
-
-    Parameters
-    ----------
-    found : Stiffness
-    inverse : (b, 3)
-    held : Held
-    h : float
-    """
+    """Raise `StepTooLarge` where steps of this length swing ever farther under forces."""
     from scipy.sparse import csr_array, identity
     from scipy.sparse.linalg import splu
 

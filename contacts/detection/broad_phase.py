@@ -182,16 +182,7 @@ def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> b
 
 @beside
 def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
-    """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short.
-
-    Parameters
-    ----------
-    centres : (b, 2)
-    sizes, reach : (b,)
-        Radii of circles that hold a body, and how far it goes until the next look.
-    grid : Grid
-        Is overwritten.
-    """
+    """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short."""
     circles, listed, pairs, found = grid.circles, grid.listed, grid.pairs, 0
     if grid.many[0] < 0 or not _all_within(centres, sizes, reach, circles):
         for b in range(len(sizes)):

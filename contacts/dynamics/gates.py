@@ -216,15 +216,6 @@ def certificates(nodes: Ints, found: Ints, on: Ints, off: Ints) -> None:
 
     An atom that fails is watched by a contact that is on only if its gate fails as a whole: then
     its margin falls at once.
-
-    Parameters
-    ----------
-    nodes : (m, 3) array of int64
-        See `tree`.
-    found : (m,) array of int64
-        From `truths`.
-    on, off : (k,) array of int64
-        To be filled: watched while the contact is on, and while it is off.
     """
     needed = np.zeros(nodes.shape[0], np.int64)
     on[:] = 0

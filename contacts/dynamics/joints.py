@@ -137,13 +137,7 @@ def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> M
 
 
 def dependent(rows: Sequence[tuple[str, Array]]) -> str:
-    """Return whose rows have become dependent, as a sentence; "" where none have.
-
-    Parameters
-    ----------
-    rows : sequence of (str, (n,) array)
-        Whose constraint it is, and its derivatives by the coordinates, in their sizes.
-    """
+    """Return whose rows have become dependent, as a sentence; "" where none have."""
     if len(rows) < 2:
         return ""
     scaled = np.array([row for _, row in rows])

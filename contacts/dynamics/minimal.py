@@ -53,17 +53,7 @@ def _written(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
 def motion(
     mechanics: Mechanics, elimination: Elimination, working: Collection[sp.Symbol]
 ) -> tuple[sp.Expr, ...]:
-    """Return the equations of motion, each = 0, of the coordinates that are left, in order.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    elimination : Elimination
-        Of the mode.
-    working : collection of Symbol
-        Forces of contacts and joints that may do work.
-    """
+    """Return the equations of motion, each = 0, of the coordinates that are left, in order."""
     left = [i for i, q in enumerate(mechanics.q) if q not in elimination.positions]
     at_rest = dict.fromkeys(mechanics.a, sp.S.Zero)
     known = elimination.known

@@ -206,19 +206,7 @@ def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:
 
 
 def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, float]) -> Array:
-    """Return `state` on the constraints of the mode entered; the same object if it is.
-
-    Parameters
-    ----------
-    key : Key
-        Mode entered.
-    snapshot : Snapshot
-        Numbers at `state`.
-    state : (2 n,) array
-        To be projected.
-    tolerances : mapping
-        Of `gap` and `speed`.
-    """
+    """Return `state` on the constraints of the mode entered; the same object if it is."""
     near, slow = landing(tolerances)
     if snapshot.held is not None:
         joints = snapshot.held.joints
@@ -234,19 +222,7 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
 def on_constraints(
     key: Key, snapshot: Snapshot, state: Array, *, inside: Sequence[bool] = ()
 ) -> Array:
-    """Bring position and velocity onto the constraints, nearest in the mass metric.
-
-    Parameters
-    ----------
-    key : Key
-        Whose constraints.
-    snapshot : Snapshot
-        Numbers at `state`.
-    state : (2 n,) array
-        To be projected.
-    inside : sequence of bool
-        Free contacts whose gap is to be closed too (a start just inside a surface).
-    """
+    """Bring position and velocity onto the constraints, nearest in the mass metric."""
     joints = None if snapshot.held is None else snapshot.held.joints
     return _brought(key, snapshot.whole, joints, state, inside=inside)
 
@@ -294,13 +270,6 @@ def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, size
 
     A linkage that comes to a dead point (two rods that fold on each other, each with its end on
     the floor) can go on in more than one way, and its forces are not determined there.
-
-    Parameters
-    ----------
-    moving : tuple of str
-        The mode of every contact.
-    sizes : (n,) array
-        Of the coordinates.
     """
     rows = [
         (law.name, snapshot.jacobians[i, d])

@@ -263,15 +263,7 @@ class SceneNumbers:
     def contacts(
         self, values: Array, states: Mapping[str, str] | None = None
     ) -> tuple[ContactLaw, ...]:
-        """Return the contacts' laws.
-
-        Parameters
-        ----------
-        values : (p,) array
-            Of the parameters.
-        states : mapping, optional
-            Controller -> its state; those at the start by default.
-        """
+        """Return the contacts' laws."""
         states = states or self.scene.controlled.initial
         key = tuple(states.values())
         if key not in self._readers:

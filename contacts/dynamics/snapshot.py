@@ -106,13 +106,6 @@ class Snapshot(NamedTuple):
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
         """Return what a solution means for the scene: accelerations and forces of joints.
 
-        Parameters
-        ----------
-        accelerations : (n,) array
-            Of the coordinates, or of the motions.
-        forces : (c, 2) array
-            V and H of the contacts.
-
         Returns
         -------
         (coordinates,) array, (joint rows,) array

@@ -110,17 +110,6 @@ def check_joints(
 ) -> None:
     """Check positions, velocities and accelerations of the start.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    snapshots : SnapshotTape
-        Its numbers.
-    setup : SceneSetup
-        The run's.
-    allowed : float
-        What is small in a start, of the scene's length and speed: projected out, not refused.
-
     Raises
     ------
     DeclarationProblem

@@ -143,17 +143,6 @@ def _settled(
     slip would be reversed or friction change far more than without it: then one of them does not
     slide to the end. Without friction, `contacts.dynamics.projection.on_constraints` gives the
     same.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        Amid the sequence.
-    laws : sequence of ContactLaw
-        One per contact.
-    shut : sequence of bool
-        Which contacts are closed at the end.
-    still_below : float
-        Slip speeds up to this count as zero.
     """
     rows: list[Array] = []
     columns: list[Array] = []

@@ -159,19 +159,7 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 def impact_jump(
     rules: Rules, here: Landing, hitting: list[int], jam: Jam | None = None
 ) -> tuple[Jump, Flow, Snapshot]:
-    """Return the jump of an impact, the flow after it, and the numbers there.
-
-    Parameters
-    ----------
-    rules : Rules
-        What the scene says of impacts.
-    here : Landing
-        Before the impact.
-    hitting : list of int
-        Contacts that strike, or are jammed.
-    jam : Jam or None
-        Where it is an impact without collision.
-    """
+    """Return the jump of an impact, the flow after it, and the numbers there."""
     at, setup, closed, slow = here.at, here.setup, here.closed, here.slow
     struck = _struck(rules, here, jam)
     laws, contacts, rests = struck.laws, struck.snapshot.contacts, struck.rests

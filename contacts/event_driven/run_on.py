@@ -131,19 +131,7 @@ def row_of(program: Program, states: Ints) -> int:
 
 @part
 def _in_turn(block: Block, row: int, jumps: int) -> bool:
-    """Whether other contacts may have been hit since a contact last was: the laws are to know.
-
-    Parameters
-    ----------
-    block : Block
-        Its last event is the one that is looked at.
-    row : int
-        Of the series of that event.
-    jumps : int
-        Of this run, as far as they are in the block.
-
-    See `contacts.event_driven.laws.SceneLaws.accumulate`.
-    """
+    """Whether other contacts may have been hit since a contact last was: the laws are to know."""
     if row % _PER_CAUSE != TOUCHDOWN:
         return False
     contact, last = row // _PER_CAUSE, block.used[EVENTS] - 1

@@ -34,17 +34,6 @@ def rests_of_bounces(
     They sum to ``2 v / (g_n (1 - e))`` (equation 5); the impulse of a plastic impact plus the
     weight over that time equals the exact sum of theirs. A bounce is resolved as long as its
     height is known to some digits; below, its duration would be noise.
-
-    Parameters
-    ----------
-    setup : SceneSetup
-        The numbers of the run.
-    snapshot : Snapshot
-        Just after the impact.
-    state : (2 n,) array
-        There.
-    closed : sequence of bool
-        Which contacts took part in it.
     """
     rests: dict[int, float] = {}
     falling: Array | None = None
@@ -133,11 +122,6 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
 
     Impacts in turn, each of which opens another contact, go on for ever there once they take no
     more energy than gaps get that are brought back onto their surfaces.
-
-    Parameters
-    ----------
-    setup, snapshot, closed
-        As for `rests_of_bounces`.
     """
     rates = np.array([contact.gap_rate for contact in snapshot.contacts])
     opening = np.asarray(closed) & (rates > setup.tolerances["speed"])
@@ -199,15 +183,6 @@ def stands_for_bounces(
 
     Balls in a row pass a blow on through contacts that hardly open: what a rebound of next to
     nothing ends there is no bounce, and a plastic contact would keep the blow.
-
-    Parameters
-    ----------
-    rests : collection of int
-        The contacts taken as plastic.
-    resolved, plastic : Snapshot
-        After the impact by the declared laws, and with these contacts plastic.
-    closed : sequence of bool
-        Which contacts took part in it.
     """
     changes = [
         abs(a.gap_rate - b.gap_rate)

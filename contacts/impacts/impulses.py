@@ -90,13 +90,6 @@ def collisions(
     that the contacts do not accelerate. Up to four contacts all combinations of modes are tried;
     above, Lemke's algorithm finds one, and whether it is the only one is not known. None: there
     is none, or rounding hides it, as where inertias differ by 24 decades.
-
-    Parameters
-    ----------
-    snapshot, laws, closed
-        See `impacts`.
-    restitution : sequence of float
-        Per contact; all 0 for the plastic impulse.
     """
     group = [i for i, shut in enumerate(closed) if shut]
     problem = _Problem.of(snapshot, laws, group, restitution)

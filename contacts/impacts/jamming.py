@@ -78,19 +78,7 @@ def listed(
 def jammed(
     snapshot: Snapshot, laws: Sequence[ContactLaw], touching: Sequence[bool], still_below: float
 ) -> Jam | None:
-    """Return the jam of a state that no mode agrees with; None: an impact would change nothing.
-
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The state's numbers.
-    laws : sequence of ContactLaw
-        One per contact.
-    touching : sequence of bool
-        Which contacts are closed.
-    still_below : float
-        Slip speeds up to this count as zero.
-    """
+    """Return the jam of a state that no mode agrees with; None: an impact would change nothing."""
     found = paradoxes(snapshot, laws, touching, still_below)
     for group in groups(snapshot, touching):
         why = ""
@@ -109,13 +97,7 @@ def jammed(
 def unbounded(
     snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], still_below: float
 ) -> Jam | None:
-    """Return the jam that a flow has come to the brink of: p falls to zero, and b < 0.
-
-    Parameters
-    ----------
-    closed : sequence of bool
-        Which contacts the flow keeps closed.
-    """
+    """Return the jam that a flow has come to the brink of: p falls to zero, and b < 0."""
     found = paradoxes(snapshot, laws, closed, still_below, _HARDLY)
     for group in groups(snapshot, closed):
         paradox = found.get(group[0])
@@ -133,13 +115,6 @@ def without_collision(
     One contact: Routh's path from a normal velocity of zero; slip is braked until it stops,
     pressing the point inwards meanwhile; then the point sticks, and compression and restitution
     follow. Several: the impulses other than none that agree with the plastic law of impact.
-
-    Parameters
-    ----------
-    snapshot, laws
-        As for `impacts`.
-    places : sequence of int
-        The contacts, the only closed ones of their bodies.
 
     Raises
     ------

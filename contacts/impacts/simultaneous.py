@@ -80,18 +80,6 @@ def impacts(
 ) -> Impacts:
     """Return the outcome of all impacts at one instant.
 
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The state's numbers, before.
-    laws : sequence of ContactLaw
-        One per contact.
-    closed : sequence of bool
-        Which contacts take part; those with ``gap_rate < 0`` are hit.
-    choice : {"plastic", "capped", "sequential"}
-        For contacts that are coupled. Sequential: one impact after the other by the contact's
-        own law, at the contact that approaches most, the others seen as free.
-
     Raises
     ------
     NoConsistentMode

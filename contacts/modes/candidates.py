@@ -176,18 +176,6 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candida
     Where contacts can stand in for each other, a combination is judged by whether some forces in
     the cones explain its motion; of those with one motion, the one that keeps most contacts closed,
     then most of them pinned, stands for all.
-
-    Parameters
-    ----------
-    case : Case
-        The state.
-    options : sequence of sequence of str
-        States to try per contact; contacts that are not closed have ("free",).
-
-    Returns
-    -------
-    iterable
-        Each a `Candidate`, or (states, reason) where the combination determines no motion.
     """
     return _solved(case, *_combinations(tuple(options)))
 

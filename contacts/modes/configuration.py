@@ -24,17 +24,6 @@ def judged(
     Contacts that do not touch at the configuration, or are off, are judged as if they did and were
     not: the remarks say which. Regions that are no contact's ask for no velocity.
 
-    Parameters
-    ----------
-    regions : sequence of Region
-        Of the scene.
-    setup : SceneSetup
-        The numbers of the run.
-    snapshot : Snapshot
-        At the configuration; of its state only the positions count.
-    failing : sequence of str
-        Of every contact the condition that keeps it off; "" where none does.
-
     Raises
     ------
     StatechartError

@@ -52,15 +52,6 @@ class Doubt(NamedTuple):
         """Return the mode that may hold as well as not.
 
         None where what the run is off by decides nothing.
-
-        Parameters
-        ----------
-        case : Case
-            The state, as it seems.
-        options : sequence of sequence of str
-            What every contact may be in.
-        taken : Candidate
-            The mode that agrees with it.
         """
         if not any(map(_comes_to_rest, options, self.sure)):
             return None

@@ -76,18 +76,6 @@ def feasible_modes(
 ) -> tuple[ModeVerdict, ...]:
     """Judge every combination of `options`.
 
-    Parameters
-    ----------
-    jacobians : (c, 2, n) array
-        Normal and tangential row of every closed contact, in any consistent units.
-    options : sequence of sequence of str
-        States per contact: free (v_n > 0), pin (v_n = v_t = 0), slide+ (v_n = 0, v_t > 0),
-        slide- (v_n = 0, v_t < 0), slide (v_n = 0, of a frictionless contact). One state per
-        contact asks for one mode.
-    names : sequence of str, optional
-        Contacts as the reasons call them; "contact 1" and so on if not given. `DRIVEN` names the
-        row of a driven coordinate.
-
     Returns
     -------
     tuple of Feasibility
@@ -124,11 +112,6 @@ def feasible_modes(
 
 def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
     """Return modes without their directions of sliding, and why they are not possible.
-
-    Parameters
-    ----------
-    judged : iterable of Feasibility
-        All directions of every mode.
 
     Returns
     -------

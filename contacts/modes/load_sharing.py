@@ -181,16 +181,7 @@ def _rows(code: Ints, jacobians: Array) -> tuple[str, ...]:
 
 
 def pressed_together(jacobians: Array, cones: Array, bearing: Sequence[int]) -> frozenset[int]:
-    """Return the contacts that may press on each other without any load, by linear programming.
-
-    Parameters
-    ----------
-    jacobians : (c, 2, n)
-    cones : (c, 2)
-        See `contacts.dynamics.contact_law.cones`.
-    bearing : sequence of int
-        Contacts that may.
-    """
+    """Return the contacts that may press on each other without any load, by linear programming."""
     from scipy.optimize import linprog
 
     # Along both edges of every cone; all together are to press by 1 at most.

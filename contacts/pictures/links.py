@@ -187,13 +187,7 @@ def compiled(automaton: Automaton, expressions: Sequence[sp.Expr]) -> Tape:
 
 
 def _along(values: Array) -> tuple[Array, Array]:
-    """Return the pull along a line, and its length.
-
-    Parameters
-    ----------
-    values : (m, 4) array
-        The force on one end, and the way to the other.
-    """
+    """Return the pull along a line, and its length."""
     force, way = values[:, :2], values[:, 2:]
     length = np.hypot(*way.T)
     with np.errstate(invalid="ignore"):

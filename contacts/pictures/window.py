@@ -28,17 +28,7 @@ _SMOOTH = 0.04
 
 
 def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> Array:
-    """Return all that is to be seen at every instant, as points (k, m, 2).
-
-    Parameters
-    ----------
-    shapes : sequence of Shape
-        What moves.
-    poses : (k, f, 3) array
-        Of the frames.
-    places : sequence of (k, 2) arrays
-        Contact points, and those of surfaces below them.
-    """
+    """Return all that is to be seen at every instant, as points (k, m, 2)."""
     clouds = [at[:, None, :] for at in places if np.isfinite(at).any()]
     for shape in shapes:
         points = shape.points
@@ -53,13 +43,7 @@ def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> 
 
 
 def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
-    """Return the middle (k, 2) of the picture at every instant, and half its width and height.
-
-    Parameters
-    ----------
-    cloud : (k, m, 2) array
-        What is to be seen.
-    """
+    """Return the middle (k, 2) of the picture at every instant, and half its width and height."""
     low, high = cloud.min(axis=1), cloud.max(axis=1)
     least, most = low.min(axis=0), high.max(axis=0)
     whole, own = most - least, (high - low).max(axis=0)

@@ -20,13 +20,6 @@ from statechart.formulas.formula import Formula, parse
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check masses, inertias, friction, restitution, radii and inclines.
 
-    Parameters
-    ----------
-    scene : SceneFields
-        As declared.
-    values : mapping of str to float
-        Of its parameters.
-
     Raises
     ------
     DeclarationProblem
@@ -97,13 +90,6 @@ def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]
 
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check that places, gravity and the initial state are finite, and that lines have two ends.
-
-    Parameters
-    ----------
-    scene : SceneFields
-        As declared.
-    values : mapping of str to float
-        Of its parameters.
 
     Raises
     ------

@@ -204,17 +204,7 @@ class Controls:
         known: Mapping[str, Value],
         value: Callable[[Formula, Mapping[str, Value]], Value],
     ) -> Iterator[tuple[str, Mapping[str, Value]]]:
-        """Yield the states of the region that sets a contact's coefficient, and what it sees there.
-
-        Parameters
-        ----------
-        text : str
-            The coefficient; where no region sets it, the only state is "".
-        known : mapping
-            Parameter -> number, or symbol.
-        value : callable
-            (formula, known) -> the value of a control.
-        """
+        """Yield the states of the region that sets a coefficient, and the values there."""
         region = self.region_of(text)
         if region is None:
             yield "", known

@@ -11,14 +11,7 @@ from statechart.formulas.formula import parse
 
 
 def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
-    """Return what a run by time stepping does without: a declared law -> what is done instead.
-
-    Parameters
-    ----------
-    scene : SceneFields
-    values : mapping of str to float
-        Parameters.
-    """
+    """Return what a run by time stepping does without: a declared law -> what is done instead."""
     found = {}
     hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
     if scene.simultaneous == "sequential" and hit and _meet(scene):

@@ -27,13 +27,7 @@ _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 
 def unlikely(scene: SceneFields) -> tuple[str, ...]:
-    """Return warnings of what is no error, and was hardly meant.
-
-    Parameters
-    ----------
-    scene : SceneFields
-        As declared.
-    """
+    """Return warnings of what is no error, and was hardly meant."""
     return tuple(dict.fromkeys(_found(scene)))
 
 

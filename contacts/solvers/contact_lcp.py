@@ -12,10 +12,6 @@ def delassus(mass: Array, jacobians: Array, forces: Array) -> tuple[Array, Array
     """Return the matrix ``J M^-1 J^T`` (2 c, 2 c) and ``J M^-1 forces`` (c, 2).
 
     Where inertias vanish they are filled up: good enough to find modes, not to solve them.
-
-    Parameters
-    ----------
-    mass : (m, m), jacobians : (c, 2, m), forces : (m,)
     """
     rows = jacobians.reshape(-1, len(mass))
     reach = np.abs(rows).max(axis=0)
@@ -30,13 +26,7 @@ def delassus(mass: Array, jacobians: Array, forces: Array) -> tuple[Array, Array
 def contact_problem(
     delassus: Array, free: Array, cones: Array, slides: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return (M, q) of `contacts.solvers.contact_lcp_kernels.problem` in the unknowns that count.
-
-    Parameters
-    ----------
-    delassus, free, cones, slides
-        As there; without `slides` no contact is known to slip.
-    """
+    """Return (M, q) of `contact_lcp_kernels.problem` in the unknowns that count."""
     slides = np.zeros(len(cones)) if slides is None else slides
     matrix, vector = problem(delassus, free, cones, slides)
     used = _used(cones, slides)

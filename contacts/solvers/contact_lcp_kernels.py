@@ -47,19 +47,6 @@ def problem(delassus: Array, free: Array, cones: Array, slides: Array) -> tuple[
     at mu = inf a tangential impulse without a normal one would hold no contact closed, so that
     cones end at `STEEPEST`. A contact without friction, and one that slips, keeps its four
     unknowns, with rows that hold by themselves.
-
-    Parameters
-    ----------
-    delassus : (2 c, 2 c) array
-        Velocities of the contacts (normal, tangential, normal, ...) per unit impulses.
-    free : (c, 2) array
-        What these velocities would be without impulses; the normal ones plus e times the speed
-        of approach where contacts rebound.
-    cones : (c, 2) array
-        ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``.
-    slides : (c,) array
-        For accelerations and forces: -1 or 1 where the contact slips already, in that direction,
-        and its only unknown is the force along the edge against it; 0 elsewhere.
     """
     count = len(cones)
     matrix = np.zeros((UNKNOWNS * count, UNKNOWNS * count))

@@ -186,18 +186,7 @@ def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Arra
 
 @part
 def law_of(own: Array, mu: float, law: Array) -> None:
-    """Write what `one_contact` needs to solve a contact's law, whatever its velocity.
-
-    Parameters
-    ----------
-    own : (3,)
-        See `ContactRows`.
-    mu : float
-        See `slope`.
-    law : (LAW,)
-        ``mu``; of `own` the inverse, as a matrix; what slips beside a normal impulse; and for
-        either edge of the cone the impulse per velocity, and the edge.
-    """
+    """Write what `one_contact` needs to solve a contact's law, whatever its velocity."""
     wn, wt, wx = own
     det = wn * wt - wx * wx
     # Where both directions are one, nothing sticks.

@@ -143,15 +143,7 @@ def solve_rows(
 def dense_impulses(
     delassus: Array, least: Array, cones: Array, allowed: float
 ) -> tuple[float, Array]:
-    """Return the residual of the best impulses of a dense problem, and these (m, 2).
-
-    Parameters
-    ----------
-    delassus : (2 m, 2 m)
-        Velocities of the contacts per unit impulses.
-    least, cones : (m, 2)
-    allowed : float
-    """
+    """Return the residual of the best impulses of a dense problem, and these (m, 2)."""
     count = len(cones)
     threes = max((2 * count + 2) // 3, _OF_BODIES + 1)
     bodies = np.empty((count, threes), np.int64)

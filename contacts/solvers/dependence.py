@@ -30,12 +30,6 @@ def independent(rows: Array, near: float = CANCELLING) -> tuple[int, Ints, Ints]
 
     Elimination with complete pivoting, rows and then columns scaled by powers of two; the first
     of equal pivots is taken, so that rows that come earlier are kept.
-
-    Parameters
-    ----------
-    rows : (m, n) array
-    near : float
-        A pivot up to this is none, and what is left of the rows depends on those before.
     """
     count, size = rows.shape
     left = rows.copy()

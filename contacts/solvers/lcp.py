@@ -71,16 +71,6 @@ def solve_lcp(matrix: Array, vector: Array) -> LcpSolution:
     Where Lemke's algorithm finds nothing and n is small, all 2^n sets of positive unknowns are
     visited.
 
-    Parameters
-    ----------
-    matrix : (n, n) array
-    vector : (n,) array
-
-    Returns
-    -------
-    LcpSolution
-        Look at its status: an answer that is not SOLVED is no answer.
-
     Raises
     ------
     ValueError
@@ -111,12 +101,6 @@ def solve_lcp(matrix: Array, vector: Array) -> LcpSolution:
 
 def enumerate_lcp(matrix: Array, vector: Array) -> tuple[LcpSolution, ...]:
     """Return all basic solutions: one per distinct z, each verified.
-
-    Parameters
-    ----------
-    matrix : (n, n) array
-    vector : (n,) array
-        n up to 16.
 
     Raises
     ------

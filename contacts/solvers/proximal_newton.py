@@ -118,16 +118,7 @@ def _settled(
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
-    """Improve impulses of contacts of bodies; return the residual of the best, and eliminations.
-
-    Parameters
-    ----------
-    contacts : ContactRows
-    least, impulses : (m, 2)
-        See `contacts.solvers.contact_rows.swept`.
-    allowed : float
-        Residual.
-    """
+    """Improve impulses of contacts of bodies; return the residual of the best, and eliminations."""
     count = len(impulses)
     rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)

@@ -18,17 +18,7 @@ from statechart.kernels.jit import seldom
 
 @seldom
 def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> tuple[Array, Ints]:
-    """Return what contacts' forces do to the coordinates (m, n), and whose they are (m,).
-
-    Parameters
-    ----------
-    codes : (c,) array of int
-        Modes as `contacts.states` numbers them: no force where FREE, V and H where PIN, V where
-        SLIDE, and the force along its edge of the cone where SLIDE_PLUS or SLIDE_MINUS.
-    cones : (c, 2), jacobians : (c, 2, n)
-    left_out : int
-        A contact that counts as free; -1: none.
-    """
+    """Return what contacts' forces do to the coordinates (m, n), and whose they are (m,)."""
     rows = np.empty((2 * len(codes), jacobians.shape[2]))
     owners = np.empty(2 * len(codes), np.int64)
     m = 0
@@ -75,14 +65,7 @@ def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) 
 def shared_forces(
     codes: Ints, cones: Array, jacobians: Array, forces: Array
 ) -> tuple[Bools, Array]:
-    """Return which contacts can stand in for others, and the smallest forces that act alike.
-
-    Parameters
-    ----------
-    codes : (c,) array of int
-        Modes.
-    cones : (c, 2), jacobians : (c, 2, n), forces : (c, 2)
-    """
+    """Return which contacts can stand in for others, and the smallest forces that act alike."""
     rows, _ = mode_columns(codes, cones, jacobians, -1)
     rank, _, coordinates = independent(rows)
     if rank == len(rows):
@@ -121,12 +104,6 @@ def smallest(
 
     Contacts that can stand in for each other are taken together, and no others: impulses may
     differ by decades.
-
-    Parameters
-    ----------
-    codes : (c,) array of int
-        See `mode_columns`: what each contact may bear, whatever it bears now.
-    jacobians : (c, 2, n), cones : (c, 2), impulses : (c, 2)
     """
     shared, _ = shared_forces(codes, cones, jacobians, impulses)
     if not shared.any():

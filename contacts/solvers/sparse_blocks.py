@@ -91,13 +91,7 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
 
 @kernel
 def pattern_of(contacts: ContactRows) -> Pattern:
-    """Return how bodies are eliminated.
-
-    Parameters
-    ----------
-    contacts : ContactRows
-        Of bodies: each moves two.
-    """
+    """Return how bodies are eliminated."""
     bodies = contacts.moving
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
     mark = np.full(bodies, -1)
@@ -231,14 +225,7 @@ def _less(block: Array, left: Array, right: Array) -> None:
 
 @part
 def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> bool:
-    """Eliminate blocks in place: the inverses of the pivots, and the factors; False if one fails.
-
-    Parameters
-    ----------
-    pattern : Pattern
-    diagonal : (b, 9), after : (e, 9), before : (e, 9)
-        Blocks, three by three: of a body; of it with another, and of another with it.
-    """
+    """Eliminate blocks in place: inverses of the pivots, and the factors; False if one fails."""
     begins, others, targets = pattern.begins, pattern.others, pattern.targets
     last, factor = 0, np.empty(9)
     for p in range(len(diagonal)):

@@ -44,13 +44,7 @@ class Equations(NamedTuple):
 
 @kernel
 def equations_of(contacts: ContactRows) -> Equations:
-    """Return room for the equations of contacts of bodies, whatever their status.
-
-    Parameters
-    ----------
-    contacts : ContactRows
-        As those of `contacts.solvers.sparse_blocks.pattern_of`.
-    """
+    """Return room for the equations of contacts of bodies, whatever their status."""
     pattern = pattern_of(contacts)
     bodies, entries = len(pattern.begins) - 1, len(pattern.others)
     return Equations(

@@ -190,13 +190,6 @@ def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
     """Return (1 - s, s) for the largest s, up to 1, at which a work is not above zero.
 
     Both are computed from the end they are near: impulses may differ by decades.
-
-    Parameters
-    ----------
-    begin, end : float
-        The work at s = 0, not above zero, and at s = 1, above zero.
-    curvature : float
-        Half its second derivative by s, not below zero but for rounding.
     """
     slope = end - begin - curvature
     root = math.sqrt(max(slope * slope - 4.0 * curvature * begin, 0.0))

@@ -31,16 +31,7 @@ _TRIED = 65
 def assert_depths(
     numbers: BodyNumbers, trace: Trace, paths: Callable[[Array, Array], Array] | None = None
 ) -> None:
-    """Check that nothing overlaps by more than the fastest approach makes in a step.
-
-    Parameters
-    ----------
-    numbers : BodyNumbers
-    trace : Trace
-    paths : callable, optional
-        Times (m,), and what controllers remember then (m, w), -> frames (m, s, 3) of the surfaces,
-        where some move.
-    """
+    """Check that nothing overlaps by more than the fastest approach makes in a step."""
     count = len(numbers.sizes)
     whole = np.concatenate([*(arc.coefficients[:, :, 0] for arc in trace.arcs), trace.final[None]])
     states, memories = whole[:, : 3 * count].reshape(-1, count, 3), whole[:, 6 * count :]

@@ -14,13 +14,7 @@ from statechart.testing.subject import Case, Subject
 
 
 def relations(scene: Scene) -> tuple[Property, ...]:
-    """Return what holds of the runs of a scene and of those of its images.
-
-    Parameters
-    ----------
-    scene : Scene
-        What was declared.
-    """
+    """Return what holds of the runs of a scene and of those of its images."""
     return (
         relation("the mirror image moves as the image", scene, mirrored),
         relation("other units give the same motion", scene, rescaled),
@@ -30,17 +24,7 @@ def relations(scene: Scene) -> tuple[Property, ...]:
 def relation(
     name: str, scene: Scene, transform: Callable[[Scene], tuple[Scene, Reading]]
 ) -> Property:
-    """Return the property that the transformed scene has the transformed runs.
-
-    Parameters
-    ----------
-    name : str
-        Of the property.
-    scene : Scene
-        What was declared.
-    transform : callable
-        Scene -> its image, and how to read the runs of that.
-    """
+    """Return the property that the transformed scene has the transformed runs."""
     changed: dict[Subject, tuple[Subject, Reading]] = {}
 
     def compare(case: Case) -> None:

@@ -20,27 +20,7 @@ _MANY = 5000
 
 
 def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, float]:
-    """Return the largest violations over a run, relative to the scene's length and force.
-
-    Parameters
-    ----------
-    scene : Scene
-        The model.
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-
-    Returns
-    -------
-    dict
-        `constraint`: how deep a contact point is in its surface, unless the contact is off, or
-        how far off it while the contact is closed. `cone`: how far a force of a closed contact is
-        outside the cone of friction, measured across its edge, or pulls. Both 0 without contacts.
-        Of colliding bodies `overlap`: how deep one was in another or a surface; `impulse`: by how
-        much the impulses of a step missed the contact laws, in parts of its fastest approach;
-        `inexact`: the part of the steps that missed them by more than they may.
-    """
+    """Return the largest violations over a run, relative to the scene's length and force."""
     if not scene.contacts and not scene.collisions:
         return {"constraint": 0.0, "cone": 0.0}
     values = {name: trace.parameters[name] for name in scene.parameters}

@@ -25,15 +25,7 @@ class ActiveStates:
         self._places = {region.name: (place, region) for place, region in enumerate(regions)}
 
     def at(self, codes: Ints, controls: Key) -> Callable[[str, str], Bools]:
-        """Return the test in which rows (m,) a region is in a state.
-
-        Parameters
-        ----------
-        codes : (m, r) array of int
-            Of the regions that are no controllers, as `contacts.states` numbers them.
-        controls : Key
-            States of the controllers.
-        """
+        """Return the test in which rows (m,) a region is in a state."""
 
         def active(name: str, state: str) -> Bools:
             place, region = self._places[name]

@@ -198,19 +198,6 @@ def stepped(
 
     Less where a signal to end arrives between two calls.
 
-    Parameters
-    ----------
-    step : callable
-        (steps to take, how many are done, solutions of problems of the first of them that were
-        not solved before, `AS_ASKED`, `SOFTENED` or `AS_GIVEN`) -> (steps taken, of which there
-        may be less, status, and the problem that was not solved, where there is one).
-    failure : callable
-        Status -> what it means.
-    chunk : Chunk
-        To be filled.
-    allowed : float
-        Residual of impulses that are good enough.
-
     Raises
     ------
     SimulationError

@@ -58,15 +58,6 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
 
 @part
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
-    """Whether friction presses a sliding contact into its surface (Painleve's paradox).
-
-    Parameters
-    ----------
-    compliance : (2, 2)
-        Velocities of the contact per unit impulses on it.
-    slip : float
-        Before the step.
-    cone : (2,)
-    """
+    """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
     return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0

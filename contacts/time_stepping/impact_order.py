@@ -12,19 +12,7 @@ _FELT = 1e-3
 
 @part
 def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> bool:
-    """Return whether a body is struck at once at several of the things that it touches.
-
-    Parameters
-    ----------
-    bodies : (m, 2) array of int
-        The bodies that touch at each contact; -1 for none.
-    pairs : (m,) array of int
-        The number of the pair of things that touch.
-    lively : (m,) array of bool
-        Contacts with an impact whose restitution is `contacts.time_stepping.chunk.LIVELY` or more.
-    struck : (b,) array of int
-        Workspace, one entry per body; is overwritten.
-    """
+    """Return whether a body is struck at once at several of the things that it touches."""
     for a in range(len(pairs)):
         for side in range(2):
             if bodies[a, side] >= 0:

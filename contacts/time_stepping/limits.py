@@ -42,14 +42,6 @@ class Swings(NamedTuple):
         """Return how far off rates (n,) are after so long, as the midpoint rule swings too fast.
 
         What swings at w is ahead by (w h)^2/24 of its phase.
-
-        Parameters
-        ----------
-        rates : (k + 1, n) array
-            Of steps.
-        smooth : (k,) array of bool
-            Steps without impacts.
-        h, span : float
         """
         changes = np.diff(rates, axis=0)[smooth] @ self.parts.T
         if len(changes) < 2:
@@ -87,17 +79,7 @@ class StepLimits:
         self._forces = mechanics.whole_tape(forces) if varies else None
 
     def swings(self, values: Array, state: Array, time: float, held: Array) -> Swings | None:
-        """Return how springs swing; None where there is none.
-
-        Parameters
-        ----------
-        values : (p,) array
-            Of the parameters.
-        state : (2 n + w,) array
-        time : float
-        held : (r, n) array
-            Directions in which contacts and joints hold.
-        """
+        """Return how springs swing; None where there is none."""
         if self._stiffness is None:
             return None
         n = self._size
@@ -127,15 +109,6 @@ class StepLimits:
         self, values: Array, start: float, h: float, states: Array
     ) -> tuple[Array, Array] | None:
         """Return the velocities that forces give in each step and their middles do not show.
-
-        Parameters
-        ----------
-        values : (p,) array
-            Of the parameters.
-        start, h : float
-            When the first step begins, and how long each is.
-        states : (k + 1, 2 n + w) array
-            Where they begin and end.
 
         Returns
         -------

@@ -80,15 +80,7 @@ class Steps(NamedTuple):
         return TERMS * self.states[0].nbytes
 
     def without_forces(self, before: Ints, after: Ints, first: int) -> Steps:
-        """Return them without forces in halves of steps with impacts in which a region is open.
-
-        Parameters
-        ----------
-        before, after : (k, r) array
-            Modes.
-        first : int
-            Place of the first region's V and H among the unknowns.
-        """
+        """Return them without forces in halves of steps with impacts in which a region is open."""
         if not self.hit.any():
             return self
         halves = np.repeat(self.solved, 1 + self.hit, axis=0)

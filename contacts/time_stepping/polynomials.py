@@ -17,17 +17,7 @@ TERMS = 3
 
 
 def smooth(left: Array, right: Array, h: Array | float, n: int) -> Array:
-    """Return the coefficients (k, w, TERMS) of steps in which nothing strikes.
-
-    Parameters
-    ----------
-    left, right : (k, w) array
-        States where they begin and end.
-    h : float or (k, 1) array
-        Their length.
-    n : int
-        How many coordinates there are; behind them and their rates stands what is remembered.
-    """
+    """Return the coefficients (k, w, TERMS) of steps in which nothing strikes."""
     coefficients = np.zeros((*left.shape, TERMS))
     coefficients[:, :, 0] = left
     coefficients[:, :n, 1] = h * left[:, n : 2 * n]

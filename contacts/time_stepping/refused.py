@@ -122,16 +122,6 @@ class Squeezed:
         It is deeper than a step at the fastest approach; or no motion takes all out of each other
         any more, and by a step at the approach of these steps less than when they were first of no
         help: an approach that a run has once seen says nothing of what is squeezed later.
-
-        Parameters
-        ----------
-        chunk : Chunk
-        start : float
-            When it begins.
-        fastest : float
-            Approach before the chunk.
-        left : callable
-            See `contacts.time_stepping.stepped.Stepped.depth_left`.
         """
         helpless = chunk.efforts[:, RESIDUAL] > _HELPLESS
         if not helpless.any():
@@ -181,16 +171,7 @@ def _no_room(name: str, depth: float) -> UnsolvedImpulses:
 
 
 def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
-    """Return what is said of a region that gets too deep wherever it moves; None: it can move out.
-
-    Parameters
-    ----------
-    name : str
-    depth : float
-        That no motion avoids; see `depth_left`.
-    size : float
-        Of the scene.
-    """
+    """Return the error of a region that gets too deep wherever it moves, or None."""
     return _no_room(name, depth) if depth > _SHALLOW * size else None
 
 
@@ -201,15 +182,6 @@ def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
 
     The least over all displacements u of the largest of ``-gaps - rows u`` with ``held u = 0``, by
     linear programming; of gaps that grow with u as their rates do.
-
-    Parameters
-    ----------
-    gaps : (m,) array
-        Of what touches, or is about to.
-    rows : (m, n) array
-        Rates of the gaps.
-    held : (r, n) array
-        What joints hold at 0.
     """
     from scipy.optimize import linprog
 

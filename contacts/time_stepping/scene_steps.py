@@ -142,11 +142,6 @@ class SteppedScene:
     def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
         """Take steps from `state` (2 n + w,).
 
-        Returns
-        -------
-        Chunk
-            As many as could be made; see the errors.
-
         Raises
         ------
         SingularMode, NonFinite, NoConsistentMode

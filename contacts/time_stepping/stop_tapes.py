@@ -70,17 +70,6 @@ class StopTapes:
         )
 
     def terms(self, rows: Array, sizes: Array, values: Array, times: Array) -> Array:
-        """Return how large the terms of margins (k, s) are.
-
-        Parameters
-        ----------
-        rows : (k, n) array
-            Variables and unknowns.
-        sizes : (n,) array
-            How large these are.
-        values : (p,) array
-            Of the parameters.
-        times : (k,) array
-        """
+        """Return how large the terms of margins (k, s) are."""
         inputs = np.hstack([rows, np.broadcast_to(sizes, rows.shape)])
         return np.nan_to_num(self._of_terms.table(inputs, values, times))

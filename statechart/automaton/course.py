@@ -135,15 +135,7 @@ class Courses:
 
 
 def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return what the rounding of an expression is relative to.
-
-    Parameters
-    ----------
-    expression : Expr
-        Its terms count, and those of its parts: each is rounded when it is computed.
-    sizes : mapping
-        What inputs were summed from; others (parameters, time) are as large as they are.
-    """
+    """Return what the rounding of an expression is relative to."""
     if not expression.args:
         return sizes.get(expression, abs(expression))
     # A number is exact: an exponent, a factor.
@@ -161,13 +153,7 @@ def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
 
 
 def along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
-    """Return the total derivative of an expression in time.
-
-    Parameters
-    ----------
-    rates : mapping
-        Variable -> its rate; variables without one are constant.
-    """
+    """Return the total derivative of an expression in time."""
     return sp.Add(
         _slope(expression, time),
         *(

@@ -20,22 +20,6 @@ _FLOWS = 1024
 def lowest(tape: Tape, arcs: Sequence[Arc], parameters: ArrayLike, per_step: int = 16) -> Array:
     """Return the least value of every output on a grid along flows.
 
-    Parameters
-    ----------
-    tape : Tape
-        Of the variables, the parameters and time.
-    arcs : sequence of Arc
-        Flows, their polynomials of one degree.
-    parameters : (p,) array
-        Values.
-    per_step : int
-        Intervals of the grid in each step; both ends belong to it.
-
-    Returns
-    -------
-    ndarray, shape (n_out,)
-        Least values, infinite if there is no step; not a number where an output was undefined.
-
     Raises
     ------
     ValueError
@@ -107,21 +91,6 @@ def integrals(
 
 def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
     """Evaluate the polynomials.
-
-    Parameters
-    ----------
-    coeffs : array, shape (n_steps, n, degree + 1)
-        Polynomials of the steps, at least one.
-    times : array, shape (n_steps + 1,)
-        Local times of the steps' ends.
-    tau : array, shape (m,)
-        Local times wanted; a joint belongs to the step that starts there, and outside the steps
-        the nearest polynomial is continued.
-
-    Returns
-    -------
-    ndarray, shape (m, n)
-        States.
 
     Raises
     ------

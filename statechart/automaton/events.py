@@ -15,15 +15,6 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
     A jump names one region, but may change others at the same instant (an impact that is felt at
     every closed contact); their causes are those of the edges that they take. A region whose blows
     have a name of their own has that of its change besides: it is struck, and lifts off.
-
-    Parameters
-    ----------
-    regions : sequence of Region
-        In the order of the jump's keys.
-    jump : Jump
-        What happened.
-    event : Event
-        What is waited for.
     """
     if event.region is None and jump.cause == event.cause:
         return True

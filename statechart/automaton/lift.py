@@ -29,15 +29,7 @@ class Lift(NamedTuple):
     program: Program
 
     def onto(self, state: Array, time: float) -> Array:
-        """Return a state (n,) with what follows from the rest of it; the same where nothing does.
-
-        Parameters
-        ----------
-        state : (n,) array
-            Not modified.
-        time : float
-            Absolute.
-        """
+        """Return a state (n,) whose dependent coordinates follow from the others."""
         if not len(self.program[3]):
             return state
         moved = np.array(state)

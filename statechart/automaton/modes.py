@@ -20,16 +20,6 @@ from statechart.formulas.linear import solve_linear
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
     """Solve the equations of `roles`.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        Where the regions are composed.
-    roles : Roles
-        One per region.
-    zeros : frozenset of Symbol
-        Parameters that are exactly zero in the run; they are removed before solving, so that a
-        quotient such as 0 (I_G) over 0 (the cosine of a fallen stick) never arises.
-
     Raises
     ------
     Singular

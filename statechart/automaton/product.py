@@ -55,16 +55,7 @@ class Product:
                 yield from ((source, target, data) for data in several)
 
     def graph(self) -> nx.MultiDiGraph:
-        """Return it as a graph.
-
-        Returns
-        -------
-        MultiDiGraph
-            Nodes are keys, with `label`; `feasible` and `reason` where they were judged; `visits`,
-            how often a run entered the mode, where one is given. Edges have `region`, `event`,
-            `guard`, `reset` and `visits`. Their keys number them: by regions, in each as it
-            declares them.
-        """
+        """Return it as a graph."""
         import networkx as nx  # it takes a tenth of a start, and few ask for it
 
         result = nx.MultiDiGraph(name=self.name)
@@ -158,23 +149,6 @@ def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
     """Judge every product mode at a configuration.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose modes.
-    setup : Setup
-        Values of the parameters.
-    state : (n,) array
-        Values of the variables.
-    time : float
-        When.
-
-    Returns
-    -------
-    Feasibility or None
-        None where the laws know no reason against any mode (a chart, bodies that collide), or
-        there are more modes than `MOST_MODES`.
 
     Raises
     ------

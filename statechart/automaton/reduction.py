@@ -109,17 +109,6 @@ def eliminated(
 
     A loop that its last joint closes, or a circle, would have to be kept on what it holds by a
     projection that then moves what was eliminated.
-
-    Parameters
-    ----------
-    coordinates : Coordinates
-        Of the automaton.
-    held : iterable of Hold
-        By the states of a mode.
-    substitution : mapping
-        What is known of parameters.
-    laws : collection of Expr
-        Equations whose forces have to stay in the equations of motion: of friction that works.
     """
     positions: dict[sp.Symbol, sp.Expr] = {}
     anchors: dict[sp.Symbol, sp.Expr] = {}

@@ -61,13 +61,7 @@ FAR_TOO_MANY = 1000
 
 
 def check_size(size: int, jumps: int, time: float) -> None:
-    """Raise `TooLong` where a trace of `size` bytes in arrays, and of so many jumps, is too large.
-
-    Parameters
-    ----------
-    time : float
-        How far it goes.
-    """
+    """Raise `TooLong` if a trace of `size` bytes in arrays and of `jumps` jumps is too large."""
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
             f"the trace up to t = {time:.6g} takes {LARGEST >> 20} MB, as much as it may; "

@@ -146,19 +146,7 @@ class Listening:
         pending: Mapping[str, tuple[Jump, ...]],
         guarded: Mapping[int, int],
     ) -> Firing | None:
-        """Return the transition to take.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Regions that are asked, in their order.
-        mode : Key
-            Their states.
-        pending : mapping
-            Region -> jumps of this instant that it has not heard of.
-        guarded : mapping
-            Place in `names` -> transition that is due by its guard (`Judgement.due`).
-        """
+        """Return the transition to take."""
         for place, (name, state) in enumerate(zip(names, mode, strict=True)):
             queue = pending.get(name, ())
             for k, jump in enumerate(queue):

@@ -155,13 +155,7 @@ class FlatRegion:
         }
 
     def shared(self, given: Callable[[BaseState], Collection[str]]) -> Shared | None:
-        """Return what two states that are active side by side both give, the first of it.
-
-        Parameters
-        ----------
-        given : callable
-            State -> names of what it gives.
-        """
+        """Return what two states that are active side by side both give, the first of it."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):

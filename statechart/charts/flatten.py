@@ -36,15 +36,6 @@ MOST_CONFIGURATIONS = 4096
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     """Flatten a declared region.
 
-    Parameters
-    ----------
-    name : str
-        Of the region.
-    region : BaseRegion
-        As declared.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
     Raises
     ------
     DeclarationProblem

@@ -41,18 +41,7 @@ from statechart.formulas.writer import compile_tape
 
 
 def automaton(chart: Chart) -> Automaton:
-    """Compose the automaton of a chart; modes are built when a run enters them.
-
-    Parameters
-    ----------
-    chart : Chart
-        As declared.
-
-    Returns
-    -------
-    Automaton
-        The unknowns are one rate for each variable; a rate that no state sets is zero.
-    """
+    """Compose the automaton of a chart; modes are built when a run enters them."""
     symbols = _Symbols(chart)
     regions = tuple(_region(name, region, symbols) for name, region in chart.flat.items())
     return Automaton(

@@ -79,19 +79,7 @@ def selected(
 
 
 def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -> Microstep:
-    """Return what taking some arrows together does.
-
-    Parameters
-    ----------
-    tree : Tree
-        Of the region.
-    active : frozenset of int
-        The configuration: active nodes without the region itself.
-    memory : mapping
-        Of its histories.
-    taken : iterable of int
-        Places of the arrows, as `selected` gives them.
-    """
+    """Return what taking some arrows together does."""
     taken = tuple(taken)
     left = frozenset[int]().union(*(_left(tree, active, memory, place) for place in taken))
     kept = dict(memory)

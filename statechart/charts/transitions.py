@@ -206,15 +206,6 @@ def check_periods(
 ) -> None:
     """Check that every time that transitions wait for is a formula of parameters above zero.
 
-    Parameters
-    ----------
-    regions : mapping
-        Name -> region.
-    values : mapping, optional
-        Parameter -> number; without it names alone are checked.
-    known : collection of str
-        The parameters.
-
     Raises
     ------
     DeclarationProblem

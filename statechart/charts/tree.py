@@ -127,13 +127,6 @@ class Tree:
 def tree(region: BaseRegion, *loc: str | int) -> Tree:
     """Return the tree of a declared region.
 
-    Parameters
-    ----------
-    region : BaseRegion
-        As declared.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
     Raises
     ------
     DeclarationProblem

@@ -14,15 +14,7 @@ _FILES = ("PATH", "FILM", "PAGE", "PICTURE", "TABLE.csv")
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """Return what a shell is to read to complete commands.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-        The grammar.
-    shell : str
-        bash, zsh or fish.
-    """
+    """Return what a shell is to read to complete commands."""
     completed = {"FILE": _models(), **dict.fromkeys(_FILES, shtab.FILE)}
     completed |= dict.fromkeys(_FOLDERS, shtab.DIRECTORY)
     for action in _actions(parser):

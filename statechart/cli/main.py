@@ -59,19 +59,7 @@ def program() -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Those of the process by default. With ``STATECHART_DEBUG=1`` in the environment an
-        unexpected error shows where it came from.
-
-    Returns
-    -------
-    int
-        0 done, 1 the run or the check failed, 2 the input is wrong.
-    """
+    """Run the command line and return its exit code."""
     from statechart.cli.grammar import read
     from statechart.errors import DeclarationError, StatechartError
 

@@ -58,17 +58,7 @@ def kept_study(arguments: argparse.Namespace) -> Study | None:
 def shown_study(
     model: Declaration, page: str | None, output: str | None = None
 ) -> tuple[Study | None, tuple[str, ...]]:
-    """Return what `trade` has left of a model beside its page, and what is to be warned of.
-
-    Parameters
-    ----------
-    model : Declaration
-        The model that is run.
-    page : str or None
-        What is to be written; None where no page is.
-    output : str, optional
-        Where other results go, whose study is shown where none is beside the page.
-    """
+    """Return what `trade` has left of a model beside its page, and what is to be warned of."""
     if page is None:
         return None, ()
     from statechart.study.file import NAME, load

@@ -31,18 +31,6 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     Links between the same two states share one arrow. All places are fixed, so that programs of
     Graphviz draw what was laid out (layout ``nop2``).
 
-    Parameters
-    ----------
-    diagram : Diagram
-        What to draw.
-    guards : str
-        Whether guards, resets and conditions stand once in a legend, or inline at every arrow.
-
-    Returns
-    -------
-    str
-        Source of one directed graph.
-
     Raises
     ------
     StatechartError

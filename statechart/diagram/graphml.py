@@ -11,11 +11,6 @@ from statechart.errors import StatechartError
 def graphml(diagram: Diagram) -> str:
     """Return a diagram's graph as GraphML (Brandes et al. 2002), by networkx's own writer.
 
-    Parameters
-    ----------
-    diagram : Diagram
-        Made of an automaton. Nodes are named by their labels, as GraphML has no tuples.
-
     Raises
     ------
     StatechartError

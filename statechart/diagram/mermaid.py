@@ -21,20 +21,7 @@ _BLANK = "#160;"  # the grammar has no empty label
 
 
 def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
-    """Render a diagram as Mermaid text; a product of two regions as these, beside each other.
-
-    Parameters
-    ----------
-    diagram : Diagram
-        What to draw.
-    guards : str
-        Whether guards, resets and conditions stand once in a note, or inline at every arrow.
-
-    Returns
-    -------
-    str
-        A ``stateDiagram-v2``, ending with a newline.
-    """
+    """Render a diagram as Mermaid text; a product of two regions as these, beside each other."""
     states = identifiers(diagram)
     lines = [
         "---",

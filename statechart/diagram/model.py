@@ -264,19 +264,7 @@ class Diagram:
 
 
 def identifiers(diagram: Diagram) -> dict[str, str]:
-    """Give states unique ASCII identifiers that DOT, Mermaid and XML all accept.
-
-    Parameters
-    ----------
-    diagram : Diagram
-        The states of all its charts and `pieces`; ``tip:slide+`` becomes ``tip_slide_plus``.
-
-    Returns
-    -------
-    dict of str to str
-        Identifier by name; none occurs twice, whatever the case of its letters, and none begins
-        with an underscore.
-    """
+    """Give states unique ASCII identifiers that DOT, Mermaid and XML all accept."""
     pieces = (node for piece in diagram.pieces for node in piece.nodes)
     return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
@@ -287,15 +275,7 @@ def signs_spelled(name: str) -> str:
 
 
 def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
-    """Return name -> identifier as `identifiers` gives them.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Each once.
-    taken : set of str
-        Identifiers that are taken, in small letters; those given are added.
-    """
+    """Return name -> identifier as `identifiers` gives them."""
 
     def claim(name: str) -> str:
         stem = re.sub(r"\W+", "_", signs_spelled(name), flags=re.ASCII).strip("_")

@@ -16,16 +16,6 @@ def scxml(diagram: Diagram) -> str:
     comments on what SCXML cannot say. Of others guards go to ``cond`` as the formulas they are;
     resets, which are no SCXML expressions, and all else go to attributes of the namespace `NOTES`,
     as its schema allows.
-
-    Parameters
-    ----------
-    diagram : Diagram
-        What to write.
-
-    Returns
-    -------
-    str
-        An indented XML document, ending with a newline.
     """
     if diagram.machine is not None:
         root = Written(diagram.machine).root

@@ -25,17 +25,6 @@ SUFFIXES = (*_PICTURES, *_LABELLED, *_TEXTS)
 def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
     """Write a diagram; svg, png and pdf need no Graphviz program and no installed fonts.
 
-    Parameters
-    ----------
-    diagram : Diagram
-        What to write.
-    path : Path
-        File whose suffix names the format, one of `SUFFIXES`. An existing file is replaced, or
-        left as it was if anything fails.
-    guards : str
-        Whether guards, resets and conditions stand once in a legend, or inline at every arrow;
-        .scxml and .graphml hold them as they are.
-
     Raises
     ------
     StatechartError

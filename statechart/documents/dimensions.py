@@ -44,15 +44,7 @@ _LONGEST = 200
 
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
-    """Return what names measure.
-
-    Parameters
-    ----------
-    facts : iterable of (formula, formula or Powers)
-        Formulas, and what each of them measures.
-    known : mapping of str to Powers
-        What is known of names beforehand, whatever their formulas tell.
-    """
+    """Return what names measure."""
     found, told = _Known(known), [fact for fact in facts if _short(fact)]
     for _ in range(_PASSES):
         before = dict(found)

@@ -36,13 +36,6 @@ class Document:
 
         Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
         names of the members of a union there.
-
-        Parameters
-        ----------
-        loc : tuple of str or int
-            Keys and indices from the top.
-        key : bool
-            Whether to return the place of the key instead of that of its value.
         """
         at = self.existing(loc)
         return self._keys.get(at, self._values[at]) if key else self._values[at]

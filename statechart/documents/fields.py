@@ -20,15 +20,7 @@ from statechart.formulas.words import no_name
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
-    """Return the error of a formula as what validators raise.
-
-    Parameters
-    ----------
-    error : FormulaError
-        What was found.
-    *loc : str or int
-        Keys and indices from the validated value down to the formula.
-    """
+    """Return the error of a formula as what validators raise."""
     return DeclarationProblem(error.message, advice=error.advice, loc=loc, offset=error.offset)
 
 
@@ -194,15 +186,6 @@ class Part(BaseModel, metaclass=Documented):
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
     """Check that a formula uses only known names.
 
-    Parameters
-    ----------
-    formula : Formula or Relation
-        What was written.
-    known : collection of str
-        The declared names.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
     Raises
     ------
     DeclarationProblem
@@ -222,19 +205,6 @@ def check_relation(
     *loc: str | int,
 ) -> None:
     """Check that a relation uses only what exists, and equalities only of what no flow changes.
-
-    Parameters
-    ----------
-    text : str
-        The relation.
-    names : collection of str
-        The declared names.
-    states : mapping of str to collection of str
-        The states of every region; none where no state can be asked for.
-    changing : collection of str
-        Names whose value some flow changes.
-    *loc : str or int
-        Its place, from the validated value down.
 
     Raises
     ------

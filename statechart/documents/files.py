@@ -26,15 +26,6 @@ _LOCKS = find_spec("fcntl") is not None
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
     """Return the first `most` + 1 bytes of a regular file, or all where it is shorter.
 
-    Parameters
-    ----------
-    path : Path
-        The file. A device or a pipe may never end, so neither is read.
-    most : int
-        Length that a caller accepts: what it refuses beyond need not be read.
-    advice : str
-        Tells the user what to name instead of a folder or a device.
-
     Raises
     ------
     DeclarationError
@@ -57,13 +48,6 @@ def read_bounded(path: Path, most: int, advice: str) -> bytes:
 
 def write_atomic(path: Path, data: bytes) -> None:
     """Write `data` to `path` so that a reader sees the old file or the new one, never a part.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write; its folder must exist.
-    data : bytes
-        The whole content.
 
     Raises
     ------
@@ -122,13 +106,6 @@ def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
 
     A new folder appears at once. In one that exists, files are replaced one by one; those of
     `names` that were not written this time are of another time, and removed; others are left alone.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the files are to be; made if it does not exist, its parents too.
-    names : iterable of str
-        Of all files that may be written.
 
     Raises
     ------

@@ -206,15 +206,6 @@ def check_event(
 ) -> None:
     """Check that an event can happen.
 
-    Parameters
-    ----------
-    event : Event
-        What was written.
-    causes, states : mapping
-        Region -> causes of its jumps, its states.
-    *loc : str or int
-        Where it stands, from the validated value down.
-
     Raises
     ------
     DeclarationProblem

@@ -93,39 +93,14 @@ def named(powers: Powers | None) -> Dimension:
 
 
 def unit_of(dimension: Dimension, units: Mapping[str, str]) -> str:
-    """Return the unit of a dimension.
-
-    Parameters
-    ----------
-    dimension : Dimension
-    units : mapping of str to str
-        Those of `BASES` that are declared.
-
-    Returns
-    -------
-    str
-        Empty where it does not follow.
-    """
+    """Return the unit of a dimension."""
     if dimension == "energy" and (_force(units), units.get("length")) == ("N", "m"):
         return "J"
     return written(POWERS.get(dimension), units)
 
 
 def written(powers: Powers | None, units: Mapping[str, str]) -> str:
-    """Return the unit of what is measured in powers of length, time and mass.
-
-    Parameters
-    ----------
-    powers : Powers or None
-        None where they are unknown.
-    units : mapping of str to str
-        Those of `BASES` that are declared.
-
-    Returns
-    -------
-    str
-        Such as m/s or N m; empty where it does not follow.
-    """
+    """Return the unit of what is measured in powers of length, time and mass."""
     if all(units.get(base) == "1" for base in ("length", "time", "mass")):
         return "rad" if powers == POWERS["angle"] else "1"
     if powers is None:

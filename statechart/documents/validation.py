@@ -46,17 +46,7 @@ _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
-    """Return what pydantic found as one error with places.
-
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-        What validating `document` as `model` raised.
-    document : Document or Built
-        What was validated.
-    model : type of pydantic.BaseModel
-        What it should have been.
-    """
+    """Return what pydantic found as one error with places."""
     errors = error.errors(include_url=False)
     empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
@@ -266,13 +256,6 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
 
 def validate(document: Document, model: type[Model]) -> Model:
     """Build `model` from a document.
-
-    Parameters
-    ----------
-    document : Document
-        What was read.
-    model : type of pydantic.BaseModel
-        What it should be.
 
     Raises
     ------

@@ -57,11 +57,6 @@ _OTHERS = {
 def read(path: Path) -> Document:
     """Read a YAML file.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Raises
     ------
     DeclarationError
@@ -92,13 +87,6 @@ def read(path: Path) -> Document:
 
 def read_text(text: str, source: str = "<text>") -> Document:
     """Read YAML text.
-
-    Parameters
-    ----------
-    text : str
-        The document.
-    source : str
-        What errors call it.
 
     Raises
     ------

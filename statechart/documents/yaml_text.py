@@ -22,11 +22,6 @@ _WORDS: Mapping[str, Any] = {
 def resolve(text: str) -> Any:
     """Return what a plain scalar means in the core schema of YAML 1.2, decimal numbers only.
 
-    Parameters
-    ----------
-    text : str
-        The scalar, written without quotes.
-
     Raises
     ------
     ValueError

@@ -30,11 +30,6 @@ def dump(model: BaseModel) -> str:
     """Return a model as YAML text that loads back to an equal model.
 
     Fields that have their default value are left out; numbers keep full precision.
-
-    Parameters
-    ----------
-    model : pydantic.BaseModel
-        What to write; a field `kind`, where it has one, comes first.
     """
     data = model.model_dump(by_alias=True, exclude_defaults=True)
     if hasattr(model, "kind"):

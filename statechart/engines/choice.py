@@ -20,13 +20,6 @@ _METHOD = "DOP853"
 def choose(setting: Setting) -> tuple[Engine, str]:
     """Return an integrator, and why it was picked.
 
-    Parameters
-    ----------
-    setting : Setting
-        Engine, one of `ENGINES`: `auto` takes taylor where heyoka is installed, else scipy.
-        Method, of the engine scipy DOP853 by default. Tolerance: 2.2e-16 by default for taylor
-        (its least with a method), 1e-12 for scipy.
-
     Returns
     -------
     Engine

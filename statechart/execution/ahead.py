@@ -107,12 +107,6 @@ class Ahead:
         """Go on from a flow; return what fired, or nothing at the end of the run.
 
         None where the flow that the run has come to is to be made step by step.
-
-        Parameters
-        ----------
-        run : Execution
-        made : Made, optional
-            What a loop has made of it from its start; else one is called.
         """
         while True:
             if made is None:

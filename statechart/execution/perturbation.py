@@ -45,18 +45,7 @@ def nudged(automaton: Automaton) -> Automaton:
 
 
 def shifted(automaton: Automaton, part: float, signs: Array) -> Automaton:
-    """Return the automaton with every initial value off by a part of it, zeros too, and `widened`.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        What is run.
-    part : float
-        How far, as of `nudged`. What counts as closed and as at rest is as in a run at this
-        tolerance.
-    signs : (n,) array
-        Which way.
-    """
+    """Return the automaton with all initial values moved by a part of them, and `widened`."""
 
     def setup(overrides: Mapping[str, float], _: float) -> Setup:
         own = automaton.setup(overrides, part)

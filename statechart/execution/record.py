@@ -75,16 +75,7 @@ class _Whole:
 
 
 def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup]) -> Trace:
-    """Return the trace of a run that a loop has made from its start to its end.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    batch : Batch
-        The run alone.
-    setup : callable
-        Gives its numbers, where somebody asks for what follows from them.
-    """
+    """Return the trace of a run that a loop has made from its start to its end."""
     automaton, engine, found = simulator.automaton, simulator.engine, batch.found
     modes, kinds = batch.modes, batch.kinds
     place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]

@@ -166,17 +166,7 @@ class RowRunner:
         return any(modes.rows(self._names, count) for _, modes in self.simulator.known())
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
-        """Run rows; yield those that have gone through, in batches.
-
-        Parameters
-        ----------
-        table : (m, p) array
-            Of the parameters.
-        until : (m,) array
-            When each ends.
-        max_jumps : int
-            A run ends after so many jumps.
-        """
+        """Run rows; yield those that have gone through, in batches."""
         left = np.arange(len(table))
         for zeros, modes in self.simulator.known():
             if not left.size:
@@ -202,21 +192,7 @@ class RowRunner:
             left = np.concatenate(others)
 
     def alone(self, values: Array, until: float, max_jumps: int) -> Batch | None:
-        """Make one run, as far as a loop takes it.
-
-        Parameters
-        ----------
-        values : (p,) array
-            Of the parameters.
-        until : float
-            Its end.
-        max_jumps : int
-
-        Returns
-        -------
-        Batch or None
-            None where it is to be begun otherwise.
-        """
+        """Make one run, as far as a loop takes it."""
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(

@@ -85,21 +85,6 @@ class Simulator:
     ) -> Trace:
         """Run from the declared initial state.
 
-        Parameters
-        ----------
-        parameters : mapping
-            Overrides, name -> value.
-        until : float
-            End of the run, in the scene's time.
-        max_jumps : int
-            End after so many jumps.
-        throw : bool
-            Raise on an outcome that is not an end the declaration names; else return the trace.
-
-        Returns
-        -------
-        Trace
-
         Raises
         ------
         DeclarationError
@@ -132,20 +117,7 @@ class Simulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Trace:
-        """Make a run again, and prove of every step how far it is off.
-
-        Parameters
-        ----------
-        trace : Trace
-            The run.
-        parameters, until, max_jumps
-            With which it was made.
-
-        Returns
-        -------
-        Trace
-            The same, with its `motion`.
-        """
+        """Make a run again, and prove of every step how far it is off."""
         from statechart.execution.certificate import Certificate
 
         made = self._execution(parameters or {}, until, max_jumps)

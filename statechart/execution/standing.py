@@ -40,15 +40,6 @@ class StandingStops:
     def judged(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
         """Return the condition that ends the run here, and the flow that begins where none does.
 
-        Parameters
-        ----------
-        mode : Mode
-            Of the flow that begins.
-        guards : Tape
-            Outputs: its margins.
-        at : Instant
-            Where it begins.
-
         Returns
         -------
         met : str or None

@@ -18,14 +18,6 @@ def streamed(
 ) -> Iterator[Arc | Jump]:
     """Yield what an execution makes, as it makes it.
 
-    Parameters
-    ----------
-    made : Execution
-        From its start; without what runs ahead of it.
-    parameters : mapping of str to float
-        Its overrides.
-    sampling : Sampling
-
     Raises
     ------
     SimulationError

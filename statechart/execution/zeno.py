@@ -74,19 +74,7 @@ class Accumulation:
     def watch(
         self, pair: tuple[str, str], clock: Clock, short: float, *, flowed: bool
     ) -> float | None:
-        """Return the time from a jump to the accumulation, once it is imminent; else None.
-
-        Parameters
-        ----------
-        pair : (str, str)
-            Region and cause of the jump.
-        clock : Clock
-            When.
-        short : float
-            Imminent is what takes less than this part of the longest interval.
-        flowed : bool
-            Whether it follows a flow, not another jump.
-        """
+        """Return the time from a jump to the accumulation, once it is imminent; else None."""
         place = self._places.setdefault(pair, len(self._places))
         if place == len(self.series):
             more = np.zeros_like(self.series)

@@ -111,15 +111,7 @@ class Condition:
         return (name,) if self.single else tuple(f"{name} #{k + 1}" for k in range(len(self.atoms)))
 
     def truth(self, of: Callable[[int], bool | None], active: Active) -> bool | None:
-        """Return whether it holds; None where atoms that are not known leave it open.
-
-        Parameters
-        ----------
-        of : callable
-            Place of an atom -> whether it holds; None where it has no value.
-        active : callable
-            Region, state -> whether the state is active.
-        """
+        """Return whether it holds; None where atoms that are not known leave it open."""
         return _truth(self.root, of, active)
 
     def rows(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
@@ -156,15 +148,7 @@ class Condition:
     def certificate(
         self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
     ) -> frozenset[int]:
-        """Return atoms that decide its truth as long as they keep their own.
-
-        Parameters
-        ----------
-        of, active
-            As for `truth`, which is not None.
-        still : callable
-            Place of an atom -> whether no flow changes it, so that it need not be watched.
-        """
+        """Return atoms that decide its truth as long as they keep their own."""
         return _certificate(self.root, bool(self.truth(of, active)), of, active, still)
 
 

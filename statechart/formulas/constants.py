@@ -16,13 +16,6 @@ def order_parameters(
 ) -> tuple[str, ...]:
     """Return the names so that each comes after those that its formula uses.
 
-    Parameters
-    ----------
-    formulas : mapping of str to Formula
-        The formula of every parameter.
-    given : collection of str
-        Parameters that have a value already.
-
     Raises
     ------
     FormulaError
@@ -65,16 +58,6 @@ class Constants:
 
     def values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Return the value of every parameter.
-
-        Parameters
-        ----------
-        overrides : mapping of str to float
-            Values that replace the formulas of some of them; the others follow.
-
-        Returns
-        -------
-        dict of str to float
-            In the order of the formulas; finite or infinite, never NaN.
 
         Raises
         ------

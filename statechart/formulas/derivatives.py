@@ -85,17 +85,6 @@ def check_derived(
 ) -> None:
     """Check that the derivatives of a formula are not too large to be built.
 
-    Parameters
-    ----------
-    root : Node
-        Of the formula.
-    variables : collection of str
-        What it is differentiated by.
-    loc : tuple
-        Where it stands.
-    order : int
-        How often it is differentiated, 1 or 2.
-
     Raises
     ------
     DeclarationProblem

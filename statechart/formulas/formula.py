@@ -164,11 +164,6 @@ class Formula:
     def require(self, known: Iterable[str]) -> None:
         """Check that it uses only names in `known`.
 
-        Parameters
-        ----------
-        known : iterable of str
-            The declared names.
-
         Raises
         ------
         FormulaError
@@ -185,11 +180,6 @@ class Formula:
         Integers and quotients of them stay exact, decimals become floats of full double
         precision, powers of two numbers are computed in floats.
 
-        Parameters
-        ----------
-        symbols : mapping of str to sympy.Expr
-            What every name stands for.
-
         Raises
         ------
         FormulaError
@@ -199,16 +189,6 @@ class Formula:
 
     def value(self, values: Mapping[str, float]) -> float:
         """Evaluate in IEEE floats.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            The value of every name; infinity is an ordinary value.
-
-        Returns
-        -------
-        float
-            Never NaN; infinite only where an operand is.
 
         Raises
         ------
@@ -227,11 +207,6 @@ def parse(text: str | int | float) -> Formula:
 
     Fields keep what was written, so that a model is typed, compared and written as its user wrote
     it; what computes with a field reads it here.
-
-    Parameters
-    ----------
-    text : str, int or float
-        The formula, or a number.
 
     Raises
     ------

@@ -42,20 +42,6 @@ def solve_linear(
 ) -> tuple[Definition, ...]:
     """Solve `equations` (each = 0, linear in `unknowns`).
 
-    Parameters
-    ----------
-    equations : sequence of Expr
-        As many as there are unknowns.
-    unknowns : sequence of Symbol
-        What to solve for.
-    paired : int
-        Equations and unknowns belong together one by one: those of motion with their
-        accelerations, those of constraints with their forces. Where pivots are no numbers, large
-        systems are solved by these, the first `paired` before others: they are positive whatever
-        the state is, masses seen along a motion that is left, compliances seen by a force.
-    before : collection of Symbol
-        Unknowns to eliminate before others, where pivots are numbers.
-
     Returns
     -------
     tuple of (Symbol, Expr)

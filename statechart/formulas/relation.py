@@ -159,11 +159,6 @@ class Relation:
     def require_states(self, states: Mapping[str, Collection[str]]) -> None:
         """Check that ``in(...)`` names regions and states that exist.
 
-        Parameters
-        ----------
-        states : mapping of str to collection of str
-            The states of every region; none where nothing may be asked of regions.
-
         Raises
         ------
         FormulaError
@@ -183,11 +178,6 @@ class Relation:
 
     def require_still(self, changing: Collection[str]) -> None:
         """Check that ``==`` and ``!=`` compare only what no flow changes.
-
-        Parameters
-        ----------
-        changing : collection of str
-            Names whose value some flow changes.
 
         Raises
         ------
@@ -210,13 +200,6 @@ class Relation:
         ``b - a``; of an *and* the largest, of an *or* the least of its parts. Its negative is
         the margin by which the relation holds.
 
-        Parameters
-        ----------
-        symbols : mapping of str to sympy.Expr
-            The expression that every name stands for.
-        states : mapping, optional
-            (region, state) -> what is above 0 while the state is active, below 0 else.
-
         Raises
         ------
         FormulaError
@@ -238,13 +221,6 @@ class Relation:
 
     def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:
         """Return the relation over smooth atoms: `min`, `max` and `abs` are rewritten.
-
-        Parameters
-        ----------
-        symbols : mapping of str to sympy.Expr
-            The expression that every name stands for.
-        states : mapping, optional
-            As for `margin`; what it has becomes an atom.
 
         Raises
         ------
@@ -294,11 +270,6 @@ def _within(tree: Within, states: States) -> Atom:
 @lru_cache(_REMEMBERED)
 def parse_relation(text: str) -> Relation:
     """Read a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
-
-    Parameters
-    ----------
-    text : str
-        The relation.
 
     Raises
     ------

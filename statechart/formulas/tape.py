@@ -67,20 +67,6 @@ class Tape:
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point.
 
-        Parameters
-        ----------
-        state : array, shape (n_variables,)
-            Values of the variables.
-        parameters : array, shape (n_parameters,)
-            Values of the parameters.
-        time : float
-            Absolute time.
-
-        Returns
-        -------
-        ndarray, shape (n_out,)
-            Not a number where an output is undefined.
-
         Raises
         ------
         ValueError
@@ -103,20 +89,6 @@ class Tape:
 
     def table(self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike) -> Array:
         """Return the outputs at many points.
-
-        Parameters
-        ----------
-        states : array, shape (m, n_variables)
-            Values of the variables, one row a point.
-        parameters : array, shape (n_parameters,)
-            Values of the parameters.
-        times : array, shape (m,)
-            Absolute times.
-
-        Returns
-        -------
-        ndarray, shape (m, n_out)
-            Not a number where an output is undefined.
 
         Raises
         ------

@@ -34,15 +34,7 @@ _LETTERS = "letters, digits and _, not beginning with a digit"
 
 
 def character(given: str, otherwise: str = "") -> str:
-    """Return advice on a character that no formula has.
-
-    Parameters
-    ----------
-    given : str
-        The character.
-    otherwise : str
-        What is said where nothing is known of it.
-    """
+    """Return advice on a character that no formula has."""
     if given in _CHARACTERS:
         return _CHARACTERS[given]
     called = unicodedata.name(given, "")
@@ -107,17 +99,7 @@ _ROOMS = ("math.", "np.", "numpy.")
 def meant(
     name: str, known: Iterable[str], functions: Collection[str], constants: Collection[str] = ()
 ) -> str:
-    """Return advice on a name or a function that there is not.
-
-    Parameters
-    ----------
-    name : str
-        What was written.
-    known : iterable of str
-        The names, or the functions, that could have been written.
-    functions, constants : collection of str
-        Those that every formula has.
-    """
+    """Return advice on a name or a function that there is not."""
     names = frozenset(known)
     bare = next((name.removeprefix(room) for room in _ROOMS if name.startswith(room)), name)
     if bare.lower() in _CONVERTED:

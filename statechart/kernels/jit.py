@@ -76,13 +76,7 @@ def part(function: F) -> F:
 
 
 def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`.
-
-    Parameters
-    ----------
-    as_written : callable
-        Does the same in Python.
-    """
+    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`."""
     return lambda function: Native(function, as_written)
 
 

@@ -58,11 +58,6 @@ def kinds() -> Mapping[str, EntryPoint]:
 def kind(name: str) -> Kind:
     """Return a kind, importing its package and no other.
 
-    Parameters
-    ----------
-    name : str
-        One of `kinds`.
-
     Raises
     ------
     KeyError

@@ -17,11 +17,6 @@ from statechart.loading.offered import entries, module
 def interpret(document: Document) -> Declaration:
     """Build the model of the kind that the document names in its `kind:`.
 
-    Parameters
-    ----------
-    document : Document
-        What was read.
-
     Raises
     ------
     DeclarationError
@@ -70,11 +65,6 @@ def load(path_or_name: str | Path) -> Declaration:
 def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, Document | None]:
     """Return a model, and the document that it was read from.
 
-    Parameters
-    ----------
-    model : Declaration, Document, str or Path
-        What is built, or read; else see `find`.
-
     Raises
     ------
     DeclarationError
@@ -94,11 +84,6 @@ def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, D
 
 def find(path_or_name: str) -> Path:
     """Return the file that a path or the name of a shipped model stands for.
-
-    Parameters
-    ----------
-    path_or_name : str
-        An existing path comes first.
 
     Raises
     ------

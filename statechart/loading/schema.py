@@ -17,11 +17,6 @@ _ID = "urn:contact-statecharts:schema"
 def schema(name: str | None = None) -> str:
     """Return the JSON Schema of a kind of document, as text.
 
-    Parameters
-    ----------
-    name : str, optional
-        Of the kind; all of them, as alternatives, by default.
-
     Raises
     ------
     DeclarationError

@@ -34,13 +34,6 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
     flatter the approach, the larger; in a graze, which touches without crossing, it is inf.
     Errors that earlier events have magnified already are part of dx.
 
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-
     Returns
     -------
     tuple of float or None

@@ -173,13 +173,6 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
     That is the first time at which a variable differs by a hundredth of its size or the modes
     differ, whichever comes first. Between the two times at which an event happened in the one run
     and in the other the states are not compared: there a jump makes any difference.
-
-    Parameters
-    ----------
-    reference, trace : Trace
-        Two runs of one model from one start.
-    brief : float
-        As in `paired`.
     """
     pairs, diverged = paired(reference, trace, brief=brief)
     end = min(reference.t_end, trace.t_end)
@@ -210,11 +203,6 @@ def distance(reference: Trace, trace: Trace) -> float:
     the largest value that it has. In this norm runs converge though events are a little late, and
     those that step in time though they take other modes (Moreau, "Numerical aspects of the
     sweeping process", 1999).
-
-    Parameters
-    ----------
-    reference, trace : Trace
-        Two runs of one model from one start.
     """
     end = min(reference.t_end, trace.t_end)
     if not (end > 0.0 and reference.arcs and trace.arcs):
@@ -232,13 +220,7 @@ def distance(reference: Trace, trace: Trace) -> float:
 
 
 def modes_apart(reference: Trace, trace: Trace) -> float:
-    """Return for which part of the time that both last two runs are in different modes.
-
-    Parameters
-    ----------
-    reference, trace : Trace
-        Two runs of one model from one start.
-    """
+    """Return for which part of the time that both last two runs are in different modes."""
     end = min(reference.t_end, trace.t_end)
     if not end > 0.0:
         return 0.0
@@ -266,14 +248,6 @@ def paired(
     How many jumps of a Zeno sequence are resolved depends on the tolerance: those that one run
     summed up are left out (see `without_summed`), and where one run is at the accumulation, the
     other's further jumps of that sequence are passed over.
-
-    Parameters
-    ----------
-    coarse, fine : Trace
-        Two runs of one model from one start.
-    brief : float
-        Where the modes are the same again within this part of the run, what was different in
-        between is passed over: that an event is late by so much is no larger error.
     """
     pairs: list[tuple[Jump, Jump]] = []
     a, b = coarse.jumps, fine.jumps

@@ -86,13 +86,6 @@ def _sentence(several: Sequence[Graze]) -> str:
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     """Return where it is open whether guards of a run pass their boundary, or touch it.
 
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-
     Returns
     -------
     tuple of Graze

@@ -93,18 +93,6 @@ class Observer:
     ) -> Samples:
         """Evaluate along a run.
 
-        Parameters
-        ----------
-        trace : Trace
-            The run.
-        formulas : sequence of str, optional
-            What to evaluate; `names` by default.
-        per_step : float
-            Intervals in every step of the integrator; both ends of an arc are sampled, so a jump
-            shows as two rows of one time.
-        times : (m,) array, optional
-            Sample here instead; at the instant of a jump, after it.
-
         Raises
         ------
         FormulaError
@@ -166,20 +154,7 @@ class Observer:
         *,
         before: bool = False,
     ) -> Array:
-        """Return the values (m, f) of formulas at jumps.
-
-        Parameters
-        ----------
-        trace : Trace
-            The run.
-        formulas : sequence of FormulaLike
-            What to evaluate.
-        jumps : sequence of Jump
-            Some of the run's.
-        before : bool
-            The state just before each jump, in the mode left; else just after it, in the mode
-            entered.
-        """
+        """Return the values (m, f) of formulas at jumps."""
         expressions = self.programs.expressions(formulas)
         if not self.programs.needed(expressions):
             times, states = instants(trace, jumps, before)
@@ -241,21 +216,7 @@ class Observer:
         during: Sequence[Mapping[str, str]] | None = None,
         total: Array | None = None,
     ) -> Array:
-        """Return the integrals (f,) of formulas over time.
-
-        Parameters
-        ----------
-        trace : Trace
-            The run.
-        formulas : sequence of FormulaLike
-            What to integrate.
-        during : sequence of mappings, optional
-            One per formula: region -> state, as the automaton or as the declaration names it
-            (`slide` is `slide+` and `slide-`); only arcs in all these states count. All of the
-            run by default.
-        total : (f,) array, optional
-            Those of what precedes; they are added to.
-        """
+        """Return the integrals (f,) of formulas over time."""
         check_kept(trace)
         expressions = self.programs.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)

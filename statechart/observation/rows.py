@@ -55,13 +55,6 @@ class RowOutputs:
         """Return the outputs of rows: numbers (m,), and lists, a row of each.
 
         A value at an event that never happened is not a number.
-
-        Parameters
-        ----------
-        batch : Batch
-        made : callable
-            From a row and the number of jumps before it to one of its jumps, which is asked for
-            where events that are alike are each one's own.
         """
         outputs, values = self._outputs, self.values(batch, made)
         numbers: dict[str, Array] = {}

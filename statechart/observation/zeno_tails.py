@@ -33,10 +33,6 @@ def last_resolved(trace: Trace) -> list[Jump]:
     One that locates events has summed up what was left. One that steps in time lets what bounces
     too low rest: there a region, free before and after its last impact, is so no longer within the
     steps of such a bounce.
-
-    Parameters
-    ----------
-    trace : Trace
     """
     if trace.step is None:
         return [jump for jump in trace.jumps if jump.skipped > 0.0]
@@ -62,11 +58,6 @@ def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | 
     """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
 
     Several regions may bounce in turn, and rounding decides at which of them the sum begins.
-
-    Parameters
-    ----------
-    runs : sequence of sequence
-        Jumps of runs of one model, each with its time and with what was skipped after it.
 
     Returns
     -------

@@ -50,19 +50,7 @@ _NAMES = 4
 def content(
     observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram | None
 ) -> dict[str, Any]:
-    """Return what a page shows of a run.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    report : mapping
-        Of the run, with the reasons of the first `MOST_EVENTS` of its events at least.
-    diagram : Diagram or None
-        Of the model, with the run's path; None where the run has kept no modes.
-    """
+    """Return what a page shows of a run."""
     automaton = observer.automaton
     declared = automaton.declaration.parameters
     seen = kind(automaton.declaration.kind).stage is not None

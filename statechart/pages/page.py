@@ -18,13 +18,7 @@ _SCRIPTS = ("scene.js", "page.js")
 
 
 def html(shown: Mapping[str, Any]) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    shown : mapping
-        From `statechart.pages.content.content`.
-    """
+    """Return the page."""
     # Nothing in it can end the element that it stands in.
     data = json.dumps(shown, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     parts = {

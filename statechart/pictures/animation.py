@@ -51,14 +51,6 @@ _FAINTEST = 240.0
 def pace(end: float, speed: float | None) -> tuple[float, Array]:
     """Return how many units of the run's time pass in a second, and the times of the pictures.
 
-    Parameters
-    ----------
-    end : float
-        Of what is shown.
-    speed : float, optional
-        What passes in a second; by default one where the animation is then neither short nor
-        long, else a round number that makes it so.
-
     Raises
     ------
     DeclarationError

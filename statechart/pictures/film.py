@@ -165,15 +165,7 @@ def _arrow(half: tuple[float, float], force: float) -> float:
 
 
 def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
-    """Return the arrows (..., 2) of forces (..., 2), cut where they are much longer than usual.
-
-    Parameters
-    ----------
-    forces : (..., 2) array
-        Of contacts.
-    half, force
-        Of the film, see `Film`.
-    """
+    """Return the arrows (..., 2) of forces (..., 2), cut where they are much longer than usual."""
     sizes = np.hypot(forces[..., 0], forces[..., 1])
     longest = LONGEST * force
     cut = np.where(sizes > longest, longest / np.where(sizes > 0.0, sizes, 1.0), 1.0)
@@ -182,17 +174,7 @@ def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
 
 
 def cones(touch: Touch, half: tuple[float, float], closed: NDArray[np.bool_]) -> Array:
-    """Return the ends (k, 3, 2) of the friction cones of a contact: both edges and the middle.
-
-    Parameters
-    ----------
-    touch : Touch
-        The contact.
-    half : (float, float)
-        Of the film, see `Film`.
-    closed : (k,) array of bool
-        When it has a cone; else the ends are its place.
-    """
+    """Return the ends (k, 3, 2) of the friction cones of a contact: both edges and the middle."""
     edge = np.arctan(touch.friction) * closed
     turn = edge[:, None] * np.array([-1.0, 0.0, 1.0])
     (x, y), (c, s) = touch.normals.T[:, :, None], (np.cos(turn), np.sin(turn))

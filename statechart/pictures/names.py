@@ -42,15 +42,6 @@ def write_names(ax: Axes, film: Film, mark: float) -> None:
     """Write names into the first picture of a film.
 
     Each goes where it is whole and hides least; where there is no such place it is left out.
-
-    Parameters
-    ----------
-    ax : Axes
-        Of a figure that has its size, with the film on it.
-    film : Film
-        What is shown.
-    mark : float
-        Size of the marks of contacts, in points.
     """
     scale = ax.figure.dpi / 72.0
     inner = np.array(ax.get_window_extent().padded(-_CLEAR * scale).extents)

@@ -32,17 +32,7 @@ def picture(film: Film) -> Figure:
 
 
 def strip(figure: Figure, film: Film, top: float) -> None:
-    """Draw instants of a film side by side, each with the trails up to it.
-
-    Parameters
-    ----------
-    figure : Figure
-        Where, in all of its width.
-    film : Film
-        Of many instants.
-    top : float
-        Where it begins, in inches from the lower end of the figure; it ends `strip_height` below.
-    """
+    """Draw instants of a film side by side, each with the trails up to it."""
     width, height = figure.get_size_inches()
     own, high = shaped(film, width / _SIDE_BY_SIDE, _STRIP)
     own, high = _PART * own / width, _PART * high / height

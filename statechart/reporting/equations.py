@@ -41,17 +41,6 @@ def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
 
     A prime is a derivative with respect to time.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose mode.
-    setup : Setup
-        Numbers of a run: what the document does not declare may be zero in it.
-    mode : str
-        As in `mode_named`.
-    form : str
-        `text`; `latex`, for amsmath; `json`, one object whose equations are text.
-
     Raises
     ------
     DeclarationError
@@ -178,15 +167,6 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
 
     What is eliminated, the motion of the coordinates that are left, what these hold besides, and
     the forces that follow; of a chart, what its variables do.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose mode.
-    key : Key
-        A state of every region.
-    zeros : frozenset of Symbol
-        Parameters that are exactly zero and that the document does not declare.
     """
     if automaton.coordinates is None:
         mode = build_mode(automaton, roles_in(key), frozenset())

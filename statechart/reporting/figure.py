@@ -76,17 +76,6 @@ def figure(
     band of modes for every region. Dotted lines and labels mark events, where they do not crowd;
     diamonds mark modes of zero duration. Time ends where nothing happens any more.
 
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    path : Path or str, optional
-        Where to write it, too; svg, png or pdf by its suffix.
-    strip : Film, optional
-        What stands above the panels: the bodies, at some of its instants side by side.
-
     Raises
     ------
     StatechartError

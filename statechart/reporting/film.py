@@ -43,19 +43,7 @@ def stage_of(automaton: Automaton) -> Stage:
 
 
 def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> Film:
-    """Return a run at instants, after the jumps at them.
-
-    Parameters
-    ----------
-    stage : Stage
-        Of its automaton.
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    times : (k,) array
-        In order, within the run.
-    """
+    """Return a run at instants, after the jumps at them."""
     automaton = observer.automaton
     names = (*automaton.names, *stage.wanted)
     samples = observer.sample(trace, names, times=times)

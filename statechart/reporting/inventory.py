@@ -14,17 +14,7 @@ from statechart.tabular import several, whole
 
 
 def built(observer: Observer, trace: Trace) -> dict[str, Any]:
-    """Return what a run built.
-
-    Returns
-    -------
-    dict
-        `modes`: of each that was integrated its `mode`, the coordinates `integrated` and
-        `eliminated`, how many `unknowns` its equations solve for, and its `guards` with the
-        evidence of how each was decided; where steps need no modes, none. `unknowns`: how many
-        there are at most, in a mode or a step. `recognised`: how many modes were told from the
-        steps.
-    """
+    """Return what a run built."""
     automaton = observer.automaton
     simulator = observer.simulator
     if not isinstance(simulator, Simulator):

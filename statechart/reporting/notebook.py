@@ -19,15 +19,7 @@ _DIGITS = 6
 
 
 def html(report: Mapping[str, Any], drawing: Figure | str) -> str:
-    """Return a run as a part of a page.
-
-    Parameters
-    ----------
-    report : mapping
-        From `statechart.reporting.report.report`.
-    drawing : Figure or str
-        Its figure; or why it has none.
-    """
+    """Return a run as a part of a page."""
     head = f"<b>{escape(report['model'])}: {escape(report['outcome'])}</b>"
     said = escape(Outcome[report["outcome"]].value)
     parts = [f"<p>{head}<br>{said} {escape(report['message'])}</p>"]

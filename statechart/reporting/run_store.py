@@ -37,17 +37,6 @@ def write_store(
     `body`; the others are arrays over `t`. Dimension `event`: `event_t`, `event_region`,
     `event_cause`. What `report` has besides is in the attribute `report`, as JSON.
 
-    Parameters
-    ----------
-    path : Path or str
-        Where to; it must not exist.
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    report : mapping
-        As of `statechart.reporting.report.report`.
-
     Raises
     ------
     StatechartError

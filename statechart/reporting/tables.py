@@ -47,18 +47,6 @@ def samples_table(observer: Observer, trace: Trace) -> pd.DataFrame:
     """Return a run as a table: t, j, mode, then every variable and observable.
 
     Both ends of an arc have a row, so a jump shows as two rows of one time.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-
-    Returns
-    -------
-    DataFrame
-        Its `attrs` have `units`, of the columns whose units are known, and `long_names`.
     """
     return _table(observer, observer.sample(trace, per_step=_rows_of(trace)))
 
@@ -126,24 +114,7 @@ def events_table(observer: Observer, trace: Trace) -> pd.DataFrame:
 
 
 def to_xarray(observer: Observer, trace: Trace) -> xr.Dataset:
-    """Return a run as a data set that NetCDF can hold.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-
-    Returns
-    -------
-    Dataset
-        Dimension `sample`, with the coordinates t, j and mode, holds the variables and
-        observables; dimension `event`, with event_t and event_j, holds what `events_table` has.
-        Its attributes say how the run was made and ended; ``parameter.X`` is the value of the
-        parameter X. A name that the format does not allow has an underscore appended. Variables
-        have `long_name`, and `units` where they are known.
-    """
+    """Return a run as a data set that NetCDF can hold."""
     return _data_set(observer, trace, observer.sample(trace, per_step=_rows_of(trace)))
 
 

@@ -23,13 +23,7 @@ _CERTIFIED: Mapping[object, str] = {
 
 
 def summary(report: Mapping[str, Any]) -> str:
-    """Return the report of a run as lines of text; numbers keep all their digits.
-
-    Parameters
-    ----------
-    report : mapping
-        From `statechart.reporting.report.report`.
-    """
+    """Return the report of a run as lines of text; numbers keep all their digits."""
     return plain(told(report))
 
 
@@ -204,13 +198,7 @@ def _text(value: object) -> str:
 
 
 def explanation(report: Mapping[str, Any]) -> str:
-    """Return what fired at every jump, the margins, what it did, and what else was considered.
-
-    Parameters
-    ----------
-    report : mapping
-        From `statechart.reporting.report.report` with `explain`, or read from a ``run.json``.
-    """
+    """Return what fired at every jump, the margins, what it did, and what else was considered."""
     return plain(explained(report))
 
 

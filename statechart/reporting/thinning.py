@@ -52,15 +52,7 @@ class Line:
 
 
 def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
-    """Return events and their sizes; of very many the one of greatest magnitude in every column.
-
-    Parameters
-    ----------
-    times, sizes : (m,) array
-        In order of time.
-    end : float
-        Of the run.
-    """
+    """Return events and their sizes; of very many the one of greatest magnitude in every column."""
     if len(times) <= COLUMNS:
         return times, sizes
     column = np.minimum((times * (COLUMNS / end)).astype(np.intp), COLUMNS - 1)

@@ -14,22 +14,7 @@ if TYPE_CHECKING:
 
 
 def compared(result: Result, others: Mapping[str, Result]) -> list[dict[str, Any]]:
-    """Return where each of the other runs differs from `result`.
-
-    Parameters
-    ----------
-    result : Result
-        The run under the declared choice.
-    others : mapping of str to Result
-        The runs under the others.
-
-    Returns
-    -------
-    list of dict
-        With `choice`, `outcome`, `same_modes`, `diverged` (when the modes first differ, or None),
-        `difference` (the largest relative one of final state, event times and outputs; None where
-        the modes differ), `final`, `outputs`.
-    """
+    """Return where each of the other runs differs from `result`."""
     rows: list[dict[str, Any]] = []
     for choice, other in others.items():
         found = compare(

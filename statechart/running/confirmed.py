@@ -18,13 +18,6 @@ def confirmed(once: Once, chosen: Chosen) -> Answer | None:
     Its error needs no further run to be estimated: that of the same run was measured against a
     reference. That it is the same shows in its end, its flows, steps and evaluations; a library of
     another version, or a setting of the processor, may make it another.
-
-    Parameters
-    ----------
-    once : callable
-        Makes a run.
-    chosen : Chosen
-        What was measured: of this model, with these parameters, to this end.
     """
     began = working_time()
     assert chosen.setting.tolerance is not None

@@ -79,18 +79,6 @@ def draw(
 def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Path:
     """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names.
 
-    Parameters
-    ----------
-    model : Declaration, Runner, str or Path
-        A model, what runs it, the path of its file, or the name of a shipped one.
-    path : str or Path
-        What to write; its suffix says how: .svg, .png or .pdf.
-
-    Returns
-    -------
-    Path
-        What was written.
-
     Raises
     ------
     StatechartError

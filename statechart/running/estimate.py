@@ -224,20 +224,7 @@ def tighten(
     floor: float,
     first: float | None = None,
 ) -> Answer:
-    """Run at ever tighter tolerances until two runs differ by no more than `accuracy`.
-
-    Parameters
-    ----------
-    once : callable
-        Makes a run.
-    accuracy : float
-        Relative error allowed.
-    floor : float
-        Least tolerance of the engine.
-    first : float, optional
-        Tolerance of the first run; a tenth of the accuracy by default. At the floor it is the
-        last one, too.
-    """
+    """Run at ever tighter tolerances until two runs differ by no more than `accuracy`."""
     tolerance = max(accuracy * _BELOW if first is None else first, floor)
     runs = _Runs(once, floor, accuracy)
     observer, trace = runs.make(tolerance)

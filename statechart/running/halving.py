@@ -119,24 +119,7 @@ class _Steps:
 
 
 def halve(once: Once, accuracy: float, *, first: float, end: float) -> Answer:
-    """Run at ever shorter steps until the estimated error is no more than `accuracy`.
-
-    Parameters
-    ----------
-    once : callable
-        Makes a run.
-    accuracy : float
-        Relative error allowed.
-    first : float
-        The longest step.
-    end : float
-        When runs end at the latest.
-
-    Returns
-    -------
-    Answer
-        Of the run at the shortest step: a run as it is, nothing in it is extrapolated.
-    """
+    """Run at ever shorter steps until the estimated error is no more than `accuracy`."""
     steps = _Steps(once, accuracy)
     step = min(first, end) or first
     last: Answer | None = None

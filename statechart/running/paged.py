@@ -19,13 +19,6 @@ if TYPE_CHECKING:
 def paged(result: Result, study: Measured | None) -> dict[str, Any]:
     """Return what the page of a run shows.
 
-    Parameters
-    ----------
-    result : Result
-        What the run gave.
-    study : Study, optional
-        To be shown, too; by default the one that the run was given, if it is of the model.
-
     Raises
     ------
     StatechartError

@@ -45,17 +45,6 @@ def sampled(
 ) -> Sampling:
     """Return when a run is looked at, and what is asked then.
 
-    Parameters
-    ----------
-    every : float
-        Time between instants.
-    end : float
-        Of the run.
-    control : callable, optional
-        Sample -> values of parameters.
-    check : callable
-        Raises where a name is no parameter.
-
     Raises
     ------
     DeclarationError

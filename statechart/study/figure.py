@@ -130,13 +130,6 @@ def shown(study: Study, label: str) -> dict[str, Any]:
     """Return a study as the page of a run shows it.
 
     Its figure is a picture of its own, base64: its style would be that of the whole page.
-
-    Parameters
-    ----------
-    study : Study
-        Of the model that was run.
-    label : str
-        Of the run's own setting, which is marked where it was measured.
     """
     from matplotlib import rc_context
 

@@ -247,15 +247,7 @@ def median_slope(x: Array, y: Array) -> float:
 
 
 def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
-    """Return the outputs whose error does not fall with the step -> error at the shortest.
-
-    Parameters
-    ----------
-    points : sequence of Point
-        Of fixed steps.
-    least : float
-        Errors below `RESOLVED` times this cannot be told.
-    """
+    """Return the outputs whose error does not fall with the step -> error at the shortest."""
     found = {}
     for name in dict.fromkeys(name for point in points for name in point.errors.named):
         having = [point for point in points if name in point.errors.named]
@@ -268,15 +260,7 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
 
 
 def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
-    """Whether errors fall with the step, or cannot be told not to.
-
-    Parameters
-    ----------
-    pairs : sequence of (float, float)
-        Step and error.
-    least : float
-        Errors below `RESOLVED` times this cannot be told.
-    """
+    """Whether errors fall with the step, or cannot be told not to."""
     ordered = sorted(pairs)
     large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, float(np.finfo(float).eps))]
     if len(large) < LEAST_POINTS or large[0] != ordered[0]:

@@ -152,11 +152,6 @@ class References:
     def make(self, mark: str) -> tuple[Run, Study]:
         """Make the reference and the run that checks it; a third where these two disagree.
 
-        Parameters
-        ----------
-        mark : str
-            Fingerprint of the model.
-
         Returns
         -------
         Run

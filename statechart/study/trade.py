@@ -39,15 +39,7 @@ _TOO_LONG = 4.0
 
 
 def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
-    """Return the settings that a model is run at, every family from coarse to fine.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Of the model.
-    until : float
-        When a run ends, for the steps.
-    """
+    """Return the settings that a model is run at, every family from coarse to fine."""
     steps = [float(f"{until * part:.3g}") for part in _STEPS]
     if automaton.laws is None:
         # What has no events of its own are many bodies: steps alone run them.

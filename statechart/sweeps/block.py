@@ -125,13 +125,6 @@ class Block:
 def run_block(task: Task, rows: Array) -> Block:
     """Run cells, in whatever process this is.
 
-    Parameters
-    ----------
-    task : Task
-        What is asked of each.
-    rows : (n, p) array
-        The values of the swept parameters.
-
     Raises
     ------
     DeclarationError
@@ -334,13 +327,7 @@ class _Structure:
 
 
 def repeats(words: Sequence[str]) -> list[str]:
-    """Return a sequence in which cycles that repeat are written once: ``(a > b) x 3``.
-
-    Parameters
-    ----------
-    words : sequence of str
-        No word equals the one before it.
-    """
+    """Return a sequence in which cycles that repeat are written once: ``(a > b) x 3``."""
     found: list[str] = []
     k = 0
     while k < len(words):

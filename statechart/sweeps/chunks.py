@@ -20,16 +20,7 @@ ALL = {"array.write_empty_chunks": True}
 
 
 def lost(root: Path, array: zarr.Array[Any], where: Slices) -> str:
-    """Return the file of the first chunk of a part of an array that is not there; empty if none is.
-
-    Parameters
-    ----------
-    root : Path
-        Of the store.
-    array : Array
-    where : tuple of slice
-        The part: all of it has been written.
-    """
+    """Return the file of the first missing chunk in a part of an array, or an empty string."""
     spans = (
         range(part.start // size, -(-part.stop // size))
         for part, size in zip(where, array.chunks, strict=True)

@@ -62,15 +62,7 @@ def check(plan: Plan) -> None:
 
 
 def figure(plan: Plan, data: xr.Dataset) -> Figure:
-    """Draw a sweep over one or two parameters.
-
-    Parameters
-    ----------
-    plan : Plan
-        What was asked for.
-    data : Dataset
-        What cells gave.
-    """
+    """Draw a sweep over one or two parameters."""
     from matplotlib import rc_context
 
     check(plan)

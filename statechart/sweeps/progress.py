@@ -17,15 +17,7 @@ _EVERY = 10.0
 
 @contextmanager
 def told(total: int, done: int, *, shown: bool) -> Iterator[Callable[[int], None]]:
-    """Make what takes how many more cells are done.
-
-    Parameters
-    ----------
-    total, done : int
-        Cells there are, and those that are done.
-    shown : bool
-        Whether to report at all.
-    """
+    """Make what takes how many more cells are done."""
     if not shown:
         yield lambda count: None
     elif sys.stderr.isatty():

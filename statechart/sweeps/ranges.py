@@ -63,15 +63,6 @@ def cells(
 ) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
     """Return a grid, or a table of samples, as a person asks for it; None for the other.
 
-    Parameters
-    ----------
-    over : mapping of str to str
-        Parameter to what it varies over.
-    table : str or None
-        A CSV file that has all parameters.
-    sobol : int or None
-        Number of points of a Sobol sequence.
-
     Raises
     ------
     DeclarationError
@@ -123,13 +114,6 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     """Return a Sobol sequence over intervals, one row a point.
 
     Scrambled as Owen (1998) does, always by the same random numbers.
-
-    Parameters
-    ----------
-    over : mapping of str to str
-        Parameter to `lin:A:B` or `log:A:B`.
-    count : int
-        How many points: a power of two, of which alone the sequence is balanced.
 
     Raises
     ------

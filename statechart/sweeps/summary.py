@@ -24,17 +24,7 @@ _SUCCEEDED = frozenset(outcome.name for outcome in Outcome if outcome.succeeded)
 
 
 def report(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any]:
-    """Return a sweep as one plain object.
-
-    Parameters
-    ----------
-    plan : Plan
-        What was asked for.
-    data : Dataset
-        What cells gave.
-    where : str or None
-        Where that is kept.
-    """
+    """Return a sweep as one plain object."""
     outcomes = data["outcome"].to_numpy().ravel().astype(object)
     done = outcomes != ""
     outputs: dict[str, Any] = {}

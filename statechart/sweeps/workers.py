@@ -58,11 +58,6 @@ def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
 def processes(count: int) -> Iterator[Executor]:
     """Make workers of this machine, which end with this process, however that ends.
 
-    Parameters
-    ----------
-    count : int
-        How many.
-
     Raises
     ------
     DeclarationError
@@ -93,13 +88,7 @@ def processes(count: int) -> Iterator[Executor]:
 
 
 def unguarded(error: Exception) -> str:
-    """Return advice where processes died since each runs the script that makes them; else none.
-
-    Parameters
-    ----------
-    error : Exception
-        What their executor made of it, before any of them did something.
-    """
+    """Return advice where processes died since each runs the script that makes them; else none."""
     file = getattr(sys.modules["__main__"], "__file__", None)
     if not isinstance(error, BrokenProcessPool) or file is None:
         return ""
@@ -115,11 +104,6 @@ def unguarded(error: Exception) -> str:
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
     """Connect to the scheduler of a Dask cluster.
-
-    Parameters
-    ----------
-    address : str
-        Such as tcp://192.168.0.1:8786.
 
     Raises
     ------
@@ -241,13 +225,7 @@ def _blocked() -> Iterator[None]:
 
 
 def _begin(says: Semaphore | None) -> None:
-    """Begin a worker: it ends when the process that started it is gone.
-
-    Parameters
-    ----------
-    says : Semaphore, optional
-        Taken by the worker that says what is compiled.
-    """
+    """Begin a worker: it ends when the process that started it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if says is not None and says.acquire(block=False):
         compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))  # noqa: T201

@@ -45,18 +45,7 @@ _SOLVED = 1e-9
 
 
 def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, count: int) -> Bools:
-    """Return where a relation is true, in `count` states.
-
-    Parameters
-    ----------
-    term : Term
-        The relation's tree.
-    sides : iterator of (array, array)
-        Values of both sides of every comparison, from left to right.
-    active : callable
-        Region and state -> whether the region is in it.
-    count : int
-    """
+    """Return where a relation is true, in `count` states."""
     match term:
         case Comparison():
             return np.asarray(_COMPARISONS[term.operator](*next(sides)))

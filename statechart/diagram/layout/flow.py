@@ -46,17 +46,7 @@ _INCH = 72.0
 
 
 def flow(chart: Chart, style: Style, prefix: str) -> Block:
-    """Lay a chart out, the way that fits a slide best of those that lead no line through text.
-
-    Parameters
-    ----------
-    chart : Chart
-        What to lay out.
-    style : Style
-        How it is drawn.
-    prefix : str
-        What identifiers of text begin with, an underscore first.
-    """
+    """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
     looks = _looks(chart, style, prefix)
     laid = (_read(chart, style, prefix, looks, *way) for way in _WAYS)
     return min(laid, key=_badness)

@@ -17,13 +17,6 @@ from statechart.errors import StatechartError
 def render(source: str, form: str) -> bytes:
     """Run Graphviz on DOT source.
 
-    Parameters
-    ----------
-    source : str
-        One graph, for the layout engine ``dot`` unless it names another.
-    form : str
-        What to return: svg, png, pdf, or json for a layout.
-
     Raises
     ------
     StatechartError

@@ -23,17 +23,7 @@ _BAND = {"shape": "box", "style": "rounded,dashed", "label": ""}
 
 
 def grid(chart: Chart, style: Style, prefix: str) -> Block:
-    """Lay out the product of two regions; see `Chart.axes`.
-
-    Parameters
-    ----------
-    chart : Chart
-        What to lay out.
-    style : Style
-        How it is drawn.
-    prefix : str
-        What identifiers of text begin with, an underscore first.
-    """
+    """Lay out the product of two regions; see `Chart.axes`."""
     if chart.axes is None:
         raise ValueError("a grid is drawn of a product of two regions")
     down, along = map(axis, chart.axes)

@@ -71,17 +71,7 @@ def course(path: Sequence[str]) -> Round | None:
 
 
 def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
-    """Lay out the path of a run; None where it has more steps than can be seen, or next to none.
-
-    Parameters
-    ----------
-    chart : Chart
-        What to lay out.
-    style : Style
-        How it is drawn.
-    prefix : str
-        What identifiers of text begin with, an underscore first.
-    """
+    """Lay out the path of a run; None where it has more steps than can be seen, or next to none."""
     found = course(chart.path) or Round(chart.path, None, 1)
     lone = found.back is not None and len(found.order) - found.back < _LEAST
     if lone or not _LEAST <= len(found.order) <= MOST_STEPS:

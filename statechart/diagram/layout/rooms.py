@@ -64,18 +64,7 @@ class Rooms:
 
 
 def rooms(down: Axis, along: Axis, cell: Point, words: Mapping[str, Point]) -> Rooms:
-    """Return the measures of a grid.
-
-    Parameters
-    ----------
-    down, along : Axis
-        What goes down its columns and along its rows.
-    cell : (float, float)
-        Width and height that a state takes.
-    words : mapping
-        Width and height of words: ``v0``, ``v1``, ... of the bonds of `down`, ``h0``, ... of
-        `along`.
-    """
+    """Return the measures of a grid."""
     bundles = {
         k: track
         for place in range(len(down.states) - 1)

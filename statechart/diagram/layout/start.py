@@ -21,15 +21,7 @@ _DOT, _OFF, _ROUND = 9.4, 13.0, 2.5
 
 
 def begun(block: Block, state: str, name: str) -> Block:
-    """Return a block with the dot and its arrow, where they are least in the way.
-
-    Parameters
-    ----------
-    block : Block
-        What it is added to.
-    state, name : str
-        Identifiers of the state and of the dot.
-    """
+    """Return a block with the dot and its arrow, where they are least in the way."""
     (box,) = (box for box in block.boxes if box.name == state)
     found = (_at(block, box, name, corner) for corner in _CORNERS)
     return min(found, key=lambda one: (covered(one), crossings(one)))
