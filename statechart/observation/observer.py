@@ -18,7 +18,6 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
@@ -100,7 +99,7 @@ class Observer:
         ValueError
             If the times are outside the run or not in order.
         """
-        check_kept(trace)
+        trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
@@ -217,7 +216,7 @@ class Observer:
         total: Array | None = None,
     ) -> Array:
         """Return the integrals (f,) of formulas over time."""
-        check_kept(trace)
+        trace.require_motion()
         expressions = self.programs.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions)) if total is None else total
@@ -261,7 +260,7 @@ class Observer:
         Modes of no duration belong to it, its start and its end. Places where the formula is
         undefined do not count; both are not a number if it is everywhere.
         """
-        check_kept(trace)
+        trace.require_motion()
         found = np.full(2, np.nan)
         include(found, self.initial(trace, (formula,)))
         self.widened(trace, formula, found)
