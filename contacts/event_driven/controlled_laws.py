@@ -105,7 +105,8 @@ class ControlledLaws:
                 start = self._memory.joined(following.start, state)
                 following = following._replace(start=start)
             if jump is None:
-                return None, self._joined(setup, clock, following, own, state, flow)
+                held = self._joined(setup, clock, following, own, state, flow)
+                return None, held._replace(settled=following.settled)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,

@@ -228,9 +228,12 @@ def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
 def copied(buffer: TraceBuffer) -> TraceBuffer:
     """Return a copy of the written part of a buffer."""
     arcs, times, terms, events = buffer.used.tolist()
-    lengths = (arcs, arcs, arcs, times, terms, events, events, events, 4)
-    parts = zip(buffer, lengths, strict=True)
-    return TraceBuffer._make([part[:length].copy() for part, length in parts])
+    return TraceBuffer(
+        buffer.arcs[:arcs].copy(), buffer.places[:arcs].copy(), buffer.starts[:arcs].copy(),
+        buffer.times[:times].copy(), buffer.coefficients[:terms].copy(),
+        buffer.events[:events].copy(), buffer.numbers[:events].copy(),
+        buffer.states[:events].copy(), buffer.used.copy(),
+    )  # fmt: skip
 
 
 class TraceRecorder:

@@ -22,7 +22,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
-from statechart.automaton.regions import Claim, Margin, Region, State, active_in, stop_conditions
+from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
@@ -35,7 +35,6 @@ from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.relation import parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
@@ -107,19 +106,11 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
             ),
             guard_margins(name, flat, role.state, symbols.known),
             tuple(
-                Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
+                Invariant(f"{name}.{label}", text, symbols.known)
                 for content in _contents(flat, role.state)
                 for label, text in content.invariants.items()
             ),
         )
-
-    def claims(state: str) -> tuple[Claim, ...]:
-        invariants = (
-            Claim(f"{name}.{label}", (text,), holds=True)
-            for content in _contents(flat, state)
-            for label, text in content.invariants.items()
-        )
-        return (*guard_claims(name, flat, state), *invariants)
 
     return Region(
         name,
@@ -128,7 +119,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         flat.edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=claims,
+        claims=partial(guard_claims, name, flat),
     )
 
 
