@@ -111,35 +111,19 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
 
 @dataclass(frozen=True)
 class _Change:
-    """The factor of everything that a scene has: new per old.
+    """The factor of everything that a scene has: new per old."""
 
-    Attributes
-    ----------
-    declared : Scene
-        What is changed.
-    x, y, angle : float
-        Of positions and of a free body's angle.
-    rates, spin : (float, float), float
-        Of their rates.
-    own : (float, float)
-        Of coordinates that the scene names, and of their rates.
-    normal, tangential, moment : float
-        Of forces along y and normals, along x and tangents, and of moments.
-    gravity, mass, inertia, slip, gap, energy, time
-        Of what they say.
-    """
-
-    declared: Scene
-    x: float
+    declared: Scene  # what is changed
+    x: float  # of positions and of a free body's angle
     y: float
-    rates: tuple[float, float]
+    rates: tuple[float, float]  # of their rates
     angle: float
     spin: float
-    own: tuple[float, float]
-    normal: float
+    own: tuple[float, float]  # of coordinates that the scene names, and of their rates
+    normal: float  # of forces along y and normals, along x and tangents, and of moments
     tangential: float
     moment: float
-    gravity: tuple[float, float]
+    gravity: tuple[float, float]  # of what they say
     mass: float
     inertia: float
     slip: float

@@ -13,13 +13,13 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import sympy as sp
 from sympy.utilities.iterables import connected_components
 
-from statechart.formulas.determinants import (
-    CRAMER_LIMIT,
-    Definition,
-    Singular,
-    by_determinants,
-    naming,
-)
+from statechart.errors import SingularMode
+
+Definition = tuple[sp.Symbol, sp.Expr]
+
+# Cramer's rule: Laplace expansion grows as n!, and is exact in structure; beyond this, Gaussian
+# elimination. One body with a pinned point makes a system of 5.
+CRAMER_LIMIT = 5
 
 # A force that follows from an acceleration is a difference: of weight and what moves, say, of which
 # little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
@@ -34,6 +34,20 @@ Equation = tuple[Row, sp.Expr, int]
 """Coefficients, right-hand side, place among the equations given."""
 
 
+class Singular(SingularMode):
+    """The equations do not determine every unknown, whatever the numbers are.
+
+    Parameters
+    ----------
+    unknowns : sequence of Symbol
+        The unknowns that nothing determines.
+    """
+
+    def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
+        super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
+        self.unknowns = tuple(unknowns)
+
+
 def solve_linear(
     equations: Sequence[sp.Expr],
     unknowns: Sequence[sp.Symbol],
@@ -42,16 +56,13 @@ def solve_linear(
 ) -> tuple[Definition, ...]:
     """Solve `equations` (each = 0, linear in `unknowns`).
 
+    Raises `Singular` if the structure of the equations leaves an unknown free.
+
     Returns
     -------
     tuple of (Symbol, Expr)
         Definitions in order of evaluation; each uses the unknowns defined before it, and
         auxiliary symbols defined before it.
-
-    Raises
-    ------
-    Singular
-        If the structure of the equations leaves an unknown free.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
@@ -258,7 +269,7 @@ def _blocks(
             continue
         matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
         right = sp.Matrix([rows[i][1] for i in indices])
-        definitions += by_determinants(matrix, right, unknowns)
+        definitions += _by_determinants(matrix, right, unknowns)
     return definitions
 
 
@@ -290,7 +301,7 @@ def _by_pairs(
     """
     named: list[Definition] = []
     last: list[Definition] = []
-    name = naming("pair", named)
+    name = _naming("pair", named)
     rest = [({u: name(c) for u, c in row.items()}, name(b), i) for row, b, i in rows]
     for unknown in sorted(unknowns, key=place.__getitem__):
         own = [e for e in rest if e[2] == place[unknown] < paired and unknown in e[0]]
@@ -302,3 +313,78 @@ def _by_pairs(
         rest = [_eliminate(e, unknown, others, right, pivot, name) for e in rest if e[2] != origin]
         last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / pivot))
     return named, rest, last
+
+
+def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
+    """Return what gives an expression a symbol, and notes it; of symbols and numbers themselves."""
+
+    def name(entry: sp.Expr) -> sp.Expr:
+        if entry.is_number or entry.is_Symbol:
+            return entry
+        symbol = sp.Dummy(word, real=True)
+        named.append((symbol, entry))
+        return symbol
+
+    return name
+
+
+def _by_determinants(
+    matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]
+) -> list[Definition]:
+    """Cramer's rule with every entry named, so that the determinants stay small."""
+    size = len(unknowns)
+    tag = str(unknowns[0])
+    named: list[Definition] = []
+    name = _naming(f"entry_{tag}", named)
+    matrix = matrix.applyfunc(name)
+    right = right.applyfunc(name)
+    if size > CRAMER_LIMIT:
+        return named + _gauss(matrix, right, unknowns)
+    determinant = sp.Dummy(f"det_{tag}", real=True)
+    total = matrix.det(method="laplace")
+    if total == 0:
+        raise Singular(unknowns)
+    result = [*named, (determinant, total)]
+    for column, unknown in enumerate(unknowns):
+        replaced = matrix.copy()
+        replaced[:, column] = right
+        result.append((unknown, replaced.det(method="laplace") / determinant))
+    return result
+
+
+def _gauss(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+    """Elimination with every intermediate named: a straight-line program of O(n^3) operations."""
+    size = len(unknowns)
+    rows = [[matrix[i, k] for k in range(size)] + [right[i]] for i in range(size)]
+    definitions: list[Definition] = []
+    name = _naming("elimination", definitions)
+    order: list[tuple[int, list[sp.Expr]]] = []
+    columns = list(range(size))
+    while rows:
+        candidates = [
+            (sum(e != 0 for e in row[:size]), i, k)
+            for i, row in enumerate(rows)
+            for k in columns
+            if row[k] != 0
+        ]
+        if not candidates:
+            raise Singular([unknowns[k] for k in columns])
+        _, index, column = min(candidates)
+        pivot = rows.pop(index)
+        order.append((column, pivot))
+        columns.remove(column)
+        for row in rows:
+            if row[column] == 0:
+                continue
+            factor = name(row[column] / pivot[column])
+            for k in (*columns, size):
+                if pivot[k] != 0:
+                    row[k] = name(row[k] - factor * pivot[k])
+            row[column] = sp.S.Zero
+    for column, pivot in reversed(order):
+        known = sum(
+            (-pivot[k] * unknowns[k] for k in range(size) if k != column and pivot[k] != 0),
+            start=pivot[size],
+        )
+        definitions.append((unknowns[column], known / pivot[column]))
+    return definitions
