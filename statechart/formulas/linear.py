@@ -267,9 +267,11 @@ def _blocks(
             named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
             definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
-        matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
-        right = sp.Matrix([rows[i][1] for i in indices])
-        definitions += _by_determinants(matrix, right, unknowns)
+        component_rows = [rows[i] for i in indices]
+        if len(unknowns) > CRAMER_LIMIT:
+            definitions += _by_elimination(component_rows, unknowns)
+        else:
+            definitions += _by_determinants(component_rows, unknowns)
     return definitions
 
 
@@ -285,6 +287,26 @@ def _largest(rows: list[Equation]) -> int:
     return max((len(component) for component in _components(rows)), default=0)
 
 
+def _eliminated(
+    rows: list[Equation],
+    pivot: Callable[[list[Equation]], tuple[int, sp.Symbol] | None],
+    name: Callable[[sp.Expr], sp.Expr],
+) -> tuple[list[Equation], list[Definition]]:
+    """Eliminate unknowns by the pivots chosen, with every intermediate result named.
+
+    Returns the equations left, and the unknowns eliminated, to be evaluated in the opposite order.
+    """
+    rows = [({u: name(c) for u, c in row.items()}, name(right), i) for row, right, i in rows]
+    last: list[Definition] = []
+    while (found := pivot(rows)) is not None:
+        index, unknown = found
+        row, right, _ = rows.pop(index)
+        others = {u: c for u, c in row.items() if u != unknown}
+        rows = [_eliminate(e, unknown, others, right, row[unknown], name) for e in rows]
+        last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / row[unknown]))
+    return rows, last
+
+
 def _by_pairs(
     rows: list[Equation],
     unknowns: Sequence[sp.Symbol],
@@ -293,58 +315,55 @@ def _by_pairs(
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate unknowns by the equations that belong to them, motions first.
 
-    Returns
-    -------
-    named, rest, last
-        Intermediate results, the equations left, and the unknowns eliminated, to be evaluated in
-        the opposite order.
+    Returns intermediate results, the equations left, and the unknowns eliminated, to be evaluated
+    in the opposite order.
     """
+    todo = sorted((u for u in unknowns if place[u] < paired), key=place.__getitem__)
+
+    def own(rows: list[Equation]) -> tuple[int, sp.Symbol] | None:
+        while todo:
+            unknown = todo.pop(0)
+            for index, (row, _, origin) in enumerate(rows):
+                if origin == place[unknown] and unknown in row:
+                    return index, unknown
+        return None
+
     named: list[Definition] = []
-    last: list[Definition] = []
-    name = _naming("pair", named)
-    rest = [({u: name(c) for u, c in row.items()}, name(b), i) for row, b, i in rows]
-    for unknown in sorted(unknowns, key=place.__getitem__):
-        own = [e for e in rest if e[2] == place[unknown] < paired and unknown in e[0]]
-        if not own:
-            continue
-        row, right, origin = own[0]
-        pivot = row[unknown]
-        others = {u: c for u, c in row.items() if u != unknown}
-        rest = [_eliminate(e, unknown, others, right, pivot, name) for e in rest if e[2] != origin]
-        last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / pivot))
+    rest, last = _eliminated(rows, own, _naming("pair", named))
     return named, rest, last
 
 
-def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
-    """Return what gives an expression a symbol, and notes it; of symbols and numbers themselves."""
+def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+    """Solve by Gaussian elimination: a straight-line program of O(n^3) operations."""
+    columns = {unknown: k for k, unknown in enumerate(unknowns)}
 
-    def name(entry: sp.Expr) -> sp.Expr:
-        if entry.is_number or entry.is_Symbol:
-            return entry
-        symbol = sp.Dummy(word, real=True)
-        named.append((symbol, entry))
-        return symbol
+    def sparsest(rows: list[Equation]) -> tuple[int, sp.Symbol] | None:
+        if not rows:
+            return None
+        costs = [(len(row), i, columns[u]) for i, (row, _, _) in enumerate(rows) for u in row]
+        if not costs:
+            raise Singular(list(columns))
+        _, index, column = min(costs)
+        columns.pop(unknowns[column])
+        return index, unknowns[column]
 
-    return name
-
-
-def _by_determinants(
-    matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]
-) -> list[Definition]:
-    """Cramer's rule with every entry named, so that the determinants stay small."""
-    size = len(unknowns)
-    tag = str(unknowns[0])
     named: list[Definition] = []
-    name = _naming(f"entry_{tag}", named)
-    matrix = matrix.applyfunc(name)
-    right = right.applyfunc(name)
-    if size > CRAMER_LIMIT:
-        return named + _gauss(matrix, right, unknowns)
+    _, last = _eliminated(rows, sparsest, _naming("elimination", named))
+    return [*named, *reversed(last)]
+
+
+def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+    """Solve by Cramer's rule with every entry named, so that the determinants stay small."""
+    tag = str(unknowns[0])
+    result: list[Definition] = []
+    name = _naming(f"entry_{tag}", result)
+    matrix = sp.Matrix([[row.get(u, 0) for u in unknowns] for row, _, _ in rows]).applyfunc(name)
+    right = sp.Matrix([right for _, right, _ in rows]).applyfunc(name)
     determinant = sp.Dummy(f"det_{tag}", real=True)
     total = matrix.det(method="laplace")
     if total == 0:
         raise Singular(unknowns)
-    result = [*named, (determinant, total)]
+    result.append((determinant, total))
     for column, unknown in enumerate(unknowns):
         replaced = matrix.copy()
         replaced[:, column] = right
@@ -352,39 +371,16 @@ def _by_determinants(
     return result
 
 
-def _gauss(matrix: sp.Matrix, right: sp.Matrix, unknowns: Sequence[sp.Symbol]) -> list[Definition]:
-    """Elimination with every intermediate named: a straight-line program of O(n^3) operations."""
-    size = len(unknowns)
-    rows = [[matrix[i, k] for k in range(size)] + [right[i]] for i in range(size)]
-    definitions: list[Definition] = []
-    name = _naming("elimination", definitions)
-    order: list[tuple[int, list[sp.Expr]]] = []
-    columns = list(range(size))
-    while rows:
-        candidates = [
-            (sum(e != 0 for e in row[:size]), i, k)
-            for i, row in enumerate(rows)
-            for k in columns
-            if row[k] != 0
-        ]
-        if not candidates:
-            raise Singular([unknowns[k] for k in columns])
-        _, index, column = min(candidates)
-        pivot = rows.pop(index)
-        order.append((column, pivot))
-        columns.remove(column)
-        for row in rows:
-            if row[column] == 0:
-                continue
-            factor = name(row[column] / pivot[column])
-            for k in (*columns, size):
-                if pivot[k] != 0:
-                    row[k] = name(row[k] - factor * pivot[k])
-            row[column] = sp.S.Zero
-    for column, pivot in reversed(order):
-        known = sum(
-            (-pivot[k] * unknowns[k] for k in range(size) if k != column and pivot[k] != 0),
-            start=pivot[size],
-        )
-        definitions.append((unknowns[column], known / pivot[column]))
-    return definitions
+def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
+    """Return what gives an expression a symbol, and notes it; symbols and numbers stay."""
+    known: dict[sp.Expr, sp.Symbol] = {}
+
+    def name(entry: sp.Expr) -> sp.Expr:
+        if entry.is_number or entry.is_Symbol:
+            return entry
+        if entry not in known:
+            known[entry] = sp.Dummy(word, real=True)
+            named.append((known[entry], entry))
+        return known[entry]
+
+    return name
