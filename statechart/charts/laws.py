@@ -20,8 +20,8 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
@@ -155,7 +155,7 @@ class ChartLaws:
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
-        self._courses = Courses(
+        self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()),
             symbols.parameters.ordered,
             symbols.time,
@@ -197,7 +197,7 @@ class ChartLaws:
             sizes = _summed(flow, state)
 
             def later(margin: str) -> float:
-                return self._courses.sign(
+                return self._derivatives.sign(
                     setup, flow.roles, margin, state, sizes, clock.high, setup.precision
                 )
 
@@ -331,7 +331,7 @@ class ChartLaws:
                 found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
             values = list(found.values())
             tape = self._updates[key] = compile_tape(
-                [*values, *(size_of(value, before) for value in values)],
+                [*values, *(rounding_scale(value, before) for value in values)],
                 variables=(*variables.values(), *before.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,

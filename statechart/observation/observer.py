@@ -19,7 +19,6 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
@@ -101,7 +100,7 @@ class Observer:
         ValueError
             If the times are outside the run or not in order.
         """
-        check_kept(trace)
+        trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
@@ -218,7 +217,7 @@ class Observer:
         total: Array | None = None,
     ) -> Array:
         """Return the integrals (f,) of formulas over time."""
-        check_kept(trace)
+        trace.require_motion()
         expressions = self.programs.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions)) if total is None else total
@@ -262,7 +261,7 @@ class Observer:
         Modes of no duration belong to it, its start and its end. Places where the formula is
         undefined do not count; both are not a number if it is everywhere.
         """
-        check_kept(trace)
+        trace.require_motion()
         found = np.full(2, np.nan)
         include(found, self.initial(trace, (formula,)))
         self.widened(trace, formula, found)
@@ -273,7 +272,7 @@ class Observer:
 
     def lowest(self, trace: Trace, formula: Callable[[Key], sp.Expr]) -> float:
         """Return the least value over a run of what depends on the mode; see `extremes`."""
-        check_kept(trace)
+        trace.require_motion()
         found, jumps = np.full(2, np.nan), passed(trace)
         flowed = (arc.mode for arc in trace.arcs)
         jumped = (jump.target for jump in jumps)

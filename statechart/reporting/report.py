@@ -185,7 +185,7 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, arcs, trace.values)
+        found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.
