@@ -37,7 +37,6 @@ from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.deferred import Deferred
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
@@ -49,6 +48,7 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -315,7 +315,7 @@ class SceneLaws:
         jump = at.jump(
             *cause(self._names, at.flow.mode, target, False),
             target,
-            considered=Deferred(partial(self._considered, setup, at.state, at.clock.high)),
+            considered=LazyMapping(partial(self._considered, setup, at.state, at.clock.high)),
             energy=(energy, energy),
         )
         return jump, flow_in(setup, target)
