@@ -13,7 +13,7 @@ from statechart.diagram.legend import GUARDS, Guards
 from statechart.diagram.model import Diagram, Machine
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
