@@ -142,6 +142,9 @@ def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
     parts = [part for part in expression.args if not part.is_Number]
     if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
         return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
+    if expression.is_Mul and len(parts) == 1:
+        slope = abs(sp.Mul(*_numbers(expression)))
+        return sp.Add(abs(expression), slope * size_of(parts[0], sizes))
     slots = {part: sp.Dummy(real=True) for part in parts}
     form = expression.func(*(slots.get(part, part) for part in expression.args))
     whole = {slot: part for part, slot in slots.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ from statechart.automaton.laws import HELD, moving_mode, uncaptured
 from statechart.automaton.lift import Lifting, lifting
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode, whole_margins
-from statechart.automaton.trace import Key, Roles
+from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.standing import StandingStops
 from statechart.formulas.tape import Tape
@@ -88,6 +89,8 @@ class SolvedModes:
         self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
+        self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
+        self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
@@ -129,13 +132,24 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the places of the parameters that the equations of `roles` mention."""
-        automaton = self.automaton
-        parts = list(automaton.equations) + list(automaton.rates)
-        for region, role in zip(automaton.regions, roles, strict=True):
-            state = region.build(role)
-            parts += (*state.equations, *state.values.values())
-        used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
-        return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
+        return self._always.union(*(self._in_state(*pair) for pair in enumerate(roles)))
+
+    @cached_property
+    def _always(self) -> frozenset[int]:
+        return self._places((*self.automaton.equations, *self.automaton.rates))
+
+    def _in_state(self, region: int, role: Role) -> frozenset[int]:
+        """Return the places of the parameters that one region's equations mention."""
+        found = self._mentioned.get((region, role))
+        if found is None:
+            state = self.automaton.regions[region].build(role)
+            found = self._places((*state.equations, *state.values.values()))
+            self._mentioned[region, role] = found
+        return found
+
+    def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
+        used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))
+        return frozenset(self._place[symbol] for symbol in used if symbol in self._place)
 
 
 class CompiledModes:
