@@ -17,8 +17,8 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Bools
-from statechart.automaton.course import UNDERFLOW, along, size_of
 from statechart.automaton.laws import Setup
+from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
 from statechart.charts.firing import Guard
 from statechart.formulas.condition import Active
 from statechart.formulas.writer import compile_tape
@@ -177,9 +177,9 @@ def _derivatives(
 
     The same in all modes in which the variables that it depends on move alike.
     """
-    first = along(margin, dict(rates), time)
-    found = margin, first, along(first, dict(rates), time)
-    return (*found, *(size_of(expression, dict(sizes)) for expression in found))
+    first = time_derivative(margin, dict(rates), time)
+    found = margin, first, time_derivative(first, dict(rates), time)
+    return (*found, *(rounding_scale(expression, dict(sizes)) for expression in found))
 
 
 class Judgement:
