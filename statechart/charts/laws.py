@@ -27,6 +27,7 @@ from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.claims import guard_claims
+from statechart.charts.components import components
 from statechart.charts.firing import Guard, Listening, considered, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, Updates
 from statechart.charts.guard_watch import GuardWatch, Judgement
@@ -60,6 +61,7 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
+        components=cache(partial(components, chart, automaton)),
     )
 
 

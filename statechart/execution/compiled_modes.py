@@ -89,8 +89,13 @@ class SolvedModes:
         self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
+        self._parts: dict[Automaton, SolvedModes] = {}
         self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
         self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
+
+    def part(self, automaton: Automaton) -> SolvedModes:
+        """Return the modes of a component."""
+        return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
@@ -167,7 +172,7 @@ class CompiledModes:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
         self.standing = solved.standing
         self.engine = engine
-        self._solved = solved
+        self.solved = solved
         self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
         self._built: set[Key] = set()
 
@@ -175,7 +180,7 @@ class CompiledModes:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
         found = self._compiled.get((roles, zeros))
         if found is None:
-            taped = self._solved.taped(roles, zeros)
+            taped = self.solved.taped(roles, zeros)
             mode = taped.mode
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
