@@ -16,6 +16,7 @@ from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_joints, check_places, check_start
 from contacts.event_driven.accumulation import closed_at_once
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
@@ -25,7 +26,6 @@ from contacts.event_driven.impact_jump import (
     impact_jump,
     shown_roles,
 )
-from contacts.event_driven.ordinary import SceneInstants
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
@@ -40,9 +40,9 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
+    CompiledLaws,
     Flow,
     Instant,
-    Ordinary,
     Setup,
     moving_mode,
     roles_in,
@@ -83,9 +83,9 @@ class SceneLaws:
         self._switching = Switching(self._names, self.conditions, self._paradox)
         self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.remarks = Handovers(mechanics).remarks
-        self.ordinary: Ordinary | None = None
+        self.compiled_laws: CompiledLaws | None = None
         if not mechanics.joint_rows and numbers.disjoint:
-            self.ordinary = SceneInstants(
+            self.compiled_laws = CompiledSceneLaws(
                 self._names, numbers, self._tape, self._projection, self.jump
             )
 
@@ -95,7 +95,7 @@ class SceneLaws:
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = self._rules._replace(tape=tape)
-        laws.ordinary = None
+        laws.compiled_laws = None
         return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:

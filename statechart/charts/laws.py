@@ -152,7 +152,7 @@ class ChartLaws:
     """
 
     # What its transitions say is not compiled.
-    ordinary = None
+    compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
         self._chart = chart

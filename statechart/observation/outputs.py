@@ -14,7 +14,7 @@ from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.outputs import Event, Moment, Value
-from statechart.execution.rows import Batch
+from statechart.execution.simulator import Batch
 from statechart.observation.grouped import Grouped
 from statechart.observation.observer import Observer
 from statechart.observation.rows import RowOutputs

@@ -10,9 +10,8 @@ from statechart.arrays import Ints
 from statechart.automaton.regions import Mode
 from statechart.documents.outputs import Event
 from statechart.engines.mode_table import TAPE
-from statechart.execution.loops import Packed
-from statechart.execution.rows import Batch
-from statechart.execution.simulator import Simulator
+from statechart.execution.compiled_loop import Packed
+from statechart.execution.simulator import Batch, Simulator
 from statechart.observation.flows import Where, seen, wanted
 from statechart.observation.grouped import Grouped
 from statechart.observation.row_values import Wanted

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.trace_store import TraceBuffer
-from statechart.execution.ahead import N_MODE, T_HIGH
-from statechart.execution.rows import (
+from statechart.execution.batch import (
     ARCS,
     ARCS_END,
     EVENTS,
@@ -19,8 +18,9 @@ from statechart.execution.rows import (
     FIRST_MODE,
     HOW,
     STOPPED,
-    Found,
+    BatchResult,
 )
+from statechart.execution.compiled_loop import N_MODE, T_HIGH
 from statechart.kernels.jit import kernel, part
 from statechart.kernels.rows import extremes_rows, integrate_rows
 from statechart.kernels.tapes import tape_values
@@ -45,7 +45,7 @@ class Wanted(NamedTuple):
     Attributes
     ----------
     ints, floats : (..,) array
-        Tapes, packed (see `statechart.execution.loops.Packed`).
+        Tapes, packed (see `statechart.execution.compiled_loop.Packed`).
     start, end, integrals : (k, 9) array of int64
         The tape of every kind of mode.
     columns : (k, f) array of int64
@@ -121,7 +121,7 @@ def _code(block: TraceBuffer, event: int, kinds: int, regions: int) -> int:
 
 
 @part
-def _stopped(found: Found, row: int) -> int:
+def _stopped(found: BatchResult, row: int) -> int:
     return 1 if found.ends[row, HOW] == STOPPED else 0
 
 
@@ -142,7 +142,7 @@ def _place_of(codes: Ints, code: int) -> int:
 
 @part
 def _decide(
-    told: Told, block: TraceBuffer, found: Found, regions: int, values: Values
+    told: Told, block: TraceBuffer, found: BatchResult, regions: int, values: Values
 ) -> tuple[int, int]:
     """Tell which events are waited for; see `row_values` for what is returned."""
     kinds, count, settled = found.entered.shape[1], 0, True
@@ -178,7 +178,7 @@ def _evaluate(
 
 @part
 def _at_events(
-    wanted: Wanted, block: TraceBuffer, found: Found, output: int, values: Values
+    wanted: Wanted, block: TraceBuffer, found: BatchResult, output: int, values: Values
 ) -> None:
     """Write the values of an output at its events."""
     wait, most, before = wanted.moments[output]
@@ -225,7 +225,7 @@ def _include(extremes: Array, value: Array) -> None:
 
 @part
 def _extremes(
-    wanted: Wanted, block: TraceBuffer, found: Found, formula: int, spans: Ints, result: Array
+    wanted: Wanted, block: TraceBuffer, found: BatchResult, formula: int, spans: Ints, result: Array
 ) -> None:
     """Write the least and the greatest value (m, 2) of a formula."""
     tapes, value = wanted.extremes[formula], np.full(1, math.nan)
@@ -256,7 +256,7 @@ def _extremes(
 
 @kernel
 def row_values(
-    wanted: Wanted, told: Told, block: TraceBuffer, found: Found, regions: int, decided: bool,
+    wanted: Wanted, told: Told, block: TraceBuffer, found: BatchResult, regions: int, decided: bool,
     values: Values,
 ) -> tuple[int, int]:  # fmt: skip
     """Compute the outputs of rows.
@@ -267,7 +267,7 @@ def row_values(
     told : Told
     block : TraceBuffer
         Holds the arcs and events of the rows.
-    found : Found
+    found : BatchResult
         The rows.
     regions : int
         Of the automaton.

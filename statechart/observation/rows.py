@@ -12,8 +12,9 @@ from statechart.automaton.events import happened
 from statechart.automaton.trace import Jump, Key
 from statechart.automaton.trace_store import RecordedEvent, event_of
 from statechart.documents.outputs import Event
-from statechart.execution.ahead import N_JUMPS, N_MODE
-from statechart.execution.rows import EVENTS, EVENTS_END, FIRST_MODE, Batch
+from statechart.execution.batch import EVENTS, EVENTS_END, FIRST_MODE
+from statechart.execution.compiled_loop import N_JUMPS, N_MODE
+from statechart.execution.simulator import Batch
 from statechart.kernels.jit import entry
 from statechart.observation.grouped import Grouped
 from statechart.observation.row_formulas import RowFormulas

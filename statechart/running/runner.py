@@ -24,8 +24,7 @@ from statechart.engines.budget import Allowance
 from statechart.engines.request import planned
 from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
-from statechart.execution.rows import RowRunner
-from statechart.execution.simulator import Simulator
+from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.kernels.jit import meanwhile
 from statechart.loading.kind import kind
 from statechart.loading.load import resolved
@@ -221,7 +220,7 @@ class Runner:
         timings = {**self._timings, "run": working_time() - began}
         return Result(trace, answer.observer, answer.estimate, timings, self, asked)
 
-    def rows(self, names: Sequence[str]) -> tuple[Observer, RowRunner] | None:
+    def rows(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
         """Return what runs rows of values of some parameters, and what observes such runs.
 
         None where each run is to be looked at alone: an accuracy is looked for, time is stepped.
@@ -231,7 +230,7 @@ class Runner:
             return None
         observer = self.observers.at(answers.first)
         assert isinstance(observer.simulator, Simulator)
-        return observer, RowRunner(observer.simulator, names)
+        return observer, BatchRunner(observer.simulator, names)
 
     @checked
     def stream(

@@ -25,7 +25,7 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.ahead import T_HIGH
+from statechart.execution.compiled_loop import T_HIGH
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.observation.rows import modes_of

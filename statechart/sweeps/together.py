@@ -11,7 +11,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.errors import DeclarationError
-from statechart.execution.rows import Batch, RowRunner
+from statechart.execution.simulator import Batch, BatchRunner
 from statechart.formulas.formula import parse
 from statechart.observation.outputs import Outputs
 from statechart.observation.rows import RowOutputs
@@ -46,7 +46,7 @@ class Together:
         self._tried, self.through = 0, 0
 
     @cached_property
-    def _rows(self) -> tuple[RowRunner, RowOutputs] | None:
+    def _rows(self) -> tuple[BatchRunner, RowOutputs] | None:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None
