@@ -50,9 +50,7 @@ class FreeMotion(Geometry):
     def energy(self) -> sp.Expr:
         """Kinetic energy plus that of gravity."""
         kinetic = [
-            self.mass_matrix[i, k] * self.v[i] * self.v[k] / 2
-            for i in range(len(self.q))
-            for k in range(len(self.q))
+            entry * self.v[i] * self.v[k] / 2 for (i, k), entry in self.mass_matrix.todok().items()
         ]
         gx, gy = self.gravity
         potential = []
@@ -60,6 +58,11 @@ class FreeMotion(Geometry):
             (x, y), _ = self.body_frame(name)
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
+
+    def gradient(self, place: sp.Expr) -> list[sp.Expr]:
+        """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
+        used = place.free_symbols
+        return [sp.diff(place, q) if q in used else sp.S.Zero for q in self.q]
 
     @cached_property
     def gravity(self) -> Vector:
@@ -98,8 +101,9 @@ class FreeMotion(Geometry):
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
             mass = self._formula(body.mass)
-            for i, q in enumerate(self.q):
-                total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
+            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
+                if dx != 0 or dy != 0:
+                    total[i] += mass * (gx * dx + gy * dy)
         return tuple(total)
 
     @cached_property
@@ -113,7 +117,7 @@ class FreeMotion(Geometry):
             (x, y), angle = self.body_frame(name)
             mass, inertia = self.inertia(name, body)
             for weight, position in ((mass, x), (mass, y), (inertia, angle)):
-                gradient = [sp.diff(position, q) for q in self.q]
+                gradient = self.gradient(position)
                 moving = [i for i, g in enumerate(gradient) if g != 0]
                 drift = self.rate(self.rate(position)).xreplace(at_rest)
                 for i in moving:

@@ -148,11 +148,14 @@ class Mechanics(FreeMotion):
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
-            left = sp.Add(*(self.mass_matrix[i, k] * a for k, a in enumerate(self.a)))
+            left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
             contact_forces = sp.Add(
-                *(c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H for c in geometry)
+                *(c.jacobian_n[i] * c.symbols.V for c in geometry if c.jacobian_n[i] != 0),
+                *(c.jacobian_t[i] * c.symbols.H for c in geometry if c.jacobian_t[i] != 0),
             )
-            joint_forces = sp.Add(*(row.jacobian[i] * row.force for row in self.joint_rows))
+            joint_forces = sp.Add(
+                *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
+            )
             result.append(left - right - contact_forces - joint_forces)
         for row in self.joint_rows:
             held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
@@ -352,6 +355,10 @@ class Mechanics(FreeMotion):
             bent(along),
         )
 
+    def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """Return the terms of a row of coefficients times the accelerations."""
+        return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = centre = self._in_frame(surface, self.point(contact.point))
@@ -359,11 +366,18 @@ class Mechanics(FreeMotion):
         around = self._surroundings(surface, rim.radius, centre)
         normal, rates, drifts = around.normal, around.rates, around.drifts
         tangent = (normal[1], -normal[0])
-        jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
-        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
+        jacobian = list(
+            zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
+        )
+        jacobian_n = tuple(
+            normal[0] * dx + normal[1] * dy if dx != 0 or dy != 0 else sp.S.Zero
+            for dx, dy, _ in jacobian
+        )
         jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * sp.diff(rim.turn, q)
-            for (dx, dy), q in zip(jacobian, self.q, strict=True)
+            tangent[0] * dx + tangent[1] * dy + rim.radius * turn
+            if dx != 0 or dy != 0 or turn != 0
+            else sp.S.Zero
+            for dx, dy, turn in jacobian
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
@@ -373,8 +387,8 @@ class Mechanics(FreeMotion):
         V, H = self.forces[name]
         anchor, slipping = rim.anchored(centre, tangent)
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
-        normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
-        tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
+        normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
+        tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         symbols = ContactSymbols(
             name, around.gap, around.gap_rate, slip, normal_a, tangential_a, V, H,
             *self._cones[name], (jacobian_n, jacobian_t),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -75,26 +75,41 @@ class SceneLaws:
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
-        self._tape = SnapshotTape(mechanics)
         self.conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self.conditions.present
-        self._projection = Projection(mechanics, self._tape)
         self._switching = Switching(self._names, self.conditions, self._paradox)
-        self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.remarks = Handovers(mechanics).remarks
-        self.compiled_laws: CompiledLaws | None = None
-        if not mechanics.joint_rows and numbers.disjoint:
-            self.compiled_laws = CompiledSceneLaws(
-                self._names, numbers, self._tape, self._projection, self.jump
-            )
+
+    # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
+
+    @cached_property
+    def _tape(self) -> SnapshotTape:
+        return SnapshotTape(self._mechanics)
+
+    @cached_property
+    def _projection(self) -> Projection:
+        return Projection(self._mechanics, self._tape)
+
+    @cached_property
+    def _rules(self) -> Rules:
+        return Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
+
+    @cached_property
+    def compiled_laws(self) -> CompiledLaws | None:
+        """What of the laws is compiled; None with joints, and where conditions overlap."""
+        if self._mechanics.joint_rows or not self.numbers.disjoint:
+            return None
+        return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
+        rules, projection = self._rules, self._projection
         laws = copy.copy(self)
+        laws._projection = projection
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = self._rules._replace(tape=tape)
+        laws._rules = rules._replace(tape=tape)
         laws.compiled_laws = None
         return laws
 
