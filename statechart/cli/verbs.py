@@ -197,13 +197,35 @@ def view(arguments: argparse.Namespace) -> int:
 def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    from statechart.running.alternatives import compared
+    """Return where runs under the other choices of the model differ from a run."""
+    from statechart.observation.difference import compare
+    from statechart.observation.outputs import Outputs
+    from statechart.reporting.report import json_safe
 
-    others = {
-        choice: other.run(parameters, until=arguments.until, throw=False)
-        for choice, other in runner.alternatives().items()
-    }
-    return compared(result, others)
+    rows = []
+    for choice, other_runner in runner.alternatives().items():
+        other = other_runner.run(parameters, until=arguments.until, throw=False)
+        found = compare(
+            result.trace,
+            other.trace,
+            result.outputs,
+            other.outputs,
+            scales=Outputs(result.observer).scales(result.trace),
+            endless=result.endless | other.endless,
+        )
+        report = other.to_dict()
+        rows.append(
+            {
+                "choice": choice,
+                "outcome": other.trace.outcome.name,
+                "same_modes": found.diverged is None,
+                "diverged": found.diverged,
+                "difference": None if found.diverged is not None else json_safe(found.largest),
+                "final": report["final"],
+                "outputs": report["outputs"],
+            }
+        )
+    return rows
 
 
 def modes(arguments: argparse.Namespace) -> int:
@@ -227,7 +249,7 @@ def modes(arguments: argparse.Namespace) -> int:
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"
         setup = runner.setup(parameters)
-        print(equations.told(automaton, setup, arguments.equations, form), end="")
+        print(equations.format_equations(automaton, setup, arguments.equations, form), end="")
         return 0
     at = assigned("--at", arguments.at)
     check_variables(automaton, at)

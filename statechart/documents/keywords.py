@@ -42,12 +42,16 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Let a call with arguments that the function has not be a `DeclarationError`: what it has.
 
     So is one that Python stumbles over because an argument is not what its annotation says.
+    Keywords that a function takes as ``**words: Unpack[TypedDict]`` are arguments like the others.
     """
-    signature = inspect.signature(function)
+    signature = _expanded(function)
+    packed = signature != inspect.signature(function)
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
+            if packed:
+                signature.bind(*args, **kwargs)
             return function(*args, **kwargs)
         except TypeError:
             try:
@@ -61,7 +65,22 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
                 wrong = mistaken
         raise wrong
 
+    called.__signature__ = signature  # type: ignore[attr-defined]
     return called
+
+
+def _expanded(function: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function with the keywords of ``**words`` one by one."""
+    signature = inspect.signature(function)
+    parts = list(signature.parameters.values())
+    if not parts or parts[-1].kind is not inspect.Parameter.VAR_KEYWORD:
+        return signature
+    packed = parts.pop().annotation.removeprefix("Unpack[").removesuffix("]")
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    for word, annotation in function.__globals__[packed].__annotations__.items():
+        shown = getattr(annotation, "__forward_arg__", annotation)
+        parts.append(inspect.Parameter(word, keyword, default=None, annotation=shown))
+    return signature.replace(parameters=parts)
 
 
 def _mistaken(

@@ -36,8 +36,8 @@ class Block:
     equations: tuple[Equation, ...]
 
 
-def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
-    """Return the equations of a mode in words that are printed; see `blocks`.
+def format_equations(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
+    """Return the equations of a mode as text, JSON or LaTeX; see `blocks`.
 
     A prime is a derivative with respect to time.
 

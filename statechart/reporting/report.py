@@ -8,7 +8,8 @@ import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import zip_longest
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.regions import whole_margins
@@ -22,44 +23,43 @@ from statechart.reporting.inventory import built, left_out
 from statechart.reporting.pieces import Pieces
 
 
+class Computation(NamedTuple):
+    """How a run was computed, as far as its trace does not tell.
+
+    Attributes
+    ----------
+    error_estimate : float or None
+        Where an accuracy was asked for.
+    timings : mapping of str to float
+        Seconds that parts of the work took.
+    asked : mapping or None
+        The accuracy or budget that was asked for, and its cost.
+    conditions : sequence of float or None
+        Of every event, from `statechart.observation.condition.conditions`; shown where given.
+    """
+
+    error_estimate: float | None = None
+    timings: Mapping[str, float] = MappingProxyType({})
+    asked: Mapping[str, Any] | None = None
+    conditions: Sequence[float | None] = ()
+
+
 def report(
     observer: Observer,
     trace: Trace,
+    computation: Computation = Computation(),  # noqa: B008, it does not change
     *,
-    error_estimate: float | None = None,
-    timings: Mapping[str, float] | None = None,
     explain: bool = False,
     most: int | None = None,
-    asked: Mapping[str, Any] | None = None,
-    conditions: Sequence[float | None] = (),
     pieces: Pieces | None = None,
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
     Infinite and undefined numbers are the strings ``"inf"``, ``"-inf"`` and ``"nan"``, since
     strict JSON has no others; `float` reads all three, and ``json.dumps(..., allow_nan=False)``
-    never fails. Finite floats keep all their digits.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    error_estimate : float, optional
-        Of the final state, where an accuracy was asked for.
-    timings : mapping of str to float, optional
-        What took how many seconds.
-    explain : bool
-        Give every event its `margins`: those of the mode left, at that instant.
-    most : int, optional
-        How many of the first events `events` has; all by default.
-    asked : mapping, optional
-        What was asked for instead of a tolerance, and what it took.
-    conditions : sequence of float or None
-        Of every event, from `statechart.observation.condition.conditions`; shown where given.
-    pieces : Pieces, optional
-        Takes what could not be evaluated, and why, instead of an error; `left_out` has it too.
+    never fails. Finite floats keep all their digits. With `explain` every event has its `margins`:
+    those of the mode left, at that instant. Of the events the first `most` are reported. What
+    cannot be evaluated goes to `pieces`, and why, instead of an error; `left_out` has it, too.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def report(
         margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`,
         `units` (of outputs, variables and parameters, where they are known).
     """
-    automaton = observer.automaton
+    automaton, conditions = observer.automaton, computation.conditions
     done = Pieces(strict=True) if pieces is None else pieces
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
@@ -92,8 +92,8 @@ def report(
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _ended(trace) | {
-        "error_estimate": error_estimate,
-        "asked": asked,
+        "error_estimate": computation.error_estimate,
+        "asked": computation.asked,
         "condition": max((c for c in conditions if c is not None), default=None),
         "modes_total": automaton.modes_total,
         "modes_declared": automaton.modes_declared,
@@ -112,7 +112,7 @@ def report(
         "invariants": found_invariants,
         "warnings": trace.warnings + left_open,
         "counts": trace.counts,
-        "timings": timings or {},
+        "timings": computation.timings,
         "parameters": trace.parameters,
         "tolerances": trace.tolerances,
         "units": {

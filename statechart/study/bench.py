@@ -14,8 +14,7 @@ from statechart.documents.setting import Setting
 from statechart.execution.outcome import error_of
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.answer import Answer, Cost
-from statechart.running.estimate import tighten
+from statechart.running.accuracy import Cost, RunEstimate, tighten
 from statechart.study.point import Errors, Point
 from statechart.study.record import Study
 from statechart.study.reference import References, Run, errors_of
@@ -48,7 +47,7 @@ class Bench:
             until=self.until, max_jumps=self.model.settings.max_jumps, throw=False
         )
 
-    def answerer(self, setting: Setting) -> Callable[[], Answer]:
+    def answerer(self, setting: Setting) -> Callable[[], RunEstimate]:
         """Return what makes the run of a setting; what it compiles is kept for the next time."""
         observers = Observers(self.automaton)
 
@@ -56,7 +55,7 @@ class Bench:
             observer = observers.at(replace(setting, tolerance=tolerance), off=off)
             return observer, self.once(observer)
 
-        def answer() -> Answer:
+        def answer() -> RunEstimate:
             if setting.accuracy is not None:
                 floor, first = observers.floor(setting), observers.first(setting)
                 return tighten(once, setting.accuracy, floor=floor, first=first)
@@ -64,7 +63,7 @@ class Bench:
             trace = self.once(observer)
             counts = trace.counts
             cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
-            return Answer(observer, trace, None, cost)
+            return RunEstimate(observer, trace, None, cost)
 
         return answer
 
@@ -84,7 +83,7 @@ class Bench:
         )
         answers = [self.answerer(one) for one in settings]
 
-        def timed(answer: Callable[[], Answer]) -> tuple[Answer, float]:
+        def timed(answer: Callable[[], RunEstimate]) -> tuple[RunEstimate, float]:
             began = self.clock()
             found = answer()
             if found.trace.outcome is Outcome.INTERRUPTED:
@@ -122,7 +121,7 @@ class Bench:
         )
 
     def _worst(
-        self, reference: Run, setting: Setting, answers: Sequence[Answer]
+        self, reference: Run, setting: Setting, answers: Sequence[RunEstimate]
     ) -> tuple[Errors, float | None, float | None]:
         """Return the largest errors of runs, and when the first took other modes and left."""
         runs = [Run.of(setting, answer.observer, answer.trace) for answer in answers]

@@ -23,7 +23,7 @@ from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs, Scales
 from statechart.observation.outputs import OutputValue as Output
-from statechart.running.estimate import BRIEF
+from statechart.running.accuracy import BRIEF
 from statechart.study.point import RESOLVED, Errors, Third
 from statechart.study.record import Study
 

@@ -16,12 +16,12 @@ from statechart.automaton.laws import roles_in
 from statechart.automaton.modes import build_mode
 from statechart.cli.main import main
 from statechart.errors import DeclarationError
-from statechart.reporting.equations import Block, blocks, mode_named, told
+from statechart.reporting.equations import Block, blocks, format_equations, mode_named
 
 
 def shown(model: str, mode: str, form: str = "text") -> str:
     built = automaton(model)
-    return told(built, built.setup({}, 1e-12), mode, form)
+    return format_equations(built, built.setup({}, 1e-12), mode, form)
 
 
 def test_the_hinge_phase_is_that_of_the_paper() -> None:
