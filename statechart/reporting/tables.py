@@ -174,7 +174,7 @@ def save(observer: Observer, trace: Trace, path: Path | str) -> None:
     """
     path = Path(path)
     with _explained(path):
-        write_atomic(path, _netcdf(to_xarray(observer, trace)))
+        write_atomic(path, netcdf(to_xarray(observer, trace)))
 
 
 def write_run(
@@ -193,25 +193,8 @@ def write_run(
     these names are replaced one by one and others are left alone. What cannot be written does not
     keep the rest from it.
 
-    Parameters
-    ----------
-    folder : Path or str
-        Where to; made if it does not exist, its parents too.
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    report : callable
-        Makes it, as `statechart.reporting.report.report` does, after the trajectory is safe.
-    pieces : Pieces, optional
-        Takes what could not be written, and why, instead of an error, where some could.
-    samples : bool
-        Whether samples.csv is written.
-
-    Returns
-    -------
-    tuple of str
-        Names of the files.
+    `report` makes the report after the trajectory is safe; `pieces` takes parts that could not be
+    written, and why, instead of an error, where some could. Returns the names of the files.
 
     Raises
     ------
@@ -229,7 +212,7 @@ def write_run(
         return run, observer.sample(run, per_step=per_step)
 
     def data(short: bool) -> bytes:
-        return _netcdf(_data_set(observer, *seen(short)))
+        return netcdf(_data_set(observer, *seen(short)))
 
     def sampled(short: bool) -> bytes:
         return _csv(_table(observer, seen(short)[1]))
@@ -274,7 +257,7 @@ def write_run(
 
 
 def _rows_of(trace: Trace) -> int:
-    """Return how many rows a step has: of poses there is one."""
+    """Return the rows of a step: of poses there is one."""
     return 1 if trace.record is Record.POSES else _ROWS
 
 
@@ -294,7 +277,7 @@ def _csv(table: pd.DataFrame) -> bytes:
 
 
 def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
-    """Return a run and how many rows a step of it has; in short, some of its flows and events."""
+    """Return a run and the rows of a step; in short, some of its flows and events."""
     if not short:
         return trace, _rows_of(trace)
     width = len(trace.variables)
@@ -309,9 +292,9 @@ def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
     return replace(trace, arcs=arcs, jumps=jumps), per_step
 
 
-def _netcdf(data: xr.Dataset) -> bytes:
-    # Without a path the scipy engine returns the content, so that no library opens a half file.
-    return bytes(data.to_netcdf(engine="scipy"))
+def netcdf(data: xr.Dataset) -> bytes:
+    """Return a NetCDF file: without a path the scipy engine returns it, so that none is half."""
+    return bytes(data.tonetcdf(engine="scipy"))
 
 
 def _labels(observer: Observer, samples: Samples) -> list[str]:

@@ -198,9 +198,7 @@ class Runner:
             trace = planner.certified(found, overrides, end) if certify else found.trace
             setting, asked = self.setting, None
             if planner.searching:
-                asked = AccuracyRequest(
-                    setting, basis, found.cost, found.not_judged, found.decides
-                )
+                asked = AccuracyRequest(setting, basis, found.cost, found.not_judged, found.decides)
             warnings = (*filter(None, (planner.reason, *trace.warnings)), *found.warnings)
         trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:

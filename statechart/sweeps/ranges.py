@@ -22,25 +22,17 @@ if TYPE_CHECKING:
 
 _SPACINGS = ("lin", "log")
 _FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
-# Values of one parameter: what is more than anybody waits for would only take the memory.
-_MOST = 10_000_000
+# Values of one parameter: more than anybody waits for would only take the memory.
+_MAX_NUMBERS = 10_000_000
 # Of a table: so many numbers with all their digits, a sign, an exponent and a comma.
-_MOST_BYTES = 25 * _MOST
+_MAX_BYTES = 25 * _MAX_NUMBERS
 # So that a sequence is the same wherever and whenever it is drawn.
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class Interval:
-    """What a parameter varies over.
-
-    Attributes
-    ----------
-    spacing : str
-        lin or log.
-    least, greatest : float
-        Its ends, both part of it.
-    """
+    """A closed interval of a parameter, with its spacing: lin or log."""
 
     spacing: str
     least: float
@@ -53,7 +45,7 @@ class Interval:
         else:
             low, high = math.log(self.least), math.log(self.greatest)
             found = np.exp(low + places * (high - low))
-        # The ends are what was written, to the last bit.
+        # The ends are those written, to the last bit.
         found = np.where(places == 1.0, self.greatest, found)
         return np.where(places == 0.0, self.least, found)
 
@@ -61,12 +53,12 @@ class Interval:
 def cells(
     over: Mapping[str, str], table: str | None, sobol: int | None
 ) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
-    """Return a grid, or a table of samples, as a person asks for it; None for the other.
+    """Return the grid, or the table of samples, that a command line describes; None for the other.
 
     Raises
     ------
     DeclarationError
-        If what is asked for cannot be.
+        If it describes none.
     """
     if table is not None:
         if over:
@@ -98,8 +90,9 @@ def values(name: str, text: str) -> Array:
     if spacing not in _SPACINGS or len(words) != 3:
         raise _wrong(name, f"{text!r} is no range", _FORMS)
     count = words[2].strip()
-    if not count.isdecimal() or not 0 < int(count) <= _MOST:
-        raise _wrong(name, f"{count!r} is not a number of values", f"write one from 1 to {_MOST}")
+    if not count.isdecimal() or not 0 < int(count) <= _MAX_NUMBERS:
+        advice = f"write one from 1 to {_MAX_NUMBERS}"
+        raise _wrong(name, f"{count!r} is not a number of values", advice)
     interval = _interval(name, spacing, *words[:2])
     if int(count) == 1:
         if interval.least != interval.greatest:
@@ -124,8 +117,8 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     from scipy.stats import qmc
 
     power = count.bit_length() - 1
-    if count > _MOST:
-        raise DeclarationError(f"--sobol {count}: at most {_MOST} points can be drawn")
+    if count > _MAX_NUMBERS:
+        raise DeclarationError(f"--sobol {count}: at most {_MAX_NUMBERS} points can be drawn")
     if count != 1 << power:
         raise DeclarationError(
             f"--sobol {count}: a Sobol sequence is balanced for powers of two only",
@@ -153,11 +146,11 @@ def read_table(path: Path | str) -> pd.DataFrame:
     """
     import pandas as pd
 
-    raw = read_bounded(Path(path), _MOST_BYTES, "name a CSV file")
+    raw = read_bounded(Path(path), _MAX_BYTES, "name a CSV file")
     cells = raw.count(b",") + max(raw.count(b"\n"), raw.count(b"\r"))
-    if len(raw) > _MOST_BYTES or cells > _MOST:
+    if len(raw) > _MAX_BYTES or cells > _MAX_NUMBERS:
         raise DeclarationError(
-            f"{path}: more than {_MOST} numbers, or {_MOST_BYTES // 10**6} MB",
+            f"{path}: more than {_MAX_NUMBERS} numbers, or {_MAX_BYTES // 10**6} MB",
             advice="sweep over one part of the table at a time",
         )
     width = raw.partition(b"\n")[0].count(b",") + 1

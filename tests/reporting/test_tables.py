@@ -29,7 +29,7 @@ from statechart.reporting import tables
 from statechart.reporting.pieces import Pieces
 from statechart.reporting.report import dumps, report
 from statechart.reporting.tables import events_table, samples_table, save, to_xarray, write_run
-from statechart.study import file as study_file
+from statechart.study import study as study_file
 
 resource = pytest.importorskip("resource")
 FILES = {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg", "figure.png"}

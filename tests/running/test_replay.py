@@ -17,8 +17,7 @@ from statechart.observation.difference import compare
 from statechart.running.accuracy import replay
 from statechart.running.result import Result
 from statechart.running.runner import Runner, run
-from statechart.study.file import save
-from statechart.study.record import Study
+from statechart.study.study import Study, save
 
 MODEL = OSCILLATOR.replace("time: 50", "time: 20")
 
