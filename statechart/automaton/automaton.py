@@ -17,11 +17,17 @@ import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
-from statechart.automaton.regions import Margin, Mode, Region, StopCondition, active_in
+from statechart.automaton.regions import (
+    Invariant,
+    Margin,
+    Mode,
+    Region,
+    StopCondition,
+    active_in,
+)
 from statechart.automaton.time_stepper import TimeStepper
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
-from statechart.formulas.relation import parse_relation
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
@@ -162,10 +168,10 @@ class Automaton:
         return dict(zip(self.region_names, region_colours(names), strict=True))
 
     @cached_property
-    def invariants(self) -> tuple[Margin, ...]:
+    def invariants(self) -> tuple[Invariant, ...]:
         """What the declaration asserts of all of a run; no run looks at them."""
         return tuple(
-            Margin(label, -parse_relation(text).margin(self.observables))
+            Invariant(label, text, self.observables)
             for label, text in self.declaration.invariants.items()
         )
 

@@ -17,8 +17,8 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Bools
-from statechart.automaton.course import UNDERFLOW, along, size_of
 from statechart.automaton.laws import Setup
+from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
 from statechart.charts.firing import Guard
 from statechart.formulas.condition import Active
 from statechart.formulas.writer import compile_tape
@@ -95,10 +95,12 @@ class GuardWatch:
             names += condition.names(guard.name)
             for atom in condition.atoms:
                 margin = atom.expression.xreplace(given)
-                first = along(margin, rates, time)
-                second = along(first, rates, time)
+                first = time_derivative(margin, rates, time)
+                second = time_derivative(first, rates, time)
                 outputs += [margin, first, second]
-                outputs += [size_of(expression, sizes) for expression in (margin, first, second)]
+                outputs += [
+                    rounding_scale(expression, sizes) for expression in (margin, first, second)
+                ]
                 timed.append(margin.free_symbols <= {time, *timers, *parameters})
                 still.append(first == 0)
                 closed.append(not atom.strict)

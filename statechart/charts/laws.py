@@ -20,9 +20,9 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Claim, Margin, Region, State, active_in, stop_conditions
+from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
+from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
@@ -35,7 +35,6 @@ from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.relation import parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
@@ -107,19 +106,11 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
             ),
             guard_margins(name, flat, role.state, symbols.known),
             tuple(
-                Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
+                Invariant(f"{name}.{label}", text, symbols.known)
                 for content in _contents(flat, role.state)
                 for label, text in content.invariants.items()
             ),
         )
-
-    def claims(state: str) -> tuple[Claim, ...]:
-        invariants = (
-            Claim(f"{name}.{label}", (text,), holds=True)
-            for content in _contents(flat, state)
-            for label, text in content.invariants.items()
-        )
-        return (*guard_claims(name, flat, state), *invariants)
 
     return Region(
         name,
@@ -128,7 +119,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         flat.edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=claims,
+        claims=partial(guard_claims, name, flat),
     )
 
 
@@ -164,7 +155,7 @@ class ChartLaws:
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
-        self._courses = Courses(
+        self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()),
             symbols.parameters.ordered,
             symbols.time,
@@ -206,7 +197,7 @@ class ChartLaws:
             sizes = _summed(flow, state)
 
             def later(margin: str) -> float:
-                return self._courses.sign(
+                return self._derivatives.sign(
                     setup, flow.roles, margin, state, sizes, clock.high, setup.precision
                 )
 
@@ -340,7 +331,7 @@ class ChartLaws:
                 found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
             values = list(found.values())
             tape = self._updates[key] = compile_tape(
-                [*values, *(size_of(value, before) for value in values)],
+                [*values, *(rounding_scale(value, before) for value in values)],
                 variables=(*variables.values(), *before.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,

@@ -39,7 +39,7 @@ def program() -> int:
 
         take_streams()
         be_quiet()
-        compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))
+        compiling.announce(compiling.StderrLine())
         import gc
 
         # Imports, and what is composed of a model, make a million objects that stay; to look for

@@ -423,6 +423,14 @@ def schema(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def compile(arguments: argparse.Namespace) -> int:
+    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    from statechart.cli.ahead_of_time import compile_kernels
+
+    compile_kernels(quiet=arguments.quiet)
+    return 0
+
+
 def new(arguments: argparse.Namespace) -> int:
     """Write a scene to start from."""
     from statechart.documents.files import write_atomic

@@ -29,6 +29,13 @@ class Built:
 
     def existing(self, loc: Loc) -> Loc:
         """Return the parts of `loc` that lead down the data, as Python names them."""
+        return self._followed(loc)[0]
+
+    def value(self, loc: Loc) -> Any:
+        """Return the value at `loc`, or at its nearest ancestor that exists."""
+        return self._followed(loc)[1]
+
+    def _followed(self, loc: Loc) -> tuple[Loc, Any]:
         value: Any = self._data
         found: list[str | int] = []
         for part in loc:
@@ -44,4 +51,4 @@ class Built:
                         getattr(value, str(name)) if isinstance(value, BaseModel) else value[name]
                     )
                     found.append(name)
-        return tuple(found)
+        return tuple(found), value

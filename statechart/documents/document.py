@@ -7,8 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from statechart.errors import Position
+from statechart.formulas.relation import conjunction
 
 Loc = tuple[str | int, ...]
+
+
+def relations(value: object) -> bool:
+    """Return whether a value may be a list of relations."""
+    return (
+        isinstance(value, list | tuple)
+        and len(value) > 0
+        and all(isinstance(one, str) for one in value)
+    )
 
 
 @dataclass(frozen=True)
@@ -41,17 +51,22 @@ class Document:
         return self._keys.get(at, self._values[at]) if key else self._values[at]
 
     def where(self, text: str) -> Loc:
-        """Return the place of the first value that is `text`; the top if none is."""
+        """Return the place of the first value that is `text`, or a list that stands for it.
 
-        def of(value: Any) -> Any:
-            for part in loc:
-                value = value[part]
-            return value
-
+        The top if none is.
+        """
         for loc in self._values:
-            if of(self.data) == text:
+            value = self.value(loc)
+            if value == text or (relations(value) and conjunction(value) == text):
                 return loc
         return ()
+
+    def value(self, loc: Loc) -> Any:
+        """Return the value at `loc`, or at its nearest ancestor that exists."""
+        value: Any = self.data
+        for part in self.existing(loc):
+            value = value[part]
+        return value
 
     def existing(self, loc: Loc) -> Loc:
         """Return the parts of `loc` that lead down the data; of a list of one it may say none."""

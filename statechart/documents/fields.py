@@ -21,7 +21,9 @@ from statechart.formulas.words import no_name
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
     """Return the error of a formula as what validators raise."""
-    return DeclarationProblem(error.message, advice=error.advice, loc=loc, offset=error.offset)
+    return DeclarationProblem(
+        error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
+    )
 
 
 def _constant(value: Any) -> Any:

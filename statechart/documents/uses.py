@@ -67,7 +67,7 @@ def check_uses(
             check_relation(relation, names, states, changing, "stop", "conditions", label)
     for label, relation in model.invariants.items():
         with found:
-            check_relation(relation, names, {}, changing, "invariants", label)
+            check_relation(relation, names, states, changing, "invariants", label)
     for label, output in model.outputs.items():
         with found:
             _check_output(label, output, names, states, causes)

@@ -258,7 +258,7 @@ class Taylor(Engine):
             moved,
             state,
             *stepper.memory,
-            watch.lift.program,
+            watch.reconstruction.program,
             self.tolerance,
             self.max_step,
             until,

@@ -10,8 +10,8 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.coordinate_reconstruction import ModeReconstruction, mode_reconstruction
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
-from statechart.automaton.lift import Lifting, lifting
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Key, Roles
@@ -32,7 +32,7 @@ class CompiledMode:
         Outputs: the margins, in order.
     rates : Tape
         Outputs: the rates of all variables.
-    lifting : Lifting
+    reconstruction : ModeReconstruction
         What follows from other variables.
     watched : tuple of (str, str)
         Name and kind of every margin.
@@ -47,7 +47,7 @@ class CompiledMode:
     mode: Mode
     guards: Tape
     rates: Tape
-    lifting: Lifting
+    reconstruction: ModeReconstruction
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
@@ -70,7 +70,7 @@ class TapedMode:
     mode: Mode
     guards: Tape
     rates: Tape
-    lifting: Lifting
+    reconstruction: ModeReconstruction
     wholes: Tape
 
 
@@ -102,11 +102,11 @@ class SolvedModes:
             bare = uncaptured(roles)
             if bare == roles:
                 rates = self.automaton.tape(mode.rates, mode)
-                following = lifting(self.automaton, mode)
+                reconstruction = mode_reconstruction(self.automaton, mode)
             else:
                 moving = self.taped(bare, zeros)
-                rates, following = moving.rates, moving.lifting
-            found = self._taped[mode] = TapedMode(mode, guards, rates, following, wholes)
+                rates, reconstruction = moving.rates, moving.reconstruction
+            found = self._taped[mode] = TapedMode(mode, guards, rates, reconstruction, wholes)
         return found
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
@@ -182,7 +182,14 @@ class CompiledModes:
         else:
             stepper = self.compiled(bare, zeros).stepper
         return CompiledMode(
-            mode, taped.guards, taped.rates, taped.lifting, watched, names, stepper, taped.wholes
+            mode,
+            taped.guards,
+            taped.rates,
+            taped.reconstruction,
+            watched,
+            names,
+            stepper,
+            taped.wholes,
         )
 
     @property

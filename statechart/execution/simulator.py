@@ -10,9 +10,9 @@ import numpy as np
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
-from statechart.automaton.recording import Kind, Recording, pad
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
+from statechart.automaton.trace_store import Kind, TraceRecorder, trace_buffer
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.execution.ahead import Ahead
@@ -54,7 +54,7 @@ class Simulator:
 
     Attributes
     ----------
-    pad : Block
+    buffer : TraceBuffer
         Takes what a run records, or many at a time, until it is copied.
     """
 
@@ -71,7 +71,7 @@ class Simulator:
         self.progress = progress
         self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
         # Their arrays are used again, from flow to flow and from run to run.
-        self.path, self.pad = Path(), pad(len(automaton.variables))
+        self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
         self._loops: dict[frozenset[int], Modes] = {}
         self._rows: dict[tuple[str, ...], RowRunner] = {}
 
@@ -163,7 +163,7 @@ class Simulator:
             kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, lambda: setup)
         begun = None if batch is None else batch.begun()
         variables = len(self.automaton.variables)
-        record = Recording(variables, kinds, self.pad, jump, begun=begun is not None)
+        record = TraceRecorder(variables, kinds, self.buffer, jump, begun=begun is not None)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead,
             begun=begun,

@@ -37,6 +37,7 @@ _EQUALITIES = tuple(_ORDERED)
 _COMPARISONS = (*RELATIONS, *_EQUALITIES)
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 _TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
+_AND = " and "
 _OR = re.compile(r"\bor\b")
 States = Mapping[tuple[str, str], "sp.Expr"]
 """(region, state) -> a number above 0 while the state is active, below 0 else."""
@@ -167,7 +168,8 @@ class Relation:
         source = Source(self.text)
         for member in self.members:
             if not states:
-                advice = "`in` is for guards, stop conditions, and `enabled` with controllers"
+                advice = "`in` is for guards, stop conditions, invariants, and `enabled` of scenes "
+                advice += "with controllers"
                 source.fail("no state can be asked for here", member.offset, advice)
             for kind, name, known in (
                 ("region", member.region, states),
@@ -286,7 +288,18 @@ def conjunction(texts: Sequence[str]) -> str:
     """Return the relation that holds where all of `texts` do."""
     if len(texts) == 1:
         return texts[0]
-    return " and ".join(f"({text})" if _OR.search(text) else text for text in texts)
+    return _AND.join(f"({text})" if _OR.search(text) else text for text in texts)
+
+
+def place_in(texts: Sequence[str], offset: int) -> tuple[int, int]:
+    """Return the place among `texts`, and the offset in it, of an offset in their conjunction."""
+    for place, text in enumerate(texts):
+        opened = int(len(texts) > 1 and _OR.search(text) is not None)
+        width = len(text) + 2 * opened
+        if offset <= width or place == len(texts) - 1:
+            return place, max(offset - opened, 0)
+        offset -= width + len(_AND)
+    return 0, 0
 
 
 class _RelationReader(Reader):

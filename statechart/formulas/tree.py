@@ -145,11 +145,16 @@ class Source:
 
     text: str
 
+    @property
+    def named(self) -> str:
+        """What errors call it."""
+        shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
+        return f"formula {shown!r}"
+
     def fail(self, message: str, offset: int = 0, advice: str = "", name: str = "") -> NoReturn:
         """Raise a `FormulaError` that points `offset` characters into the text."""
-        shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
         raise FormulaError(
-            f"formula {shown!r}: {message}",
+            f"{self.named}: {message}",
             advice=advice,
             offset=offset,
             name=name,

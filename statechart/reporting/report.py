@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.laws import HELD, moving_mode
-from statechart.automaton.regions import whole_margins
+from statechart.automaton.regions import Invariant, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -188,7 +188,7 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, arcs, trace.values)
+        found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.
@@ -199,10 +199,19 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
     """Return the least margin of every invariant of the run: below 0 it does not hold.
 
-    None where nothing of the run was kept.
+    Those of states that the run has not kept are missing, and all where it kept nothing.
     """
-    declared = observer.automaton.invariants if trace.record is not Record.NOTHING else ()
-    return {m.name: observer.extremes(trace, m.expression)[0] for m in declared}
+    if trace.record is Record.NOTHING:
+        return {}
+    automaton = observer.automaton
+
+    def least(one: Invariant) -> float:
+        if not one.relation.members:
+            return observer.extremes(trace, one.margin(automaton.active(())).expression)[0]
+        return observer.lowest(trace, lambda key: one.margin(automaton.active(key)).expression)
+
+    lost = unkept_invariants(automaton, trace)
+    return {one.name: least(one) for one in automaton.invariants if one not in lost}
 
 
 def dumps(report: Mapping[str, Any]) -> str:
@@ -327,6 +336,16 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     }
 
 
+def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
+    """Return the invariants that ask for states which the run has not kept."""
+    kept = {*trace.regions}
+    return [
+        one
+        for one in automaton.invariants
+        if not kept.issuperset(member.region for member in one.relation.members)
+    ]
+
+
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     """Return the parts of the model that a run did not need: `what`, and `why`."""
     found = []
@@ -358,5 +377,12 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
                 "why": "the run did not enter them",
             }
         )
+    found += [
+        {
+            "what": f"the invariant {one.name!r}",
+            "why": f"record: {trace.record.value} keeps none of its states; ask for record: modes",
+        }
+        for one in unkept_invariants(automaton, trace)
+    ]
     omitted = automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
     return found + [{"what": what, "why": why} for what, why in omitted.items()]

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.trace import Trace
 from statechart.documents.keywords import checked
 from statechart.documents.setting import Record
@@ -395,7 +394,7 @@ def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
             f"the study is not of {model.name!r} as it is now and as this version runs it; make "
             "it anew with trade"
         )
-    check_kept(trace)
+    trace.require_motion()
     held = replace(result, trace=trace.at_hand())
     report = held.to_dict(explain=True, most=MOST_EVENTS)
     diagram = held.diagram() if trace.record is Record.MODES else None

@@ -206,7 +206,7 @@ def work(number):
         pass
 
 if __name__ == "__main__":
-    compiling.announce(print)
+    compiling.announce(compiling.StderrLine())
     with processes(2) as executor:
         for done in [executor.submit(work, k) for k in range(50)]:
             done.result()

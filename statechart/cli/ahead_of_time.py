@@ -1,0 +1,63 @@
+"""Ahead-of-time compilation: short runs of shipped models that enter the kernels of all engines."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+from statechart import compiling
+
+_RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("toppling_stick", {"engine": "taylor"}),
+    ("toppling_stick", {"engine": "taylor", "certify": True}),
+    ("toppling_stick", {"engine": "scipy"}),
+    ("toppling_stick", {"engine": "impulse", "step": 1e-3}),
+    ("bouncing_ball_chart", {}),
+    ("ball_in_a_bowl", {}),
+    ("newtons_cradle", {}),
+    ("compass_walker", {}),
+    ("woodpecker", {"engine": "impulse", "step": 1e-3}),
+    ("dice", {}),
+    ("silo", {}),
+    ("jacks", {}),
+    ("arch", {}),
+)
+"""Models and settings; together they enter points, rims, shapes, joints, controllers and charts."""
+
+_SWEPT = "toppling_stick"
+
+
+def compile_kernels(*, quiet: bool) -> None:
+    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    from statechart.kernels.jit import ahead_of_time
+
+    begun, total = time.perf_counter(), len(_RUNS) + 1
+    show = compiling.StderrLine() if not quiet else None
+    # The runs have one line of progress in all.
+    compiling.announce(None)
+    with ahead_of_time():
+        for done in range(total):
+            if show is not None:
+                show(f"compiling {compiling.KERNELS}: part {done + 1} of {total}", False)
+            if done < len(_RUNS):
+                _run(*_RUNS[done])
+            else:
+                _sweep()
+    if show is not None:
+        show(f"compiled {compiling.KERNELS} in {time.perf_counter() - begun:.0f} s", True)
+    sys.stderr.flush()
+
+
+def _run(model: str, settings: dict[str, Any]) -> None:
+    from statechart.running.runner import Runner
+
+    certify = settings.get("certify", False)
+    options = {name: value for name, value in settings.items() if name != "certify"}
+    Runner(model, **options).run({}, certify=certify, throw=False)
+
+
+def _sweep() -> None:
+    from statechart import sweep
+
+    sweep(_SWEPT, {"mu": [0.2, 0.3]})
