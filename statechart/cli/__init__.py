@@ -1,6 +1,7 @@
 """The command line.
 
 `main` is the process and its exit codes; `grammar` its verbs and options, and their completion in
-shells; `verbs` has a function for each verb; `ahead_of_time` compiles all kernels. `places` checks the files that they write, `terminal`
-prints their texts, `streams` are stdout and stderr, with their errors explained.
+shells; `verbs` has a function for each verb, of which `ahead_of_time` compiles all kernels.
+`places` checks the files that they write, `terminal` prints their texts, `streams` are stdout and
+stderr, with their errors explained.
 """

@@ -294,7 +294,7 @@ def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
 
 def netcdf(data: xr.Dataset) -> bytes:
     """Return a NetCDF file: without a path the scipy engine returns it, so that none is half."""
-    return bytes(data.tonetcdf(engine="scipy"))
+    return bytes(data.to_netcdf(engine="scipy"))
 
 
 def _labels(observer: Observer, samples: Samples) -> list[str]:
