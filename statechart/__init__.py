@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from statechart.running.inspection import Modes, equations, modes
     from statechart.running.result import Reading, Result
     from statechart.running.runner import Runner, run
-    from statechart.study.record import Study
+    from statechart.study.study import Study
     from statechart.study.trade import trade
     from statechart.sweeps.sweep import sweep
     from statechart.testing.checking import CheckReport, PropertyReport, check
@@ -125,7 +125,7 @@ _HOMES = {
     "running.inspection": ("Modes", "equations", "modes"),
     "running.result": ("Reading", "Result"),
     "running.runner": ("Runner", "run"),
-    "study.record": ("Study",),
+    "study.study": ("Study",),
     "study.trade": ("trade",),
     "sweeps.sweep": ("sweep",),
     "testing.checking": ("CheckReport", "PropertyReport", "check"),

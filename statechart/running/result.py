@@ -407,8 +407,8 @@ def _study_content(result: Result, study: Measured) -> Mapping[str, Any]:
     trace, setup = result.trace, result.observer.automaton.setup
     fineness = f"{trace.tolerance:.2g}" if trace.step is None else f"step {trace.step:.3g}"
     shown = study.shown(f"{trace.engine} {fineness}")
-    numbers = (setup(values, trace.tolerance).values for values in (result.overrides, {}))
-    if np.array_equal(*numbers):
+    own, declared = (setup(values, trace.tolerance) for values in (result.overrides, {}))
+    if np.array_equal(own.values, declared.values):
         return shown
     other = "measured with the parameters that the model declares; this run had others"
     return {**shown, "above": [*shown["above"], other], "own": []}

@@ -400,14 +400,14 @@ def test_a_chart_that_rests_is_compared_by_its_events() -> None:
 def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
     runner = Runner("newtons_cradle", engine="scipy", accuracy=1e-6)
     tolerances: list[float] = []
-    once = runner._answers._once
+    once = runner._planner._once
 
     def watched(setting: Setting, *args: Any, **options: Any) -> tuple[Observer, Trace]:
         assert setting.tolerance is not None
         tolerances.append(setting.tolerance)
         return once(setting, *args, **options)
 
-    runner._answers._once = watched  # type: ignore[method-assign]
+    runner._planner._once = watched  # type: ignore[method-assign]
     result = runner.run()
     assert tolerances[:2] == pytest.approx([1e-7, 1e-7 / 400])
     assert result.trace.tolerance == pytest.approx(1e-7 / 400)
