@@ -18,8 +18,8 @@ _AFTER = 1.0  # seconds before a compilation is reported, and between two report
 KERNELS = "numerical kernels"
 """The name of numba's work in messages."""
 
-Say = Callable[[str, bool], None]
-"""Takes a line and whether it is the last one of a compilation."""
+Say = Callable[[str, str, bool], None]
+"""Takes what is compiled, a line, and whether it is the last one of a compilation."""
 
 
 class _State:
@@ -39,20 +39,21 @@ _now = _State()
 class StderrLine:
     """Write the progress of compilation to stderr as one line.
 
-    A terminal shows it in place; elsewhere the first and the last line of a compilation are
+    A terminal shows it in place while it lasts; elsewhere the first line about each subject is
     written.
     """
 
-    _begun = False
+    def __init__(self) -> None:
+        self._written: set[str] = set()
 
-    def __call__(self, line: str, last: bool) -> None:
+    def __call__(self, subject: str, line: str, last: bool) -> None:
         """Write a line."""
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r\x1b[2K{line}" + "\n" * last)
-        elif last or not self._begun:
+            sys.stderr.write("\r\x1b[2K" + line * (not last))
+        elif subject not in self._written:
+            self._written.add(subject)
             sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
-        self._begun = not last
 
 
 def announce(say: Say | None) -> None:
@@ -83,7 +84,12 @@ def begin(name: str, count: Callable[[], int]) -> None:
 
 def beside() -> None:
     """Report that another process compiles while this one goes on."""
-    _say(f"compiling {KERNELS} for the next run; this run is interpreted meanwhile", last=True)
+    if _now.say is not None:
+        _now.say(
+            "beside",
+            f"compiling {KERNELS} for the next run; this run is interpreted meanwhile",
+            False,
+        )
 
 
 @contextmanager
@@ -104,19 +110,21 @@ def end(counts: bool = True) -> None:
     if _now.depth == 0:
         _now.spent += now - _now.began
         if _now.told or now - _now.began >= _AFTER:
-            _say(f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True)
+            _report(
+                f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True
+            )
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)
-        _say(
+        _report(
             f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
-            f"{now - _now.began:.0f} s",
+            f"{now - _now.began:.0f} s; this happens once",
             last=False,
         )
 
 
-def _say(line: str, *, last: bool) -> None:
+def _report(line: str, *, last: bool) -> None:
     if _now.say is not None:
-        _now.say(line, last)
+        _now.say(_now.name, line, last)

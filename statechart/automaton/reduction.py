@@ -76,6 +76,8 @@ class Coordinates:
         (each = 0) of the coordinates that are left, in their order.
     written : mapping
         Parameters that the document does not declare -> how a person writes them.
+    mass_unit : Symbol or None
+        Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
     """
 
     positions: tuple[sp.Symbol, ...]
@@ -85,6 +87,7 @@ class Coordinates:
     joints: tuple[Hold, ...]
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
     written: Known
+    mass_unit: sp.Symbol | None = None
 
     def left(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the places of the coordinates that are left."""

@@ -39,14 +39,16 @@ def compile_kernels(*, quiet: bool) -> None:
     with ahead_of_time():
         for done in range(total):
             if show is not None:
-                show(f"compiling {compiling.KERNELS}: part {done + 1} of {total}", False)
+                line = f"compiling {compiling.KERNELS}: part {done + 1} of {total}"
+                show(compiling.KERNELS, line, False)
             if done < len(_RUNS):
                 _run(*_RUNS[done])
             else:
                 _sweep()
     if show is not None:
-        show(f"compiled {compiling.KERNELS} in {time.perf_counter() - begun:.0f} s", True)
-    sys.stderr.flush()
+        show(compiling.KERNELS, "", True)
+        seconds = time.perf_counter() - begun
+        print(f"compiled {compiling.KERNELS} in {seconds:.0f} s", file=sys.stderr)
 
 
 def _run(model: str, settings: dict[str, Any]) -> None:

@@ -35,11 +35,18 @@ def test_quiet_compile_shows_nothing(short, capsys):
 def test_a_terminal_shows_progress_in_one_line(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     line = StderrLine()
-    line("compiling: 1 of 2", False)
-    line("compiling: 2 of 2", False)
-    line("compiled", True)
+    line("kernels", "compiling: 1 of 2", False)
+    line("kernels", "compiling: 2 of 2", False)
+    line("kernels", "compiled", True)
     err = capsys.readouterr().err
-    assert err == "\r\x1b[2Kcompiling: 1 of 2\r\x1b[2Kcompiling: 2 of 2\r\x1b[2Kcompiled\n"
+    assert err == "\r\x1b[2Kcompiling: 1 of 2\r\x1b[2Kcompiling: 2 of 2\r\x1b[2K"
+
+
+def test_a_file_gets_one_line_about_each_subject(capsys):
+    line = StderrLine()
+    for subject, text in (("kernels", "1"), ("kernels", "2"), ("a mode", "3"), ("kernels", "4")):
+        line(subject, text, False)
+    assert capsys.readouterr().err == "1\n3\n"
 
 
 def test_kernels_compile_at_their_first_call_while_compiling_ahead():
