@@ -33,11 +33,6 @@ def format_equations(automaton: Automaton, setup: Setup, mode: str, form: str) -
     """Return the equations of a mode as text, JSON or LaTeX; see `blocks`.
 
     A prime is a derivative with respect to time.
-
-    Raises
-    ------
-    DeclarationError
-        If `mode` names none.
     """
     key = mode_named(automaton, mode)
     declared = automaton.declaration.parameters
@@ -47,13 +42,7 @@ def format_equations(automaton: Automaton, setup: Setup, mode: str, form: str) -
 
 
 def mode_named(automaton: Automaton, text: object) -> Key:
-    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone.
-
-    Raises
-    ------
-    DeclarationError
-        If it names none.
-    """
+    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone."""
     example = automaton.label(tuple(r.states[0] for r in automaton.regions))
     if not isinstance(text, str):
         raise DeclarationError(

@@ -100,11 +100,6 @@ def figure(
     forces; controls. Of many curves those that move most are drawn, and the others named. Below, a
     band of modes for every region. Dotted lines and labels mark events, where they do not crowd;
     diamonds mark modes of zero duration. Time ends where nothing happens any more.
-
-    Raises
-    ------
-    StatechartError
-        If the suffix is none of these or the file cannot be written.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -130,13 +125,7 @@ def figure(
 
 
 def write(drawing: Figure, path: Path | str) -> None:
-    """Write a figure to a file: svg, png or pdf by its suffix.
-
-    Raises
-    ------
-    StatechartError
-        If the suffix is none of these or the file cannot be written.
-    """
+    """Write a figure to a file: svg, png or pdf by its suffix."""
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
     if f".{kind}" not in SUFFIXES:

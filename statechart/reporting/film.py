@@ -26,13 +26,7 @@ _INSTANTS = 400
 
 
 def stage_of(automaton: Automaton) -> Stage:
-    """Return the stage that runs of a model are seen on.
-
-    Raises
-    ------
-    StatechartError
-        If its kind has no bodies.
-    """
+    """Return the stage that runs of a model are seen on."""
     name = automaton.declaration.kind
     made = kind(name).stage
     if made is None:
@@ -94,14 +88,7 @@ def animate(
     *,
     progress: bool = False,
 ) -> Path:
-    """Write a run as an animation, from its start until nothing moves any more.
-
-    Raises
-    ------
-    StatechartError
-        If there is nothing to see, the suffix, the speed, the size or the trail is none, or the
-        file cannot be written.
-    """
+    """Write a run as an animation, from its start until nothing moves any more."""
     path = Path(path)
     animation.check(path, showing.size, showing.speed, showing.trail)
     stage = stage_of(observer.automaton)

@@ -35,11 +35,6 @@ def write_store(
     ``NAME.q`` that several NAMEs have, as those of bodies, are one array ``q`` over `t` and
     `body`; the others are arrays over `t`. Dimension `event`: `event_t`, `event_region`,
     `event_cause`. The rest of `report` is in the attribute `report`, as JSON.
-
-    Raises
-    ------
-    StatechartError
-        If nothing of the run was kept, or the store cannot be written.
     """
     import zarr
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import errno
-import io
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -164,19 +162,6 @@ def by_time(data: xr.Dataset) -> xr.Dataset:
     return data.isel(sample=last).swap_dims(sample="t")
 
 
-def save(observer: Observer, trace: Trace, path: Path | str) -> None:
-    """Write a run to a NetCDF file (version 3), whole or not at all.
-
-    Raises
-    ------
-    StatechartError
-        If it cannot be written.
-    """
-    path = Path(path)
-    with _explained(path):
-        write_atomic(path, netcdf(to_xarray(observer, trace)))
-
-
 def write_run(
     folder: Path | str,
     observer: Observer,
@@ -195,11 +180,6 @@ def write_run(
 
     `report` makes the report after the trajectory is safe; `pieces` takes parts that could not be
     written, and why, instead of an error, where some could. Returns the names of the files.
-
-    Raises
-    ------
-    StatechartError
-        If the folder is a file or not writable, or the disk is full.
     """
     from statechart.reporting.figure import figure, render
 
@@ -262,18 +242,7 @@ def _rows_of(trace: Trace) -> int:
 
 
 def _csv(table: pd.DataFrame) -> bytes:
-    # As pandas writes it, which takes three times as long.
-    columns = []
-    for _, column in table.items():
-        values = column.tolist()
-        if column.dtype == np.float64 and column.isna().any():
-            values = ["" if value != value else value for value in values]
-        columns.append(values)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows(zip(*columns, strict=True))
-    return text.getvalue().encode()
+    return bytes(table.to_csv(index=False, lineterminator="\n").encode())
 
 
 def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:

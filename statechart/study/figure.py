@@ -102,13 +102,7 @@ def figure(study: Measurements) -> Figure:
 
 
 def write(folder: Path | str, study: Measurements) -> None:
-    """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder.
-
-    Raises
-    ------
-    StatechartError
-        If they cannot be written.
-    """
+    """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
     from matplotlib import rc_context
 
     folder = Path(folder)

@@ -137,13 +137,6 @@ class References:
             The reference.
         Study
             Of it, without points.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If the user interrupted one of them.
-        SimulationError
-            If not two of them come to the end of the run.
         """
         failures: list[str] = []
         some = self._runs(failures)

@@ -62,13 +62,7 @@ class Study(Measurements):
 
 
 def load(folder: Path | str) -> Study | None:
-    """Return the study that a folder holds, None where there is none.
-
-    Raises
-    ------
-    DeclarationError
-        If the file there is no study.
-    """
+    """Return the study that a folder holds, None where there is none."""
     path = Path(folder) / NAME
     try:
         data = path.read_bytes()
@@ -88,13 +82,7 @@ def load(folder: Path | str) -> Study | None:
 
 
 def save(folder: Path | str, study: Study) -> None:
-    """Write a study; the folder is made if it does not exist.
-
-    Raises
-    ------
-    StatechartError
-        If it cannot be written.
-    """
+    """Write a study; the folder is made if it does not exist."""
     path = Path(folder) / NAME
     # Strict JSON: what is not finite is text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"

@@ -126,15 +126,7 @@ class CellBlock:
 
 
 def run_block(task: Task, rows: Array) -> CellBlock:
-    """Run cells, in whatever process this is.
-
-    Raises
-    ------
-    DeclarationError
-        If this process has another version of the package.
-    KeyboardInterrupt
-        If it is to end.
-    """
+    """Run cells, in whatever process this is."""
     here = _version()
     if task.version != here:
         raise DeclarationError(

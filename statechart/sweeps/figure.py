@@ -74,20 +74,9 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
 class _Cells:
     """Cells in a row, whatever shape the sweep has.
 
-    Attributes
-    ----------
-    names, columns
-        The parameters that vary, and their value in every cell.
-    good : (n,) array
-        Whether a run came to an end that the declaration names.
-    done : (n,) array
-        Whether a cell was run.
-    modes : (n,) array
-        The code of its sequence of modes.
-    kinds : (n,) array
-        Place of its sequence of modes among `labels`, -1 for none.
-    labels, colours
-        Of sequences, from the most frequent on, the rest as one.
+    `columns` (n,) are values of the parameters that vary; `good` cells came to an end that the
+    declaration names, `done` ones were run. `modes` are codes of their sequences, `kinds` places
+    among `labels` and `colours`, from the most frequent on, the rest as one; -1 for none.
     """
 
     names: tuple[str, ...]
@@ -165,19 +154,7 @@ def _legend_columns(cells: _Cells, width: float, most: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """A parameter along an axis of a picture.
-
-    Attributes
-    ----------
-    name : str
-        The parameter, with its unit.
-    at : (n,) array
-        Place of every cell: its value; its rank, where a value is infinite.
-    log : bool
-        Whether the axis is logarithmic.
-    labels : tuple of str
-        Of the ranks, where they are places.
-    """
+    """A parameter along an axis; `at` is the value of each cell, or its rank if one is infinite."""
 
     name: str
     at: Array

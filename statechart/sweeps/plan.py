@@ -126,11 +126,6 @@ class Plan:
         Outputs to compute; all of the model by default.
     accurate : bool
         Whether runs estimate their error.
-
-    Raises
-    ------
-    DeclarationError
-        If the model has no such parameter or output, or there is nothing to run.
     """
 
     def __init__(
@@ -296,13 +291,7 @@ def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
 
 
 def columns_of(samples: pd.DataFrame) -> dict[str, Array]:
-    """Return the columns of a table of samples.
-
-    Raises
-    ------
-    DeclarationError
-        If it is none, two have one name, or one holds no numbers.
-    """
+    """Return the columns of a table of samples."""
     if not hasattr(samples, "columns"):
         raise DeclarationError(
             f"samples are a table, not of type {type(samples).__name__}",

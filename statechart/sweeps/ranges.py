@@ -53,13 +53,7 @@ class Interval:
 def cells(
     over: Mapping[str, str], table: str | None, sobol: int | None
 ) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
-    """Return the grid, or the table of samples, that a command line describes; None for the other.
-
-    Raises
-    ------
-    DeclarationError
-        If it describes none.
-    """
+    """Return the grid, or the table of samples, of a command line; None for the other."""
     if table is not None:
         if over:
             raise DeclarationError(
@@ -77,13 +71,7 @@ def cells(
 
 
 def values(name: str, text: str) -> Array:
-    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list of them.
-
-    Raises
-    ------
-    DeclarationError
-        If it stands for none.
-    """
+    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list."""
     if ":" not in text:
         return np.array([_number(name, word) for word in text.split(",")])
     spacing, *words = text.split(":")
@@ -107,11 +95,6 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     """Return a Sobol sequence over intervals, one row a point.
 
     Scrambled as Owen (1998) does, always by the same random numbers.
-
-    Raises
-    ------
-    DeclarationError
-        If an interval is none, or the number is no power of two.
     """
     import pandas as pd
     from scipy.stats import qmc
@@ -137,13 +120,7 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Return the table of a CSV file: a column for every parameter, a row for every run.
-
-    Raises
-    ------
-    DeclarationError
-        If it cannot be read or is too large, or a cell is no number.
-    """
+    """Return the table of a CSV file: a column for every parameter, a row for every run."""
     import pandas as pd
 
     raw = read_bounded(Path(path), _MAX_BYTES, "name a CSV file")
@@ -187,13 +164,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
 
 
 def numbers(name: str, given: Sequence[float] | Array) -> Array:
-    """Return given values (n,) of a parameter as numbers.
-
-    Raises
-    ------
-    DeclarationError
-        If there is none, or one is not a number.
-    """
+    """Return given values (n,) of a parameter as numbers."""
     try:
         found = np.atleast_1d(np.asarray(given, dtype=float))
     except (TypeError, ValueError):

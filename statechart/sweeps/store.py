@@ -72,13 +72,6 @@ def locked(path: Path) -> Iterator[Callable[[], None]]:
 
     Where the work in it fails before anything is written, no folder is left. The lock ends with the
     process, however that ends.
-
-    Raises
-    ------
-    DeclarationError
-        If another process holds it.
-    StatechartError
-        If it cannot be made.
     """
     from filelock import FileLock, Timeout
 
@@ -134,13 +127,6 @@ class Store:
         Whether to go on with the sweep that is there, if one is.
     check_lock : callable, optional
         Raises where the folder is no longer locked by this process.
-
-    Raises
-    ------
-    DeclarationError
-        If something else is there.
-    StatechartError
-        If it cannot be written.
     """
 
     def __init__(

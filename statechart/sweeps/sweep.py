@@ -11,7 +11,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Unpack
+from typing import TYPE_CHECKING, NamedTuple, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,12 @@ INTERRUPTED = "interrupted"
 """Why a sweep ended that a signal ended."""
 
 
+class SweepWords(IntegrationWords, total=False):
+    """Keyword arguments of the runs of a sweep."""
+
+    until: float | None
+
+
 @dataclass(frozen=True)
 class Sweep:
     """A sweep as far as it has come: its plan, its store, and why not all of it is done."""
@@ -74,12 +80,11 @@ def sweep(
     *,
     samples: pd.DataFrame | None = None,
     outputs: Sequence[str] | None = None,
-    until: float | None = None,
     executor: Executor | None = None,
     store: Path | str | None = None,
     resume: bool = False,
     progress: bool = False,
-    **setting: Unpack[IntegrationWords],
+    **words: Unpack[SweepWords],
 ) -> xr.Dataset:
     """Run a model at many values of its parameters.
 
@@ -93,8 +98,6 @@ def sweep(
         In the place of `over`: a column for every parameter, a row for every run.
     outputs : sequence of str, optional
         Outputs of the model to compute; all by default.
-    until : float, optional
-        End of the runs; `stop.time` of the model by default.
     executor : concurrent.futures.Executor, optional
         Runs blocks of cells: processes, or `client.get_executor()` of a Dask cluster; this process
         by default.
@@ -104,6 +107,8 @@ def sweep(
         Whether to go on with the sweep that the store holds, if it does.
     progress : bool
         Whether to report to stderr.
+    until : float, optional
+        End of the runs; `stop.time` of the model by default.
     engine, method, tolerance, accuracy, step, max_step
         As for `Runner`.
 
@@ -131,7 +136,9 @@ def sweep(
     >>> dict(found.sizes)
     {'k': 2, 'sequence': 1}
     """
-    plan = make_plan(model, over, samples, Setting(**setting), until=until, outputs=outputs)
+    until = words.pop("until", None)
+    setting = Setting(**cast("IntegrationWords", words))
+    plan = make_plan(model, over, samples, setting, until=until, outputs=outputs)
     made = run_plan(plan, executor, store=store, resume=resume, progress=progress)
     if made.ended and made.ended != INTERRUPTED:
         raise StatechartError(made.ended)
@@ -147,13 +154,7 @@ def make_plan(
     until: float | None = None,
     outputs: Sequence[str] | None = None,
 ) -> Plan:
-    """Return the plan of a sweep; see `sweep` for the parameters.
-
-    Raises
-    ------
-    DeclarationError
-        If the model, a parameter, a value or a setting is wrong.
-    """
+    """Return the plan of a sweep; see `sweep` for the parameters."""
     if (over is None) == (samples is None):
         raise DeclarationError("a sweep is over ranges or over samples: give one of them")
     if over is not None and not isinstance(over, Mapping):
@@ -238,13 +239,7 @@ class _Progress:
 
 
 def _ended(work: _Work, executor: Executor | None) -> str:
-    """Do the work; return why not all of it is done, else an empty text.
-
-    Raises
-    ------
-    StatechartError
-        If none of it could be done.
-    """
+    """Do the work; return why not all of it is done, else an empty text."""
     try:
         if executor is None:
             _run_here(work)

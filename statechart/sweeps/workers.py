@@ -37,13 +37,7 @@ _NAME = "contact-statecharts"
 
 @contextmanager
 def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
-    """Make so many processes, or connect to the scheduler at an address; None for neither.
-
-    Raises
-    ------
-    DeclarationError
-        If there is no such cluster, or it cannot run sweeps.
-    """
+    """Make so many processes, or connect to the scheduler at an address; None for neither."""
     if count is not None:
         with processes(count) as executor:
             yield executor
@@ -56,13 +50,7 @@ def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Make workers of this machine, which end with this process, however that ends.
-
-    Raises
-    ------
-    DeclarationError
-        If they are many more than processors.
-    """
+    """Make workers of this machine, which end with this process, however that ends."""
     here = os.cpu_count() or 1
     if count > _EACH * here:
         raise DeclarationError(
@@ -103,13 +91,7 @@ def unguarded(error: Exception) -> str:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to the scheduler of a Dask cluster.
-
-    Raises
-    ------
-    DeclarationError
-        If it does not answer, has no workers, or they lack this package or have another version.
-    """
+    """Connect to the scheduler of a Dask cluster."""
     try:
         from distributed import Client
     except ImportError:
