@@ -13,8 +13,7 @@ from statechart.automaton.laws import uncaptured
 from statechart.automaton.reduction import Elimination, eliminated, minimal_equations
 from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
-from statechart.formulas.determinants import Definition
-from statechart.formulas.linear import solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 
 
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from statechart.automaton.regions import Hold
-from statechart.formulas.determinants import Definition
-from statechart.formulas.linear import solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 
 # A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
 # mechanics are 1.

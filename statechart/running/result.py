@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.automaton.trace import Trace
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError

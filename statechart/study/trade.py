@@ -13,7 +13,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.files import obstacle
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.execution.outcome import error_of

@@ -21,7 +21,7 @@ from statechart.arrays import Array
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import IntegrationWords, Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
