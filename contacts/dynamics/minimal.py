@@ -13,6 +13,7 @@ from functools import partial
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import MASS_UNIT
 from statechart.automaton.reduction import Coordinates, Elimination
 from statechart.automaton.regions import Hold
 from statechart.formulas.formula import parse
@@ -32,6 +33,7 @@ def coordinates(mechanics: Mechanics) -> Coordinates:
         tuple(Hold((row.gap,), (equation,), (row.force,)) for row, equation in joints),
         partial(motion, mechanics),
         _written(mechanics),
+        mechanics.parameters.symbols.get(MASS_UNIT),
     )
 
 

@@ -12,7 +12,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Roles
-from statechart.formulas.determinants import Singular
+from statechart.formulas.linear import Singular
 from statechart.formulas.series import Series, expand
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from statechart.automaton.trace import Role
     from statechart.formulas.condition import Active, Condition
-    from statechart.formulas.determinants import Definition
+    from statechart.formulas.linear import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
 

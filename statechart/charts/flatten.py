@@ -36,11 +36,8 @@ MOST_CONFIGURATIONS = 4096
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     """Flatten a declared region.
 
-    Raises
-    ------
-    DeclarationProblem
-        If its states or transitions make no sense (see `tree`), or if there are more than
-        `MOST_CONFIGURATIONS`.
+    Raises `DeclarationProblem` if its states or transitions make no sense (see `tree`), or if there
+    are more than `MOST_CONFIGURATIONS`.
     """
     found = tree(region, *loc)
     return _Flattening(name, found, loc).region()

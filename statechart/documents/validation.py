@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.annotations import elsewhere, example, known_keys, other_word
-from statechart.documents.built import Built
-from statechart.documents.document import Document, Loc, relations
+from statechart.documents.document import Built, Document, Loc, relations
+from statechart.documents.hints import elsewhere, example, known_keys, other_word
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.hints import no_name
 from statechart.formulas.relation import conjunction, place_in
 from statechart.formulas.syntax import NAME
 from statechart.formulas.tree import Source
-from statechart.formulas.words import no_name
 from statechart.tabular import several
 
 if TYPE_CHECKING:
@@ -260,10 +259,8 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
 def validate(document: Document, model: type[Model]) -> Model:
     """Build `model` from a document.
 
-    Raises
-    ------
-    DeclarationError
-        With the place of the first wrong field; its `others` are the further ones.
+    Raises `DeclarationError` with the place of the first wrong field; its `others` are the further
+    ones.
     """
     try:
         # A document uses the documented spelling of a field (`from`), never its Python name.

@@ -131,6 +131,8 @@ class SolvedModes:
         """Return the places of the parameters that the equations of `roles` mention."""
         automaton = self.automaton
         parts = list(automaton.equations) + list(automaton.rates)
+        if automaton.coordinates is not None and automaton.coordinates.mass_unit is not None:
+            parts.append(automaton.coordinates.mass_unit)
         for region, role in zip(automaton.regions, roles, strict=True):
             state = region.build(role)
             parts += (*state.equations, *state.values.values())

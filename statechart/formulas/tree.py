@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from statechart.errors import FormulaError
-from statechart.formulas.words import meant
+from statechart.formulas.hints import meant
 from statechart.kernels.whole import whole
 
 
@@ -99,7 +99,7 @@ def _hypot(x: Any, y: Any) -> Any:
 
 
 def _floor(x: Any) -> Any:
-    from statechart.formulas.jumps import Whole
+    from statechart.formulas.writer import Whole
 
     return Whole(x)
 

@@ -11,9 +11,21 @@ import numpy as np
 import sympy as sp
 
 from statechart.errors import StatechartError
-from statechart.formulas.jumps import Whole
 from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES, tape_values
+from statechart.kernels.whole import whole
+
+
+class Whole(sp.Function):
+    """The largest whole number below a formula; SymPy's floor is that of a number as rounded."""
+
+    is_extended_real = True
+
+    @classmethod
+    def eval(cls, of: sp.Expr) -> sp.Expr | None:
+        """Return that of a number; of anything else nothing is known yet."""
+        return sp.Integer(whole(float(of))) if of.is_number and of.is_finite else None
+
 
 _UNARY: dict[type[sp.Basic], str] = {
     sp.exp: "exp",
@@ -63,6 +75,9 @@ def compile_tape(
 ) -> Tape:
     """Compile expressions to a tape.
 
+    Raises `StatechartError` if an expression holds an unknown symbol, a function without an
+    operation, or a constant that is not a finite real number, or if two symbols are the same.
+
     Parameters
     ----------
     outputs : sequence of Expr
@@ -79,12 +94,6 @@ def compile_tape(
     -------
     Tape
         The program.
-
-    Raises
-    ------
-    StatechartError
-        If an expression holds an unknown symbol, a function without an operation, or a constant
-        that is not a finite real number, or if two symbols are the same.
     """
     inputs = [*variables, time, *parameters]
     names = [*inputs, *(symbol for symbol, _ in definitions)]

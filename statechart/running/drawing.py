@@ -14,7 +14,7 @@ from statechart.diagram.machine import Machine
 from statechart.diagram.model import Diagram
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner

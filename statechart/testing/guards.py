@@ -51,15 +51,8 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     moved = _moved(trace)
     for arc, tau in dense(trace):
@@ -75,15 +68,8 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
     moved = _moved(trace)

@@ -63,15 +63,8 @@ def assert_relations(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     _assert_claims(subject, trace, _claims)
 

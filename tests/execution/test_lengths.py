@@ -73,16 +73,16 @@ def test_numbers_whose_squares_are_no_floats_are_refused(
         run(read_text(BALL), parameters={name: value}, **settings)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("mass", [1e-150, 1e-100, 1e100, 1e300])
+@pytest.mark.parametrize("mass", [1e-280, 1e-100, 1e100, 1e300])
 def test_the_mass_of_a_ball_does_not_matter(mass: float) -> None:
     made = run(read_text(BALL), parameters={"m": mass}).trace
     assert made.outcome is Outcome.HORIZON
     assert made.final == pytest.approx(run(read_text(BALL)).trace.final, abs=1e-12)
 
 
-@pytest.mark.parametrize("mass", [1e-320, 1e-151, 1e301])
+@pytest.mark.parametrize("mass", [1e-320, 1e-281, 1e301])
 def test_a_mass_whose_energy_is_no_float_is_refused(mass: float) -> None:
-    with pytest.raises(DeclarationError, match=r"must be between 1e-150 and 1e\+300"):
+    with pytest.raises(DeclarationError, match=r"must be between 1e-280 and 1e\+300"):
         run(read_text(BALL), parameters={"m": mass})
 
 
