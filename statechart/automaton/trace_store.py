@@ -419,7 +419,7 @@ class TraceRecorder(TraceStore):
         """Make room in the buffer; False if its capacity is too small."""
         buffer, wanted = self.buffer, (arcs, times, terms, events)
         parts = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
-        capacity, used = list(map(len, parts)), buffer.used.tolist()
+        capacity, used = [len(part) for part in parts], buffer.used.tolist()
         if all(u + w <= c for u, w, c in zip(used, wanted, capacity, strict=True)):
             return True
         self.seal()

@@ -358,11 +358,17 @@ def _most(moment: Moment) -> int:
 
 
 @part
+def _program(formulas: BatchFormulas, tape: Ints) -> tuple[Ints32, Array, Ints32, Ints32, int]:
+    # Only the packed arrays are read, which both have.
+    return tape_of(formulas, tape)  # type: ignore[arg-type]
+
+
+@part
 def _evaluate(
     formulas: BatchFormulas, tape: Ints, state: Array, parameters: Array, time: float, result: Array
 ) -> None:
     if tape[5] > 0:
-        code, constants, outputs, _, _ = tape_of(formulas, tape)
+        code, constants, outputs, _, _ = _program(formulas, tape)
         tape_values(code, constants, outputs, state, parameters, time, result)
 
 
@@ -435,7 +441,7 @@ def _integrate(formulas: BatchFormulas, block: TraceBuffer, found: Found, totals
             tape = formulas.integrals[block.arcs[arc, 0]]
             if tape[5] == 0:
                 continue
-            code, constants, outputs, reads, n_fixed = tape_of(formulas, tape)
+            code, constants, outputs, reads, n_fixed = _program(formulas, tape)
             times, terms = _arc_of(block, arc, found.final.shape[1])
             sums, _ = integrate_outputs(
                 code, constants, outputs, reads, n_fixed, times, terms, found.values[row],
@@ -460,7 +466,7 @@ def _widen_by_arcs(
     formulas: BatchFormulas, tapes: Ints, block: TraceBuffer, found: Found, row: int, result: Array
 ) -> None:
     for arc in range(found.spans[row, ARCS], found.spans[row, ARCS_END]):
-        code, constants, outputs, reads, n_fixed = tape_of(formulas, tapes[block.arcs[arc, 0]])
+        code, constants, outputs, reads, n_fixed = _program(formulas, tapes[block.arcs[arc, 0]])
         times, terms = _arc_of(block, arc, found.final.shape[1])
         widen(
             code, constants, outputs, reads, n_fixed, times, terms, terms, found.values[row],
