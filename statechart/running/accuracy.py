@@ -19,9 +19,10 @@ from statechart.compiling import working_time
 from statechart.documents.setting import Setting
 from statechart.engines.request import TIGHTER, Chosen
 from statechart.errors import DeclarationError
+from statechart.observation.batch_outputs import OutputValue
 from statechart.observation.difference import Difference, compare, paired
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs, OutputValue, Scales
+from statechart.observation.outputs import Outputs, Scales
 
 WITHOUT_ERROR = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
 """Outcomes of runs that tell nothing of their error."""

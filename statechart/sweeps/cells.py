@@ -29,9 +29,9 @@ from statechart.errors import (
 from statechart.execution.ahead import T_HIGH
 from statechart.execution.rows import Batch, RowRunner
 from statechart.formulas.formula import parse
+from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.observation.rows import RowOutputs, modes_of
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
@@ -341,11 +341,11 @@ class BatchedCells:
         self._tried, self.through = 0, 0
 
     @cached_property
-    def _rows(self) -> tuple[RowRunner, RowOutputs] | None:
+    def _rows(self) -> tuple[RowRunner, BatchOutputs] | None:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None
-        return found[1], RowOutputs(Outputs(found[0], self._task.outputs))
+        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
 
     @property
     def size(self) -> int:
