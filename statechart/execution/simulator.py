@@ -22,7 +22,9 @@ from statechart.automaton.trace_store import (
     Kind,
     TraceBuffer,
     TraceRecorder,
+    TraceStore,
     arc_polynomials,
+    copied,
     event_of,
     trace_buffer,
 )
@@ -164,23 +166,17 @@ class Simulator:
         modes, kinds = batch.modes, batch.kinds
         place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
         first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
-        record = TraceRecorder(
-            len(automaton.variables),
-            modes.kinds,
-            batch.block,
-            partial(modes.jump, setup),
-            begun=True,
-        )
-        outcome = batch.outcome(0)
+        outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
             margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
             message = f"{margin} at t = {t_end:.6g}"
             key, count = last[0], place[N_JUMPS]
-            record.add_jump(Jump(t_end, count, "", "stop", key, key, final, final, (margin,)))
+            stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
         else:
             message = f"reached t = {t_end:.6g}"
-        block = record.seal()
-        arcs, jumps = record.close()
+        block = copied(batch.block)
+        store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
+        arcs, jumps = store.sequences()
         arcs.source = batch._replace(block=block)
         return Trace(
             name=automaton.name,
