@@ -10,6 +10,6 @@ fall of a margin by branch and bound, in its `search_memory`, running what is `n
 margins in question, down to their `roots`. `resolution` says where a step may have passed something
 over, which `defect` asks of rates and `quadrature` of what is integrated; `enclosed_defect` proves
 it, on the complex `discs` of analytic functions. `polynomials` is dense output, `extremes` its
-least and greatest values, `constraints` the distance of a state from constraints, `lift` writes
-what follows from other variables, `accumulation` predicts where jumps accumulate.
+least and greatest values, `constraints` the distance of a state from constraints, `reconstruction`
+writes dependent coordinates, `accumulation` predicts where jumps accumulate.
 """

@@ -39,7 +39,7 @@ def integrate_rows(
     columns : (k, f) array of int64
         Where each of its outputs is added.
     arcs, places, starts, times, coefficients
-        See `statechart.automaton.recording.Block`.
+        See `statechart.automaton.trace_store.TraceBuffer`.
     spans : (r, ..) array of int64
         Where the arcs of a run begin and end.
     values : (r, p) array

@@ -57,7 +57,7 @@ class Observers:
             simulator = self._simulator(setting, off)
             observer = found = self._kept[setting, off] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
-                simulator.watched = lambda: OnTheWay(self.outputs(observer))
+                simulator.new_outputs = lambda: OnTheWay(self.outputs(observer))
         return found
 
     def outputs(self, observer: Observer) -> Outputs:

@@ -18,7 +18,7 @@ from statechart.observation.outputs import Outputs, OutputValue
 
 
 class OnTheWay:
-    """Computes outputs of one run; see `statechart.automaton.keeping.Watch`.
+    """Computes outputs of one run; see `statechart.automaton.recording_policy.Watch`.
 
     Sums and extremes go on from piece to piece, in the order in which `Outputs.of` takes the arcs
     of a whole run.

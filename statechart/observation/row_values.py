@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.recording import Block
+from statechart.automaton.trace_store import TraceBuffer
 from statechart.execution.ahead import N_MODE, T_HIGH
 from statechart.execution.rows import (
     ARCS,
@@ -110,7 +110,7 @@ class Values(NamedTuple):
 
 
 @part
-def _code(block: Block, event: int, kinds: int, regions: int) -> int:
+def _code(block: TraceBuffer, event: int, kinds: int, regions: int) -> int:
     """Return a number for an event that is that of others like it, for all that outputs ask."""
     row, numbers = block.events[event], block.numbers[event]
     hit = numbers[NORMAL] != 0.0 or numbers[TANGENTIAL] != 0.0
@@ -142,7 +142,7 @@ def _place_of(codes: Ints, code: int) -> int:
 
 @part
 def _decide(
-    told: Told, block: Block, found: Found, regions: int, values: Values
+    told: Told, block: TraceBuffer, found: Found, regions: int, values: Values
 ) -> tuple[int, int]:
     """Tell which events are waited for; see `row_values` for what is returned."""
     kinds, count, settled = found.entered.shape[1], 0, True
@@ -177,7 +177,9 @@ def _evaluate(
 
 
 @part
-def _at_events(wanted: Wanted, block: Block, found: Found, output: int, values: Values) -> None:
+def _at_events(
+    wanted: Wanted, block: TraceBuffer, found: Found, output: int, values: Values
+) -> None:
     """Write the values of an output at its events."""
     wait, most, before = wanted.moments[output]
     first, at = 0, 0
@@ -223,7 +225,7 @@ def _include(extremes: Array, value: Array) -> None:
 
 @part
 def _extremes(
-    wanted: Wanted, block: Block, found: Found, formula: int, spans: Ints, result: Array
+    wanted: Wanted, block: TraceBuffer, found: Found, formula: int, spans: Ints, result: Array
 ) -> None:
     """Write the least and the greatest value (m, 2) of a formula."""
     tapes, value = wanted.extremes[formula], np.full(1, math.nan)
@@ -254,7 +256,7 @@ def _extremes(
 
 @kernel
 def row_values(
-    wanted: Wanted, told: Told, block: Block, found: Found, regions: int, decided: bool,
+    wanted: Wanted, told: Told, block: TraceBuffer, found: Found, regions: int, decided: bool,
     values: Values,
 ) -> tuple[int, int]:  # fmt: skip
     """Compute the outputs of rows.
@@ -263,7 +265,7 @@ def row_values(
     ----------
     wanted : Wanted
     told : Told
-    block : Block
+    block : TraceBuffer
         Holds the arcs and events of the rows.
     found : Found
         The rows.

@@ -9,9 +9,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.events import happened
-from statechart.automaton.recording import Event as Recorded
-from statechart.automaton.recording import event_of
 from statechart.automaton.trace import Jump, Key
+from statechart.automaton.trace_store import RecordedEvent, event_of
 from statechart.documents.outputs import Event
 from statechart.execution.ahead import N_JUMPS, N_MODE
 from statechart.execution.rows import EVENTS, EVENTS_END, FIRST_MODE, Batch
@@ -142,7 +141,7 @@ class RowOutputs:
         rows = np.insert(told.verdicts, at, np.array(verdicts, np.uint8), axis=0)
         return Told(np.insert(told.codes, at, code), rows)
 
-    def _alike(self, batch: Batch, event: Recorded) -> tuple[Jump, Jump]:
+    def _alike(self, batch: Batch, event: RecordedEvent) -> tuple[Jump, Jump]:
         """Return a jump like an event, with those impulses that it has surely, and possibly."""
         region, cause = batch.modes.about(event)
         hit = [region] if event.struck >= 0 and (event.normal or event.tangential) else []
