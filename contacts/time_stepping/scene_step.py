@@ -218,8 +218,8 @@ def keep_leaving(
     for i in range(len(closed)):
         gap = tape.numbers[tape.first + tape.per * i + 2 * n + 2]
         chunk.gaps[k, i] = math.inf if memory.off[i] else gap
+        memory.closed[i] = closed[i]
     put(level, memory.level)
-    put(closed, memory.closed)
     chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
     return stays
 
