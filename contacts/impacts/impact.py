@@ -103,8 +103,7 @@ def impact(
     status, normal, tangential, code, u_n, u_t = strike(
         np.ascontiguousarray(snapshot.mass),
         np.ascontiguousarray(contact.jacobian),
-        contact.gap_rate,
-        contact.slip,
+        (contact.gap_rate, contact.slip),
         np.array([law.cone_n, law.cone_t]),
         MEANINGS[law.impact],
         restitution,

@@ -107,8 +107,7 @@ def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
 def strike(
     mass: Array,
     jacobian: Array,
-    approach: float,
-    slip: float,
+    rates: tuple[float, float],
     cone: Array,
     meaning: int,
     restitution: float,
@@ -120,8 +119,8 @@ def strike(
     Parameters
     ----------
     mass : (n, n), jacobian : (2, n) array
-    approach, slip : float
-        Rates of the gap and along the surface.
+    rates : (float, float)
+        Of the gap, and along the surface.
     cone : (2,) array
         cone_n, cone_t.
     meaning : int
@@ -144,7 +143,8 @@ def strike(
     """
     size, cone_n, cone_t = len(velocity), cone[0], cone[1]
     before, change = velocity.copy(), np.empty(len(velocity))
-    u_n, u_t, normal, tangential, work = approach, slip, 0.0, 0.0, 0.0
+    approach, u_t = rates
+    u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
     compressed, stored, compressing = 0.0, 0.0, True
     path, place, last = 0, 0, 0
     for _ in range(LONGEST):
