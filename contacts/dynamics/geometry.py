@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from contacts.dynamics.rims import Rim, Vector
+from contacts.dynamics.rolling_disc import Rim, Vector
 from contacts.scene.joints import Path
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Contact, Pair, Point, Surface
@@ -26,7 +26,7 @@ class ContactGeometry:
         Its position in the frame of the surface (the world's, unless a body carries the surface).
     anchor, slipping : (Expr, Expr)
         What stays constant as long as it is pinned, and the direction in which that moves as it
-        slips: the point and the tangent, unless it is on a rim (`contacts.dynamics.rims`).
+        slips: the point and the tangent, unless it is on a rim (`contacts.dynamics.rolling_disc`).
     normal, tangent : (Expr, Expr)
         Unit vectors of the surface there, in that frame; the normal points out of the solid, the
         tangent is the normal turned clockwise.

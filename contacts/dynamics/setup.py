@@ -15,9 +15,9 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, mass_unit
 from contacts.scene.checks import check_finite, check_physical, physical_limits
+from contacts.scene.lint import lint
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
-from contacts.scene.unlikely import unlikely
 from contacts.solvers.dependence import implied
 from contacts.states import implied_joints
 from statechart.arrays import Array
@@ -152,7 +152,7 @@ class SceneNumbers:
             [entry for row in rows for entry in row.jacobian],
         )
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._unlikely = (*unlikely(scene), *_unpressed(mechanics))
+        self._unlikely = (*lint(scene), *_unpressed(mechanics))
         self.limits: Tape | None = None
         limits = physical_limits(scene)
         if limits is not None:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.bounces import DIGITS, EPS
-from contacts.impacts.impact import MEANINGS
-from contacts.impacts.path import ENDED, RAISES, strike
+from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
 from contacts.impacts.plastic import strike_group
 from contacts.modes.fast_classification import ModeRules, classify
 from contacts.scene.parts import MOREAU

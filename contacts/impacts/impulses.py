@@ -18,7 +18,6 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.plastic import STEEP
-from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.dependence import independent
@@ -31,9 +30,9 @@ from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Ints
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
-_ENUMERATED = 4
+_MAX_ENUMERATED = 4
 # Up to here it is the last resort: inertias that differ by more than 1e12 ruin Lemke's matrix.
-_ENUMERATED_LAST = 7
+_MAX_LAST_RESORT = 7
 _ON_EDGE = 1e-9
 # Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
 _EXACT, _TIE = 1e-13, 1e-11
@@ -94,9 +93,9 @@ def collisions(
     group = [i for i, shut in enumerate(closed) if shut]
     problem = _Problem.of(snapshot, laws, group, restitution)
     agree: list[Impulses] = []
-    if len(group) > _ENUMERATED:
+    if len(group) > _MAX_ENUMERATED:
         agree = problem.solve(problem.by_lemke())
-    if not agree and len(group) <= _ENUMERATED_LAST:
+    if not agree and len(group) <= _MAX_LAST_RESORT:
         agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
     found: list[Impulses] = []
     for collision in sorted(agree, key=_preference):
@@ -367,4 +366,52 @@ def _preference(collision: Impulses) -> tuple[bool, int, int, tuple[str, ...]]:
         states.count("open"),
         len(states) - states.count("stick"),
         states,
+    )
+
+
+def work_of(
+    jacobians: Array,
+    mass: Array,
+    velocity: Array,
+    before: Array,
+    changes: Array,
+    impulses: Array,
+) -> tuple[Array, Array]:
+    """Return the work of impulses against the surfaces, and the size of the terms it is made of.
+
+    At the contacts, or of the bodies' momenta, whichever is made of smaller terms: where impulses
+    are huge and cancel, rounding hides it in the one, and where bodies are fast in the other.
+
+    Parameters
+    ----------
+    jacobians : (g, 2, n), mass : (n, n)
+    velocity : (n,), before : (g, 2)
+        Before the impact, of the coordinates and of the contacts.
+    changes : (.., n), impulses : (.., g, 2)
+
+    Returns
+    -------
+    work, size : (..) array
+    """
+    means = 0.5 * changes
+    rates = np.einsum("gdn,...n->...gd", jacobians, means)
+    spread = np.einsum("gdn,...n->...gd", np.abs(jacobians), np.abs(changes))
+    momenta, receding = changes @ mass, before - jacobians @ velocity
+    works = np.array(
+        [
+            (impulses * (before + rates)).sum(axis=(-2, -1)),
+            (momenta * (velocity + means)).sum(axis=-1) + (impulses * receding).sum(axis=(-2, -1)),
+        ]
+    )
+    sizes = np.array(
+        [
+            (np.abs(impulses) * (np.abs(before) + spread)).sum(axis=(-2, -1)),
+            (np.abs(momenta) * (np.abs(velocity) + np.abs(means))).sum(axis=-1)
+            + (np.abs(impulses) * np.abs(receding)).sum(axis=(-2, -1)),
+        ]
+    )
+    smaller = sizes.argmin(axis=0)[None]
+    return (
+        np.take_along_axis(works, smaller, axis=0)[0],
+        np.take_along_axis(sizes, smaller, axis=0)[0],
     )

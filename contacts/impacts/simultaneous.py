@@ -18,10 +18,8 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impacts.impact import Impact, impact
-from contacts.impacts.impulses import Impulses, collisions, coupled
-from contacts.impacts.path import RAISES
-from contacts.impacts.work import work_of
+from contacts.impacts.impact import RAISES, Impact, impact
+from contacts.impacts.impulses import Impulses, collisions, coupled, work_of
 from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE, shares
 from statechart.arrays import Array

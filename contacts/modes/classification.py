@@ -29,7 +29,7 @@ from contacts.modes.candidates import (
     openness,
     same_motion,
 )
-from contacts.modes.doubt import Doubt
+from contacts.modes.force_uncertainty import ForceUncertainty
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
@@ -117,7 +117,7 @@ def choose(
     tie: float,
     still_below: float,
     before: Before | None = None,
-    doubt: Doubt | None = None,
+    doubt: ForceUncertainty | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
 
@@ -132,7 +132,7 @@ def choose(
     before : Before, optional
         What held before. Where contacts share a load its mode goes on as long as some forces
         explain it, whatever else agrees, if these are of contacts that bore. Not given: all may.
-    doubt : Doubt, optional
+    doubt : ForceUncertainty, optional
         What the state may be off by, where contacts may have come to rest.
 
     Raises

@@ -22,7 +22,7 @@ from statechart.arrays import Array
 from statechart.automaton.trace import Key
 
 
-class Doubt(NamedTuple):
+class ForceUncertainty(NamedTuple):
     """Where contacts come to rest, and what a run may be off by there.
 
     Attributes
