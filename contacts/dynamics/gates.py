@@ -41,45 +41,24 @@ _TIE = 1e-300
 
 
 class GateAtom(NamedTuple):
-    """An atom of a gate.
+    """An atom of a gate."""
 
-    Attributes
-    ----------
-    name, back : str
-        Names of the margins that fall as it ceases to hold, and as it begins to.
-    words : str
-        The relation that it belongs to.
-    margin : Expr
-        At or above 0 while it holds.
-    closed : bool
-        Whether it holds at 0.
-    """
-
+    # `name`, `back`: Names of the margins that fall as it ceases to hold, and as it begins to
     name: str
     back: str
-    words: str
-    margin: sp.Expr
-    closed: bool
+    words: str  # The relation that it belongs to
+    margin: sp.Expr  # At or above 0 while it holds
+    closed: bool  # Whether it holds at 0
 
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """The gate of a contact.
-
-    Attributes
-    ----------
-    contact : str
-    atoms : tuple of GateAtom
-    root : int, Every or Some
-        Leaves are places in `atoms`.
-    wholes : mapping
-        Words of a relation of several atoms -> its margin.
-    """
+    """The gate of a contact."""
 
     contact: str
     atoms: tuple[GateAtom, ...]
-    root: Any
-    wholes: Mapping[str, sp.Expr]
+    root: Any  # Leaves are places in `atoms`
+    wholes: Mapping[str, sp.Expr]  # Words of a relation of several atoms -> its margin
 
     @property
     def gap(self) -> str:

@@ -28,28 +28,20 @@ from statechart.formulas.writer import compile_tape
 
 
 class _Surroundings(NamedTuple):
-    """A surface as a point sees it.
+    """A surface as a point sees it."""
 
-    Attributes
-    ----------
-    function, gap, gap_rate : Expr
-        What is zero on the surface; the distance, and its derivative in time.
-    bias : Expr
-        The second derivative of the gap where nothing accelerates.
-    normal, rates, drifts : (Expr, Expr)
-        And the point's velocity, and acceleration where nothing accelerates, along x and y.
-    turned : Expr
-        What the turning of the tangent adds to the derivative of the slip.
-    """
-
+    # `function`, `gap`, `gap_rate`: What is zero on the surface; the distance, and its derivative
+    # in time
     function: sp.Expr
     gap: sp.Expr
     gap_rate: sp.Expr
-    bias: sp.Expr
+    bias: sp.Expr  # The second derivative of the gap where nothing accelerates
+    # `normal`, `rates`, `drifts`: And the point's velocity, and acceleration where nothing
+    # accelerates, along x and y
     normal: Vector
     rates: Vector
     drifts: Vector
-    turned: sp.Expr
+    turned: sp.Expr  # What the turning of the tangent adds to the derivative of the slip
 
 
 class Mechanics(Geometry):

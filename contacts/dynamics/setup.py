@@ -51,35 +51,21 @@ LOOK_AHEAD = 64.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneSetup(Setup):
-    """The numbers of one run of a scene.
+    """The numbers of one run of a scene."""
 
-    Attributes
-    ----------
-    scales : Scales
-        Of this run.
-    contacts : tuple of ContactLaw
-        With this run's coefficients.
-    capture : float
-        Rebounds slower than this are summed instead of simulated.
-    lowest, fast : float
-        Bounces lower than the first are summed, too; none is that is faster than the second.
-    bands : mapping
-        Stop condition -> how near zero its margin counts as met; from its value at the start.
-    start_depth : float
-        How deep bodies with shapes start in what they touch.
-    rounded : float
-        What steps leave of what rests, in parts of the size of each number: of impulses of points
-        their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
-        their impulses miss by.
-    """
-
-    scales: Scales
-    contacts: tuple[ContactLaw, ...]
-    capture: float
+    scales: Scales  # Of this run
+    contacts: tuple[ContactLaw, ...]  # With this run's coefficients
+    capture: float  # Rebounds slower than this are summed instead of simulated
+    # `lowest`, `fast`: Bounces lower than the first are summed, too; none is that is faster than
+    # the second
     lowest: float
     fast: float
+    # Stop condition -> how near zero its margin counts as met; from its value at the start
     bands: Mapping[str, float]
-    start_depth: float = 0.0
+    start_depth: float = 0.0  # How deep bodies with shapes start in what they touch
+    # What steps leave of what rests, in parts of the size of each number: of impulses of points
+    # their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
+    # their impulses miss by
     rounded: float = 1e-12
 
     @property

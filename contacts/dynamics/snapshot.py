@@ -25,34 +25,22 @@ UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths
 
 
 class PerContact(NamedTuple):
-    """One contact's numbers.
+    """One contact's numbers."""
 
-    Attributes
-    ----------
-    gap : float
-        Distance from the surface, to first order.
-    gap_rate, slip : float
-        Normal and tangential velocity.
-    x, y : float
-        Position of the point.
-    tx, ty : float
-        Unit tangent of the surface there.
-    bias_n, bias_t : float
-        Accelerations of the point that the unknown ones do not enter.
-    jacobian : (2, n) array
-        Rows: normal, tangential.
-    """
-
-    gap: float
+    gap: float  # Distance from the surface, to first order
+    # `gap_rate`, `slip`: Normal and tangential velocity
     gap_rate: float
     slip: float
+    # `x`, `y`: Position of the point
     x: float
     y: float
+    # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
+    # `bias_n`, `bias_t`: Accelerations of the point that the unknown ones do not enter
     bias_n: float
     bias_t: float
-    jacobian: Array
+    jacobian: Array  # (2, n): Rows: normal, tangential
 
 
 class Snapshot(NamedTuple):
@@ -61,34 +49,16 @@ class Snapshot(NamedTuple):
     Where there are joints, `n` counts the motions that they allow: mass, forces, velocity,
     Jacobians and biases are those of the bodies held together, so that nothing that is computed
     of them needs to know of joints.
-
-    Attributes
-    ----------
-    mass : (n, n) array
-        Mass matrix.
-    forces : (n,) array
-        Right-hand side of ``M a = forces`` without contacts.
-    velocity : (n,) array
-        Rates of the coordinates, or of the motions.
-    energy : float
-        Kinetic plus gravity's.
-    contacts : tuple of PerContact
-        In the order of the declaration.
-    jacobians : (c, 2, n) array
-    biases : (c, 2) array
-        Of all contacts.
-    held : Held or None
-        None where there are no joints.
     """
 
-    mass: Array
-    forces: Array
-    velocity: Array
-    energy: float
-    contacts: tuple[PerContact, ...]
-    jacobians: Array
-    biases: Array
-    held: Held | None = None
+    mass: Array  # (n, n): Mass matrix
+    forces: Array  # (n,): Right-hand side of ``M a = forces`` without contacts
+    velocity: Array  # (n,): Rates of the coordinates, or of the motions
+    energy: float  # Kinetic plus gravity's
+    contacts: tuple[PerContact, ...]  # In the order of the declaration
+    jacobians: Array  # (c, 2, n)
+    biases: Array  # (c, 2): Of all contacts
+    held: Held | None = None  # None where there are no joints
 
     @property
     def whole(self) -> Snapshot:
@@ -124,23 +94,12 @@ class Snapshot(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The numbers of joints at one state.
+    """The numbers of joints at one state."""
 
-    Attributes
-    ----------
-    whole : Snapshot
-        As if there were no joints.
-    joints : JointNumbers
-    basis : (coordinates, motions) array
-        What the motions do to the coordinates.
-    drift : (coordinates,) array
-        How the coordinates accelerate where the motions do not.
-    """
-
-    whole: Snapshot
+    whole: Snapshot  # As if there were no joints
     joints: JointNumbers
-    basis: Array
-    drift: Array
+    basis: Array  # (coordinates, motions): What the motions do to the coordinates
+    drift: Array  # (coordinates,): How the coordinates accelerate where the motions do not
 
 
 class SnapshotTape:

@@ -53,27 +53,14 @@ _NAMES = {**STATES, _PRESS: "stick"}
 
 @dataclass(frozen=True, eq=False)
 class Impulses:
-    """One solution of the impact's complementarity problem.
+    """One solution of the impact's complementarity problem."""
 
-    Attributes
-    ----------
-    change : (n,) array
-        Of the rates of the coordinates.
-    impulses : (c, 2) array
-        V and H on the body; zero where a contact is not closed.
-    states : tuple of str
-        open, stick, slip+, slip- or slip (no friction), per contact.
-    indeterminate : tuple of bool
-        Contacts whose impulses the motion does not determine; the smallest are given.
-    violation : float
-        The largest relative to the terms of its inequality.
-    """
-
-    change: Array
-    impulses: Array
-    states: tuple[str, ...]
+    change: Array  # (n,): Of the rates of the coordinates
+    impulses: Array  # (c, 2): V and H on the body; zero where a contact is not closed
+    states: tuple[str, ...]  # open, stick, slip+, slip- or slip (no friction), per contact
+    # Contacts whose impulses the motion does not determine; the smallest are given
     indeterminate: tuple[bool, ...]
-    violation: float
+    violation: float  # The largest relative to the terms of its inequality
 
 
 def collisions(
@@ -115,32 +102,17 @@ def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The contacts of a group, and the coordinates that they move.
+    """The contacts of a group, and the coordinates that they move."""
 
-    Attributes
-    ----------
-    group : list of int
-        Contacts.
-    moved : (m,) array of int
-        Coordinates, of `size`.
-    mass : (m, m), jacobians : (g, 2, m), cones : (g, 2)
-    start : (g, 2)
-        What v_n + e min(v_n-, 0) and v_t are without impulses.
-    velocity : (m,)
-        Before.
-    plastic : bool
-        Whether nothing rebounds: then no impulses can raise the energy.
-    """
-
-    group: list[int]
-    moved: Ints
+    group: list[int]  # Contacts
+    moved: Ints  # (m,): Coordinates, of `size`
     size: int
-    mass: Array
+    mass: Array  # (m, m), jacobians : (g, 2, m), cones : (g, 2)
     jacobians: Array
     cones: Array
-    start: Array
-    velocity: Array
-    plastic: bool
+    start: Array  # (g, 2): What v_n + e min(v_n-, 0) and v_t are without impulses
+    velocity: Array  # (m,): Before
+    plastic: bool  # Whether nothing rebounds: then no impulses can raise the energy
 
     @classmethod
     def of(

@@ -66,41 +66,22 @@ def _verdicts(
 
 
 class Choice(NamedTuple):
-    """The candidate taken, what was considered, and what a reader must know.
-
-    Attributes
-    ----------
-    taken : Candidate
-    considered : mapping
-        Mode -> why it was taken or not.
-    warning : str
-        "" or a sentence, such as for an indeterminate contact.
-    notes : tuple of str
-        What is to be known of the mode whenever it is taken.
-    doubted : bool
-        Whether its forces may be beyond their bounds by what the run is off by.
-    """
+    """The candidate taken, what was considered, and what a reader must know."""
 
     taken: Candidate
-    considered: Mapping[str, str]
-    warning: str = ""
-    notes: tuple[str, ...] = ()
-    doubted: bool = False
+    considered: Mapping[str, str]  # Mode -> why it was taken or not
+    warning: str = ""  # "" or a sentence, such as for an indeterminate contact
+    notes: tuple[str, ...] = ()  # What is to be known of the mode whenever it is taken
+    doubted: bool = False  # Whether its forces may be beyond their bounds by what the run is off by
 
 
 class Before(NamedTuple):
-    """What held before: what goes on, and which forces are there.
+    """What held before: what goes on, and which forces are there."""
 
-    Attributes
-    ----------
-    mode : tuple of str or None
-        The mode that the state comes from: of several that agree the one is taken that moves on as
-        it did. None after an impact, and at the start.
-    bearing : frozenset of int
-        Contacts that may bear. What presses others against each other comes without cause.
-    """
-
+    # The mode that the state comes from: of several that agree the one is taken that moves on as it
+    # did. None after an impact, and at the start
     mode: tuple[str, ...] | None = None
+    # Contacts that may bear. What presses others against each other comes without cause
     bearing: frozenset[int] = frozenset()
 
     @classmethod

@@ -57,22 +57,12 @@ _MOST_MODES = 4096
 
 @dataclass(frozen=True)
 class ModeVerdict:
-    """Whether a mode is kinematically possible.
+    """Whether a mode is kinematically possible."""
 
-    Attributes
-    ----------
-    states : tuple of str
-        Per contact.
-    feasible : bool
-    reason : str
-        Why it is not feasible, in words; "" where it is.
-    conflict : tuple of (int, str)
-        Contacts and their conditions that exclude one another, none of which can be spared.
-    """
-
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # Per contact
     feasible: bool
-    reason: str
+    reason: str  # Why it is not feasible, in words; "" where it is
+    # Contacts and their conditions that exclude one another, none of which can be spared
     conflict: tuple[tuple[int, str], ...] = ()
 
 

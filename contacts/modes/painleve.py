@@ -24,27 +24,15 @@ _NONE = 1e-14
 
 @dataclass(frozen=True)
 class Paradox:
-    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open.
-
-    Attributes
-    ----------
-    contact : str
-    p : float
-        Normal acceleration per unit of normal force V while it slides; per unit of the force
-        along the cone's edge where mu is infinite. In 1/mass.
-    b : float
-        Normal acceleration without force.
-    mu : float
-        Coefficient of friction.
-    critical : float
-        The mu at which p = 0.
-    """
+    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open."""
 
     contact: str
+    # Normal acceleration per unit of normal force V while it slides; per unit of the force along
+    # the cone's edge where mu is infinite. In 1/mass
     p: float
-    b: float
-    mu: float
-    critical: float
+    b: float  # Normal acceleration without force
+    mu: float  # Coefficient of friction
+    critical: float  # The mu at which p = 0
 
     @property
     def kind(self) -> str:
