@@ -236,14 +236,7 @@ def round_off(size: float, relative: float) -> float:
 def judge(value: float, rate: float, size: float, slow: float, relative: float) -> int:
     """Judge a condition by its margin and the first derivative of that.
 
-    Parameters
-    ----------
-    value, rate : float
-        Margin and first derivative.
-    size, slow : float
-        Sizes of their terms.
-    relative : float
-        What is so small in parts of its terms is zero.
+    The sizes of their terms are `size` and `slow`, of which the part `relative` is zero.
     """
     band = round_off(size, relative)
     if value > band:

@@ -49,7 +49,7 @@ class JointNumbers(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Block:
+class JointGroup:
     """Rows and coordinates that joints link; coordinates alone where no joint holds them."""
 
     rows: tuple[int, ...]
@@ -67,18 +67,18 @@ class Motions:
     acceleration: Array
 
 
-def blocks(pattern: Bools) -> tuple[Block, ...]:
+def joint_groups(pattern: Bools) -> tuple[JointGroup, ...]:
     """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
     labels = connected(pattern.T @ pattern)
     found = []
     for label in np.unique(labels):
         columns = np.flatnonzero(labels == label)
         rows = np.flatnonzero(pattern[:, columns].any(axis=1))
-        found.append(Block(tuple(rows.tolist()), tuple(columns.tolist())))
+        found.append(JointGroup(tuple(rows.tolist()), tuple(columns.tolist())))
     return tuple(found)
 
 
-def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> Motions:
+def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[JointGroup]) -> Motions:
     """Return what the joints allow at a state with rates `velocity` (n,)."""
     size = len(velocity)
     driven = numbers.rates - numbers.jacobian @ velocity

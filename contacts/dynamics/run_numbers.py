@@ -67,7 +67,7 @@ def rules(numbers: SceneNumbers) -> Rules | None:
     )
 
 
-def room(parameters: int, variables: int, rules: Rules) -> Numbers:
+def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
     """Return memory for the numbers of a run."""
     return Numbers(
         np.empty(parameters),

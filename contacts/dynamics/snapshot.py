@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.joints import Block, JointNumbers, blocks, motions
+from contacts.dynamics.joints import JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
@@ -133,7 +133,7 @@ class SnapshotTape:
         self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
         self.joints = len(rows)
-        self._blocks: tuple[Block, ...] = blocks(
+        self._blocks: tuple[JointGroup, ...] = joint_groups(
             np.array([[j != 0 for j in row.jacobian] for row in rows], dtype=np.bool_).reshape(
                 self.joints, self.size
             )
@@ -186,7 +186,7 @@ class SnapshotTape:
         return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
 
 
-def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snapshot:
+def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:
     """Return the numbers of the motions that joints allow."""
     allowed = motions(joints, whole.velocity, parts)
     basis = allowed.basis
@@ -218,19 +218,9 @@ def solve_kkt(
     The saddle-point form is kept: the Delassus matrix ``J M^-1 J^T`` is wrong by 7 % at a moment
     of inertia of 1e-16 and does not exist at 0, where this one is exact.
 
-    Parameters
-    ----------
-    mass : (n, n), right : (n,)
-    rows : (m, n)
-        What is asked of the accelerations, or of changes of velocity.
-    columns : (m, n)
-        What the forces, or impulses, do to the coordinates.
-    constants : (m,)
-
-    Returns
-    -------
-    (a, f) or None
-        None where the system is singular: the mode does not determine the motion.
+    `rows` (m, n) times the accelerations, or changes of velocity, are the `constants` (m,); forces,
+    or impulses, act along `columns` (m, n). None where the system is singular: the mode does not
+    determine the motion.
 
     Raises
     ------

@@ -354,16 +354,8 @@ def work_of(
     At the contacts, or of the bodies' momenta, whichever is made of smaller terms: where impulses
     are huge and cancel, rounding hides it in the one, and where bodies are fast in the other.
 
-    Parameters
-    ----------
-    jacobians : (g, 2, n), mass : (n, n)
-    velocity : (n,), before : (g, 2)
-        Before the impact, of the coordinates and of the contacts.
-    changes : (.., n), impulses : (.., g, 2)
-
-    Returns
-    -------
-    work, size : (..) array
+    Of (.., n) changes by (.., g, 2) impulses, from the rates `velocity` (n,) of the coordinates and
+    `before` (g, 2) of the contacts.
     """
     means = 0.5 * changes
     rates = np.einsum("gdn,...n->...gd", jacobians, means)

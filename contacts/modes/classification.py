@@ -102,19 +102,9 @@ def choose(
 ) -> Choice:
     """Return the mode that the state calls for.
 
-    Parameters
-    ----------
-    closed : sequence of bool
-        Which contacts touch; the others are free.
-    tie : float
-        Violations up to this (relative) count as boundary cases, not as violations.
-    still_below : float
-        Slip speeds up to this count as zero.
-    before : Before, optional
-        What held before. Where contacts share a load its mode goes on as long as some forces
-        explain it, whatever else agrees, if these are of contacts that bore. Not given: all may.
-    doubt : ForceUncertainty, optional
-        What the state may be off by, where contacts may have come to rest.
+    Violations up to `tie` (relative) are boundary cases, slip speeds up to `still_below` are zero.
+    Where contacts share a load the mode of `before` goes on as long as some forces explain it,
+    whatever else agrees, if these are of contacts that bore; without `before` all may.
 
     Raises
     ------

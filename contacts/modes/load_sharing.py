@@ -74,16 +74,9 @@ def share(
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 
-    Parameters
-    ----------
-    code : (c,) array of int
-        Modes, as `contacts.states` numbers them.
-    snapshot : Snapshot
-    cones : (c, 2), forces : (c, 2)
-        Which explain the motion, in their cones or not.
-    inward : float
-        Forces this small inside the cones are added when zones are looked for, so that on the
-        boundary of what can be explained the zones still determine the forces.
+    The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
+    their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
+    looked for: on the boundary of what can be explained the zones then still determine the forces.
     """
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)

@@ -57,18 +57,8 @@ def paradoxes(
 ) -> dict[int, Paradox]:
     """Return the touching contacts that slide with p <= 0, or pressed with next to none.
 
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The state's numbers.
-    laws : sequence of ContactLaw
-        One per contact.
-    touching : sequence of bool
-        Which contacts are closed.
-    still_below : float
-        Slip speeds up to this count as zero.
-    nearly : float
-        Those that are pressed with p up to this part of the response to a normal force, too.
+    Slip speeds up to `still_below` are zero; p up to `nearly`, in parts of the response to a normal
+    force, is next to none.
     """
     found: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
