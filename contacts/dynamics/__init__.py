@@ -7,5 +7,5 @@ on, and `conditions` judges them; `control_guards` are those of controllers, `co
 their variables.
 Numbers: `setup` evaluates those of a run, with its `scales` and each `contact_law`, `run_numbers`
 those of a batch; `snapshot` evaluates the equations at a state, `projection` brings a state onto
-the constraints, `starting` checks the start.
+the constraints, `starting` checks the start. `components` are bodies that nothing couples.
 """
