@@ -280,7 +280,7 @@ class Running:
         values = np.array(list(trace.parameters.values()))
         least = 0.0
         for arc in trace.arcs:
-            found = lowest(self.gaps, arc.times, arc.coefficients, values, arc.start.high)
+            found = lowest(self.gaps, [arc.flow], values)
             least = min(least, float(found.min()))
         return trace, -least / trace.tolerances["gap"]
 

@@ -1,53 +1,79 @@
-"""Compilation in this process: said while it lasts, and no part of the time that work takes.
+"""Progress of compilation, and a clock that leaves compilation out.
 
-numba compiles a kernel and all below it when it is first called, heyoka the equations of a mode
-when it is first entered, both in the middle of a run. What that takes has nothing to do with the
-run, and the next one does not take it: budgets, costs and progress are told by `working_time`.
+numba compiles a kernel and its callees at its first call, heyoka the equations of a mode when a run
+first enters it. The next run does not pay for it, so budgets, costs and rates use `working_time`.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from statechart.tabular import several
 
-_AFTER = 1.0  # seconds before it is said that something is compiled, and between one and the next
+_AFTER = 1.0  # seconds before a compilation is reported, and between two reports
+
+KERNELS = "numerical kernels"
+"""The name of numba's work in messages."""
+
+Say = Callable[[str, str, bool], None]
+"""Takes what is compiled, a line, and whether it is the last one of a compilation."""
 
 
 class _State:
-    """What is being compiled; since when, and when that was last said."""
+    """The compilation under way: since when, and when it was last reported."""
 
     name, done, total = "", 0, 0
     depth = 0
     began = said = 0.0
     told = False
     spent = 0.0
-    say: Callable[[str], None] | None = None
+    say: Say | None = None
 
 
 _now = _State()
 
 
-def announce(say: Callable[[str], None] | None) -> None:
-    """Let what is compiled for more than about a second be said by `say`, line by line."""
+class StderrLine:
+    """Write the progress of compilation to stderr as one line.
+
+    A terminal shows it in place while it lasts; elsewhere the first line about each subject is
+    written.
+    """
+
+    def __init__(self) -> None:
+        self._written: set[str] = set()
+
+    def __call__(self, subject: str, line: str, last: bool) -> None:
+        """Write a line."""
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[2K" + line * (not last))
+        elif subject not in self._written:
+            self._written.add(subject)
+            sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+
+def announce(say: Say | None) -> None:
+    """Report compilations of more than a second to `say`; None reports none."""
     _now.say = say
 
 
 def announced() -> bool:
-    """Whether what is compiled is said."""
+    """Whether compilations are reported."""
     return _now.say is not None
 
 
 def working_time() -> float:
-    """Return seconds of a clock that stands still while something is compiled."""
+    """Return seconds of a clock that stops during compilation."""
     now = time.perf_counter()
     return now - _now.spent - (now - _now.began if _now.depth else 0.0)
 
 
 def begin(name: str, count: Callable[[], int]) -> None:
-    """Begin to compile a function, for itself or for the one that was begun before."""
+    """Note that a compilation begins, maybe inside another."""
     _now.depth += 1
     if _now.depth > 1:
         return
@@ -56,14 +82,19 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.total = count() if _now.say is not None else 0
 
 
-def beside(name: str) -> None:
-    """Say that another process compiles a function, while this one goes on."""
-    _say(f"another process compiles {name} for the next run; this one goes on without")
+def beside() -> None:
+    """Report that another process compiles while this one goes on."""
+    if _now.say is not None:
+        _now.say(
+            "beside",
+            f"compiling {KERNELS} for the next run; this run is interpreted meanwhile",
+            False,
+        )
 
 
 @contextmanager
 def whole(name: str) -> Iterator[None]:
-    """Compile what tells nothing of how far it is."""
+    """Time a compilation that reports no progress."""
     begin(name, lambda: 1)
     try:
         yield
@@ -72,25 +103,28 @@ def whole(name: str) -> Iterator[None]:
 
 
 def end(counts: bool = True) -> None:
-    """End what was begun last; whether it `counts` as one of those to be compiled."""
+    """End the latest compilation, which `counts` as one of those that were expected."""
     _now.depth -= 1
     _now.done += counts
     now = time.perf_counter()
     if _now.depth == 0:
         _now.spent += now - _now.began
         if _now.told or now - _now.began >= _AFTER:
-            _say(f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once")
+            _report(
+                f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True
+            )
     elif now - _now.said >= _AFTER:
         _now.said, _now.told = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)
-        _say(
+        _report(
             f"compiling {_now.name}: {_now.done} of {several(total, 'function')}, "
-            f"{now - _now.began:.0f} s"
+            f"{now - _now.began:.0f} s; this happens once",
+            last=False,
         )
 
 
-def _say(line: str) -> None:
+def _report(line: str, *, last: bool) -> None:
     if _now.say is not None:
-        _now.say(line)
+        _now.say(_now.name, line, last)

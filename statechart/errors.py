@@ -144,6 +144,8 @@ class DeclarationProblem(ValueError):
         Whether the key is wrong rather than its value.
     offset : int
         Where in the field's text, counted from 0.
+    text : str
+        The formula or relation that `offset` points into, as read; empty for none.
     see : tuple of str or int
         Another place that has to do with it, which `{see}` in the message stands for.
 
@@ -163,6 +165,7 @@ class DeclarationProblem(ValueError):
         loc: tuple[str | int, ...] = (),
         key: bool = False,
         offset: int = 0,
+        text: str = "",
         see: tuple[str | int, ...] = (),
     ) -> None:
         super().__init__(message)
@@ -171,6 +174,7 @@ class DeclarationProblem(ValueError):
         self.loc = loc
         self.key = key
         self.offset = offset
+        self.text = text
         self.see = see
 
     def __str__(self) -> str:

@@ -32,8 +32,12 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.states import OFF
 from statechart.arrays import Array, Ints
-from statechart.automaton.course import Courses, along, size_of
 from statechart.automaton.laws import roles_in
+from statechart.automaton.margin_derivatives import (
+    MarginDerivatives,
+    rounding_scale,
+    time_derivative,
+)
 from statechart.automaton.trace import Key, Roles
 
 if TYPE_CHECKING:
@@ -105,13 +109,18 @@ class Conditions:
         for one in self._conditions:
             # How rates go on depends on the mode.
             of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
-            rate = sp.S.Zero if of_rates else along(one.margin, rates, mechanics.time)
-            outputs += [one.margin, rate, size_of(one.margin, sizes), size_of(rate, sizes)]
+            rate = sp.S.Zero if of_rates else time_derivative(one.margin, rates, mechanics.time)
+            outputs += [
+                one.margin,
+                rate,
+                rounding_scale(one.margin, sizes),
+                rounding_scale(rate, sizes),
+            ]
         for name, gate in zip(contacts, gates, strict=True):
             gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
             outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
         self.tape = mechanics.tape(outputs, unknowns=tuple(sizes.values()))
-        self._courses = Courses(
+        self._derivatives = MarginDerivatives(
             (*mechanics.variables, *mechanics.memory.values()),
             mechanics.parameters.ordered,
             mechanics.time,
@@ -284,7 +293,7 @@ class Conditions:
         whole = np.concatenate([state, memory])
         assert setup.sizes is not None
         sizes = np.maximum(np.abs(whole), setup.sizes)
-        return self._courses.sign(
+        return self._derivatives.sign(
             replace(setup, values=values),
             (*roles, *self._roles),
             one.margin,

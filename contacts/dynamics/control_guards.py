@@ -17,8 +17,8 @@ from statechart.charts.claims import guard_claims
 from statechart.charts.firing import Guard, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.charts.guard_watch import GuardWatch
-from statechart.formulas.determinants import Definition
 from statechart.formulas.formula import parse
+from statechart.formulas.linear import Definition
 
 if TYPE_CHECKING:
     from contacts.dynamics.setup import SceneSetup

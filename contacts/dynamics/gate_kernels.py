@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, certificates, opens, truths
 from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.course import UNDERFLOW
+from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.kernels.jit import seldom
 from statechart.kernels.tapes import tape_values
 

@@ -22,7 +22,7 @@ from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Contact, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold
-from statechart.formulas.determinants import Definition
+from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape

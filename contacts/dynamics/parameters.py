@@ -16,6 +16,11 @@ from statechart.formulas.parameters import Parameters
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
 
+MASS_UNIT = "scene.mass_unit"
+"""Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
+ORDINARY = 1e-40, 1e40
+"""Masses (kg) of which determinants, with products of five and of lengths, are floats."""
+
 
 def friction_cones(
     scene: Scene, known: Mapping[str, sp.Symbol]
@@ -37,7 +42,17 @@ def friction_cones(
 
 def scene_parameters(scene: Scene) -> Parameters:
     """Return the scene's parameters, the contacts' coefficients, and the initial state."""
-    return Parameters(scene.parameters, partial(_derived, scene), partial(_initial, scene))
+
+    def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
+        found = _derived(scene, known)
+        values = scene.values({})
+        masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
+        if masses and not ORDINARY[0] <= min(masses) <= max(masses) <= ORDINARY[1]:
+            # Set from the scales of a run, see `contacts.dynamics.scales.mass_unit`.
+            found[MASS_UNIT] = sp.S.Zero
+        return found
+
+    return Parameters(scene.parameters, derived, partial(_initial, scene))
 
 
 def body_parameters(scene: Scene) -> Parameters:

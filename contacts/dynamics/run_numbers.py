@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import horizon, measure
 from contacts.dynamics.setup import FAR, POINT_MASS, ROUNDING, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -72,8 +73,8 @@ class Numbers(NamedTuple):
 
 
 def rules(numbers: SceneNumbers) -> Rules | None:
-    """Return the rules of a scene without joints; None where one run has to be looked at alone."""
-    if numbers.limits is None:
+    """Return the rules of a scene without joints; None where each run is set up alone."""
+    if numbers.limits is None or MASS_UNIT in numbers.places:
         return None
     return Rules(
         np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),

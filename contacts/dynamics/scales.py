@@ -11,6 +11,7 @@ import sympy as sp
 
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import ORDINARY
 from contacts.scene.joints import Path
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
@@ -290,6 +291,15 @@ def bounce_limits(speed: float, acceleration: float, rounding: float) -> tuple[f
     """Return the height of bounces that are noise, and the speed of the fastest that are summed."""
     noise = _NOISE * rounding
     return noise, max(_FAST * speed, math.sqrt(2.0 * acceleration * noise))
+
+
+@seldom
+def mass_unit(acceleration: float, force: float) -> float:
+    """Return the power of two below the mass of a scene where that is extreme; else 0."""
+    mass = force / acceleration
+    if mass == 0.0 or ORDINARY[0] <= mass <= ORDINARY[1]:
+        return 0.0
+    return float(2.0 ** math.floor(math.log2(mass)))
 
 
 @seldom

@@ -12,7 +12,8 @@ import sympy as sp
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits
+from contacts.dynamics.parameters import MASS_UNIT
+from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, mass_unit
 from contacts.scene.checks import check_finite, check_physical, physical_limits
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
@@ -188,6 +189,10 @@ class SceneNumbers:
             # It is a formula's fault where one has no finite value.
             check_finite(self.scene, self.scene.values(overrides))
             raise
+        if MASS_UNIT in self.places:
+            values = values.copy()
+            values[self.places[MASS_UNIT]] = mass_unit(scales.acceleration, scales.force)
+            known = _known(memory, values)
         margins = self.stop_tape.at(initial, known, 0.0).tolist()
         for name, margin in zip(self.stops, margins, strict=True):
             if math.isnan(margin) and name in self._single - self.of_forces:

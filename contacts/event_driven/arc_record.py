@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from statechart.automaton.recording import ARCS, TERMS, TIMES, Block
+from statechart.automaton.trace_store import ARCS, TERMS, TIMES, TraceBuffer
 from statechart.engines.mode_table import Scratch
 from statechart.kernels.jit import part
 
 
 @part
 def record_arc(
-    block: Block, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
+    block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
 ) -> None:
     """Write the steps of a flow behind the others, without terms that are zero in all of them."""
     coeffs, used = memory.coefficients, block.used

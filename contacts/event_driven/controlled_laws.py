@@ -25,9 +25,9 @@ from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.course import Courses
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
 from statechart.charts.firing import Listening, considered
@@ -66,7 +66,9 @@ class ControlledLaws:
         self._states = Controllers(mechanics)
         self._memory = Memory(mechanics)
         variables = (*mechanics.variables, *mechanics.memory.values())
-        self._courses = Courses(variables, mechanics.parameters.ordered, mechanics.time)
+        self._derivatives = MarginDerivatives(
+            variables, mechanics.parameters.ordered, mechanics.time
+        )
         region_of = mechanics.scene.controlled.region_of
         self._varying = any(
             region_of(text) is not None
@@ -103,7 +105,8 @@ class ControlledLaws:
                 start = self._memory.joined(following.start, state)
                 following = following._replace(start=start)
             if jump is None:
-                return None, self._joined(setup, clock, following, own, state, flow)
+                held = self._joined(setup, clock, following, own, state, flow)
+                return None, held._replace(settled=following.settled)
             after = self._memory.joined(jump.after, state)
             jump = replace(
                 jump,
@@ -235,7 +238,9 @@ class ControlledLaws:
         sizes = setup.sizes
 
         def later(margin: str) -> float:
-            return self._courses.sign(setup, flow.roles, margin, state, sizes, clock.high, relative)
+            return self._derivatives.sign(
+                setup, flow.roles, margin, state, sizes, clock.high, relative
+            )
 
         active = active_in(self._regions, flow.mode)
         judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)

@@ -22,8 +22,8 @@ from contacts.modes.doubt import Doubt
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
-from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 
 
@@ -181,7 +181,7 @@ def impact_jump(
             if normal != 0.0 or tangential != 0.0
         },
         path=struck.result.path,
-        considered=Deferred(
+        considered=LazyMapping(
             partial(
                 explained,
                 {} if jam is None else jam.considered,

@@ -32,11 +32,11 @@ from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
 from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
+from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.deferred import Deferred
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
@@ -48,6 +48,7 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -55,8 +56,6 @@ from statechart.errors import NoConsistentMode, SingularMode
 _EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
-# Margins of the forces of a closed contact (`contacts.scene.modes`).
-_FORCES = ("V", "mu V - H", "mu V + H")
 
 
 class SceneLaws:
@@ -275,8 +274,9 @@ class SceneLaws:
                 return None, flow._replace(roles=goes_on, warning=choice.warning, settled=True)
             if not fired or flow.settled:
                 return None
-            # What fell off the constraints, by however little, has not fallen on them.
-            if state is at.state and self._plain and self._of_forces(fired):
+            # The force fell off the constraints, by however little: on them it may not have fallen.
+            # Projected once per instant (`settled`): twice gives other last bits.
+            if state is at.state and self._of_forces(fired):
                 state = on_constraints(moving, snapshot, state)
             if np.array_equal(state, at.state):
                 return None
@@ -296,7 +296,7 @@ class SceneLaws:
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Tell whether margins of contact forces alone fell."""
-        forces = {f"{name}.{force}" for name in self._names for force in _FORCES}
+        forces = {f"{name}.{force}" for name in self._names for force in FORCE_MARGINS}
         return bool(fired) and forces.issuperset(fired)
 
     def _rested(
@@ -327,7 +327,7 @@ class SceneLaws:
         jump = at.jump(
             *cause(self._names, at.flow.mode, target, False),
             target,
-            considered=Deferred(partial(self._considered, setup, at.state, at.clock.high)),
+            considered=LazyMapping(partial(self._considered, setup, at.state, at.clock.high)),
             energy=(energy, energy),
         )
         return jump, flow_in(setup, target)

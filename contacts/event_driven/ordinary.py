@@ -28,10 +28,10 @@ from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.deferred import Deferred
 from statechart.automaton.laws import Flow, Instant, Setup, roles_in
-from statechart.automaton.recording import Event
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace_store import RecordedEvent
 from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.formulas.tape import Tape
@@ -169,13 +169,13 @@ class SceneInstants:
             return None
         return RowCall(self._numbers, self._rules, loop, names, relative)
 
-    def about(self, event: Event) -> tuple[str, str]:
+    def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the contact that an event is about, and its cause."""
         if event.struck >= 0:
             return self._names[event.struck], "touchdown"
         return cause(self._names, event.source, event.target, False)
 
-    def jump(self, setup: Callable[[], Setup], event: Event, fired: str) -> Jump:
+    def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of an event that the loop has made."""
         region, how = self.about(event)
         impulse: Mapping[str, tuple[float, float]] = {}
@@ -187,7 +187,7 @@ class SceneInstants:
                     impulse = {region: (event.normal, event.tangential)}
             else:
                 path = (f"plastic {', '.join(self._modes(event))}",)
-                impulse = Deferred(partial(self._told, "impulse", setup, event, fired))
+                impulse = LazyMapping(partial(self._told, "impulse", setup, event, fired))
         return Jump(
             event.t,
             event.j,
@@ -200,12 +200,12 @@ class SceneInstants:
             (fired,) if fired else (),
             impulse,
             path,
-            Deferred(partial(self._told, "considered", setup, event, fired)),
+            LazyMapping(partial(self._told, "considered", setup, event, fired)),
             (event.energy_before, event.energy_after),
         )
 
     def _told(
-        self, what: str, setup: Callable[[], Setup], event: Event, fired: str
+        self, what: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
     ) -> Mapping[str, Any]:
         """Return what few will read of a jump: the laws themselves are asked again."""
         numbers = setup()
@@ -219,7 +219,7 @@ class SceneInstants:
         assert made[0] is not None
         return {"impulse": made[0].impulse, "considered": made[0].considered}[what]
 
-    def _rebound(self, setup: SceneSetup, event: Event) -> Mapping[str, str] | None:
+    def _rebound(self, setup: SceneSetup, event: RecordedEvent) -> Mapping[str, str] | None:
         """Return what was considered where nothing touches before an impact nor after it.
 
         None elsewhere: then the laws weigh modes.
@@ -237,7 +237,7 @@ class SceneInstants:
             return None
         return explained({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
 
-    def _modes(self, event: Event) -> Iterator[str]:
+    def _modes(self, event: RecordedEvent) -> Iterator[str]:
         """Return what the contacts of a group do in a plastic impact."""
         group, code = event.group, event.path
         for place, name in enumerate(self._names):

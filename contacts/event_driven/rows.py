@@ -17,7 +17,7 @@ from contacts.event_driven.run_rows import SceneRows, run_rows
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
-from statechart.automaton.recording import Block
+from statechart.automaton.trace_store import TraceBuffer
 from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.loops import Loop
 from statechart.execution.rows import Found, Rows
@@ -78,7 +78,7 @@ class RowCall:
             found[:, place] = table[:, column]
         return found
 
-    def run(self, rows: Rows, block: Block, found: Found) -> int:
+    def run(self, rows: Rows, block: TraceBuffer, found: Found) -> int:
         """Make runs; return how many of them before the block was full."""
         arguments = *self._given, rows, *self._memory, block, found
         if self._entry is None:

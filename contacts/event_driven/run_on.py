@@ -13,7 +13,7 @@ from contacts.event_driven.hit import SceneWatch, classified, hit
 from contacts.event_driven.switching import hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.recording import ARCS, EVENTS, MADE, TERMS, TIMES, Block
+from statechart.automaton.trace_store import ARCS, EVENTS, MADE, TERMS, TIMES, TraceBuffer
 from statechart.engines.engine import Pace
 from statechart.engines.flow_watch import SPEED, Watch
 from statechart.engines.mode_table import (
@@ -130,7 +130,7 @@ def row_of(program: Program, states: Ints) -> int:
 
 
 @part
-def _in_turn(block: Block, row: int, jumps: int) -> bool:
+def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     """Whether other contacts may have been hit since a contact last was: the laws are to know."""
     if row % _PER_CAUSE != TOUCHDOWN:
         return False
@@ -149,7 +149,7 @@ def _instant(
     program: Program,
     watch: Watch,
     scene: SceneWatch,
-    block: Block,
+    block: TraceBuffer,
     now: Array,
     place: Ints,
     state: Array,
@@ -274,7 +274,7 @@ def run_on(
     watch: Watch,
     memory: Scratch,
     scene: SceneWatch,
-    block: Block,
+    block: TraceBuffer,
     now: Array,
     place: Ints,
     state: Array,
@@ -289,7 +289,7 @@ def run_on(
         See `statechart.engines.mode_table`.
     scene : SceneWatch
         For the classification of instants.
-    block : Block
+    block : TraceBuffer
         Takes arcs and jumps.
     now : (5,), place : (6,) array
         Where the run is, see `statechart.execution.ahead`; brought up to date.

@@ -18,7 +18,7 @@ from contacts.event_driven.run_on import row_of, run_on
 from contacts.event_driven.switching import switched
 from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.automaton.recording import ARCS, EVENTS, Block
+from statechart.automaton.trace_store import ARCS, EVENTS, TraceBuffer
 from statechart.engines.engine import Pace
 from statechart.engines.flow_watch import GAP, PLAIN, SPEED, Watch
 from statechart.engines.mode_table import (
@@ -278,7 +278,7 @@ def run_rows(
     first_watch: Watch,
     first_instants: SceneWatch,
     series: Array,
-    block: Block,
+    block: TraceBuffer,
     found: Found,
 ) -> int:
     """Make runs from their numbers to their ends; return how many were made before it was full.
@@ -293,7 +293,7 @@ def run_rows(
     rows : Rows
     numbers, first_watch, first_instants, series
         Memory.
-    block : Block
+    block : TraceBuffer
         Takes arcs and events of all rows.
     found : Found
         To be filled, a row for each; a row that ends as `UNUSUAL` or `OTHER` leaves nothing else.

@@ -33,7 +33,7 @@ from contacts.modes.doubt import Doubt
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
-from statechart.automaton.deferred import Deferred
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
 
@@ -189,7 +189,7 @@ def choose(
             for law, state, was in zip(laws, taken.states, doubt.sure, strict=True)
             if state == "pin" and was != "pin"
         )
-    considered = Deferred(partial(_verdicts, laws, tried, taken, tie))
+    considered = LazyMapping(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes, doubted is not None)
 
 

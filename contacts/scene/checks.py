@@ -222,8 +222,8 @@ def _bounded(
         raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)
 
 
-# Beyond these energies, or squares of impulses, are no floats.
-_MASSES = (1e-150, 1e300)
+# Beyond these energies are no floats, or the round-off of forces.
+_MASSES = (1e-280, 1e300)
 
 
 def _weighed(values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]) -> None:

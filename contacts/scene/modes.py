@@ -13,6 +13,9 @@ from statechart.documents.fields import Part
 if TYPE_CHECKING:
     import sympy as sp
 
+FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
+"""Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
+
 
 @dataclass(frozen=True, eq=False)
 class ContactSymbols:
@@ -82,7 +85,7 @@ class Slide(Part):
         that it still has a sign where V itself is zero (mu = inf, equation 13).
         """
         name, n, t = contact.name, contact.cone_n, direction * contact.cone_t
-        margins = [Margin(f"{name}.V", n * contact.V - t * contact.H, "force")]
+        margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
         equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
@@ -97,10 +100,10 @@ class Pin(Part):
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
         name, n, t = contact.name, contact.cone_n, contact.cone_t
-        margins = [Margin(f"{name}.V", contact.V, "force")]
+        margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
-            margins.append(Margin(f"{name}.mu V - H", t * contact.V - n * contact.H, "force"))
-            margins.append(Margin(f"{name}.mu V + H", t * contact.V + n * contact.H, "force"))
+            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, "force"))
+            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, "force"))
         equations = (contact.normal_acceleration, contact.tangential_acceleration)
         return State(equations, tuple(margins), holds=(contact.sticking,))
 
@@ -211,7 +214,7 @@ def _on_cone(
     bears = n * amount, t * amount
     laws = {amount: amount - along}
     laws |= {f: f - part for f, part in zip((contact.V, contact.H), bears, strict=True)}
-    margins = [Margin(f"{name}.V", amount, "force")]
+    margins = [Margin(f"{name}.{_LOAD}", amount, "force")]
     if pinned:
         away = across if zone == "upper" else -across
         margins.append(Margin(f"{name}.on edge", away, "force"))

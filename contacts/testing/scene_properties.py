@@ -47,17 +47,8 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    scene : Scene
-        What was declared.
-    subject : Subject
-        The same, compiled.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     for arc, tau in dense(trace):
@@ -88,17 +79,8 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    scene : Scene
-        What was declared.
-    subject : Subject
-        The same, compiled.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     for arc, times, forces in _forces(scene, subject, trace):
         edges = cone_edges(scene, trace, arc.mode)
@@ -119,17 +101,8 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
 
     Parameters
     ----------
-    scene : Scene
-        What was declared.
-    subject : Subject
-        The same, compiled.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     for arc, times, forces in _forces(scene, subject, trace):
         for k, (name, state) in enumerate(_states(scene, arc)):
@@ -142,17 +115,8 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    scene : Scene
-        What was declared.
-    subject : Subject
-        The same, compiled.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
@@ -172,11 +136,6 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
         The same, compiled.
     trace : Trace
         A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}

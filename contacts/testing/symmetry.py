@@ -8,9 +8,11 @@ units, and what it gives is turned into the new ones, so that no formula needs t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +29,8 @@ from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tree import names_in
 from statechart.testing.stories import Reading
+
+T = TypeVar("T", FormulaText, FormulaText | None)
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20
@@ -48,25 +52,7 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     DeclarationError
         If a formula is too long to be wrapped.
     """
-    change = _Change(
-        scene,
-        x=-1.0,
-        y=1.0,
-        rates=(-1.0, 1.0),
-        angle=-1.0,
-        spin=-1.0,
-        own=(1.0, 1.0),
-        normal=1.0,
-        tangential=-1.0,
-        moment=-1.0,
-        gravity=(-1.0, 1.0),
-        mass=1.0,
-        inertia=1.0,
-        slip=-1.0,
-        gap=1.0,
-        energy=1.0,
-        time=1.0,
-    )
+    change = _Change(scene, x=-1.0)
     return change.scene(), change.reading({"slide+": "slide-", "slide-": "slide+"})
 
 
@@ -85,67 +71,33 @@ def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     DeclarationError
         If a formula is too long to be wrapped.
     """
-    speed, acceleration = LENGTH / TIMES, LENGTH / TIMES**2
-    force = MASS * acceleration
-    change = _Change(
-        scene,
-        x=LENGTH,
-        y=LENGTH,
-        rates=(speed, speed),
-        angle=1.0,
-        spin=1.0 / TIMES,
-        own=(1.0, 1.0 / TIMES),
-        normal=force,
-        tangential=force,
-        moment=force * LENGTH,
-        gravity=(acceleration, acceleration),
-        mass=MASS,
-        inertia=MASS * LENGTH**2,
-        slip=speed,
-        gap=LENGTH,
-        energy=force * LENGTH,
-        time=TIMES,
-    )
+    change = _Change(scene, x=LENGTH, y=LENGTH, time=TIMES, mass=MASS)
     return change.scene(), change.reading({})
 
 
 @dataclass(frozen=True)
 class _Change:
-    """The factor of everything that a scene has: new per old.
-
-    Attributes
-    ----------
-    declared : Scene
-        What is changed.
-    x, y, angle : float
-        Of positions and of a free body's angle.
-    rates, spin : (float, float), float
-        Of their rates.
-    own : (float, float)
-        Of coordinates that the scene names, and of their rates.
-    normal, tangential, moment : float
-        Of forces along y and normals, along x and tangents, and of moments.
-    gravity, mass, inertia, slip, gap, energy, time
-        Of what they say.
-    """
+    """The factors of lengths, times and masses of a scene, new per old; x < 0 is a mirror."""
 
     declared: Scene
-    x: float
-    y: float
-    rates: tuple[float, float]
-    angle: float
-    spin: float
-    own: tuple[float, float]
-    normal: float
-    tangential: float
-    moment: float
-    gravity: tuple[float, float]
-    mass: float
-    inertia: float
-    slip: float
-    gap: float
-    energy: float
-    time: float
+    x: float = 1.0
+    y: float = 1.0
+    time: float = 1.0
+    mass: float = 1.0
+
+    @property
+    def angle(self) -> float:
+        return math.copysign(1.0, self.x)
+
+    @property
+    def accelerations(self) -> tuple[float, float]:
+        return self.x / self.time**2, self.y / self.time**2
+
+    @property
+    def forces(self) -> tuple[float, float]:
+        """Along x and tangents, along y and normals."""
+        x, y = self.accelerations
+        return self.mass * x, self.mass * y
 
     def reading(self, states: Mapping[str, str]) -> Reading:
         """Return how to read the runs of the changed scene."""
@@ -156,23 +108,15 @@ class _Change:
 
     def scene(self) -> Scene:
         """Return the changed scene, without outputs, ranges and declared modes."""
-        old = self.declared
+        old, step = self.declared, self.declared.settings.step
         gravity = old.gravity if isinstance(old.gravity, tuple) else (0, f"-({old.gravity})")
-        end = old.stop.time
+        along, down = self.accelerations
         return Scene(
             name=old.name,
             parameters=old.parameters,
-            gravity=(
-                _times(gravity[0], self.gravity[0]),
-                _times(gravity[1], self.gravity[1]),
-            ),
+            gravity=(_times(gravity[0], along), _times(gravity[1], down)),
             coordinates={
-                name: c.model_copy(
-                    update={
-                        "start": _times(c.start, self.own[0]),
-                        "rate": _times(c.rate, self.own[1]),
-                    }
-                )
+                name: c.model_copy(update={"rate": _times(c.rate, 1.0 / self.time)})
                 for name, c in old.coordinates.items()
             },
             bodies={name: self._body(body) for name, body in old.bodies.items()},
@@ -182,57 +126,52 @@ class _Change:
             collisions=old.collisions,
             forces={name: self._force(force) for name, force in old.forces.items()},
             # Controls keep their values: what their unit is only the formulas say that use them.
-            controls={
-                name: self._read(parse(text), self._factors) for name, text in old.controls.items()
+            controls=self._texts(old.controls),
+            regions={
+                name: region.model_copy(update=self._holder(region))
+                for name, region in old.regions.items()
             },
-            regions={name: self._controller(region) for name, region in old.regions.items()},
             simultaneous=old.simultaneous,
             paradox=old.paradox,
             stop=Stop(
-                time=None if end is None else _times(end, self.time),
+                time=_times(old.stop.time, self.time),
                 conditions={
-                    label: self._read(parse_relation(text), self._factors)
-                    for label, text in old.stop.conditions.items()
+                    label: self._relation(text) for label, text in old.stop.conditions.items()
                 },
             ),
-            settings=old.settings
-            if old.settings.step is None
-            else old.settings.model_copy(update={"step": old.settings.step * self.time}),
+            settings=old.settings.model_copy(
+                update={} if step is None else {"step": step * self.time}
+            ),
         )
 
-    @property
+    @cached_property
     def _factors(self) -> dict[str, float]:
         """Name in a formula -> its factor, where it has one."""
-        old = self.declared
-        found = {TIME: self.time, "energy": self.energy}
-        for name in old.coordinates:
-            found |= {name: self.own[0], old.rate_name(name): self.own[1]}
+        old, (tangential, normal) = self.declared, self.forces
+        found = {TIME: self.time, "energy": tangential * self.x}
+        found |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
         for name in (*old.single_bodies(), *old.bodies):
-            found |= {f"{name}.x": self.x, f"{name}.y": self.y, f"{name}.angle": self.angle}
-            found |= {f"{name}.dx": self.rates[0], f"{name}.dy": self.rates[1]}
-            found[f"{name}.dangle"] = self.spin
+            found |= {f"{name}.{key}": factor for key, factor in self._starts.items()}
         for name in old.contacts:
-            found |= {f"{name}.gap": self.gap, f"{name}.slip": self.slip}
-            found |= {f"{name}.V": self.normal, f"{name}.H": self.tangential}
+            found |= {f"{name}.gap": self.y, f"{name}.slip": self.x / self.time}
+            found |= {f"{name}.V": normal, f"{name}.H": tangential}
         for name in old.joints:
-            found |= {f"{name}.X": self.tangential, f"{name}.Y": self.normal}
+            found |= {f"{name}.X": tangential, f"{name}.Y": normal}
         return found | dict.fromkeys(old.controlled.clocks, self.time)
 
+    @property
+    def _starts(self) -> dict[str, float]:
+        """Coordinate of a free body -> its factor."""
+        found = {"x": self.x, "y": self.y, "angle": self.angle}
+        return found | {f"d{name}": factor / self.time for name, factor in found.items()}
+
     def _body(self, body: Body) -> Body:
-        factors = {
-            "x": self.x,
-            "y": self.y,
-            "angle": self.angle,
-            "dx": self.rates[0],
-            "dy": self.rates[1],
-            "dangle": self.spin,
-        }
         return Body(
             mass=_times(body.mass, self.mass),
-            inertia=None if body.inertia is None else _times(body.inertia, self.inertia),
+            inertia=_times(body.inertia, self.mass * self.x**2),
             position=None if body.position is None else self._pair(body.position),
-            angle=None if body.angle is None else _times(body.angle, self.angle),
-            start={key: _times(text, factors[key]) for key, text in body.start.items()},
+            angle=_times(body.angle, self.angle),
+            start={key: _times(text, self._starts[key]) for key, text in body.start.items()},
             shape=tuple(map(self._shape, body.shape)),
             copies=body.copies,
         )
@@ -246,23 +185,23 @@ class _Change:
         return Shape(polygon=tuple(corners if self.x > 0.0 else corners[::-1]))
 
     def _surface(self, surface: Surface) -> Surface:
-        height, radius = surface.height, surface.radius
+        height = surface.height
         if height is not None:
             height = _times(self._read(parse(height), {"x": self.x}), self.y)
         dx, dy = surface.displacement
         return Surface(
             height=height,
             # In a mirror a slope goes the other way, as an angle does.
-            incline=None if surface.incline is None else _times(surface.incline, self.angle),
+            incline=_times(surface.incline, self.angle),
             through=self._pair(surface.through),
             line=self._line(surface.line),
             edge=self._line(surface.edge),
             circle=None if surface.circle is None else self._pair(surface.circle),
-            radius=None if radius is None else _times(radius, abs(self.x)),
+            radius=_times(surface.radius, abs(self.x)),
             body=surface.body,
             hollow=surface.hollow,
-            displacement=(self._displaced(dx, self.x), self._displaced(dy, self.y)),
-            turn=self._displaced(surface.turn, self.angle),
+            displacement=(self._formula(dx, self.x), self._formula(dy, self.y)),
+            turn=self._formula(surface.turn, self.angle),
         )
 
     def _line(self, line: tuple[Pair, Pair] | None) -> tuple[Pair, Pair] | None:
@@ -272,12 +211,9 @@ class _Change:
         first, second = line if self.x > 0.0 else line[::-1]
         return self._pair(first), self._pair(second)
 
-    def _displaced(self, text: FormulaText, factor: float) -> FormulaText:
-        return text if text == 0 else _times(self._read(parse(text), self._factors), factor)
-
     def _contact(self, contact: Contact) -> Contact:
-        enabled = tuple(self._read(parse_relation(t), self._factors) for t in contact.enabled)
-        radius = None if contact.radius is None else _times(contact.radius, abs(self.x))
+        enabled = tuple(map(self._relation, contact.enabled))
+        radius = _times(contact.radius, abs(self.x))
         changes = {"point": self._point(contact.point), "radius": radius, "enabled": enabled}
         return contact.model_copy(update=changes)
 
@@ -288,29 +224,20 @@ class _Change:
         to = joint.to
         if isinstance(to, Point):
             return Joint(point=self._point(joint.point), to=self._point(to))
-        x = None if to.x is None else self._displaced(to.x, self.x)
-        y = None if to.y is None else self._displaced(to.y, self.y)
-        return Joint(point=self._point(joint.point), to=Path(x=x, y=y))
+        path = Path(x=self._formula(to.x, self.x), y=self._formula(to.y, self.y))
+        return Joint(point=self._point(joint.point), to=path)
 
     def _force(self, force: Force) -> Force:
-        def formula(text: FormulaText, factor: float) -> FormulaText:
-            return _times(self._read(parse(text), self._factors), factor)
-
+        (x, y), (tangential, normal) = force.force, self.forces
         return Force(
             body=force.body,
-            force=(
-                formula(force.force[0], self.tangential),
-                formula(force.force[1], self.normal),
-            ),
+            force=(self._formula(x, tangential), self._formula(y, normal)),
             at=self._pair(force.at),
-            moment=formula(force.moment, self.moment),
+            moment=self._formula(force.moment, tangential * self.y),
         )
 
-    def _controller(self, region: Controller) -> Controller:
-        """Return a controller that remembers the same values."""
-        return region.model_copy(update=self._holder(region))
-
     def _holder(self, holder: Controller | ControlRegion | ControlState) -> dict[str, Any]:
+        """Return what changes in a controller, which remembers the same values."""
         found: dict[str, Any] = {
             "states": {
                 name: state.model_copy(update=self._state(state))
@@ -335,16 +262,26 @@ class _Change:
         }
 
     def _transition(self, transition: Transition) -> Transition:
-        changed: dict[str, Any] = {"updates": self._texts(transition.updates)}
+        changed: dict[str, Any] = {
+            "updates": self._texts(transition.updates),
+            "after": _times(transition.after, self.time),
+            "every": _times(transition.every, self.time),
+        }
         if transition.guard is not None:
-            changed["guard"] = self._read(parse_relation(transition.guard), self._factors)
-        for key in ("after", "every"):
-            if (period := getattr(transition, key)) is not None:
-                changed[key] = _times(period, self.time)
+            changed["guard"] = self._relation(transition.guard)
         return transition.model_copy(update=changed)
 
     def _texts(self, texts: Mapping[str, FormulaText]) -> dict[str, FormulaText]:
         return {name: self._read(parse(text), self._factors) for name, text in texts.items()}
+
+    def _relation(self, text: str) -> str:
+        return self._read(parse_relation(text), self._factors)
+
+    def _formula(self, text: T, factor: float) -> T | str:
+        """Return a formula of what changes along a run, read and given in the new units."""
+        if text is None or text == 0:
+            return text
+        return _times(self._read(parse(text), self._factors), factor)
 
     def _pair(self, pair: tuple[FormulaText, FormulaText]) -> tuple[FormulaText, FormulaText]:
         return _times(pair[0], self.x), _times(pair[1], self.y)
@@ -352,12 +289,8 @@ class _Change:
     @staticmethod
     def _read(formula: Formula | Relation, factors: Mapping[str, float]) -> str:
         """Return the text with every name that has a factor divided by it."""
-        roots = (
-            [formula.root]
-            if isinstance(formula, Formula)
-            else [side.root for side in formula.formulas]
-        )
-        names = {name.offset: name.name for root in roots for name in names_in(root)}
+        sides = [formula] if isinstance(formula, Formula) else formula.formulas
+        names = {name.offset: name.name for side in sides for name in names_in(side.root)}
         text = formula.text
         for offset, name in sorted(names.items(), reverse=True):
             factor = factors.get(name, 1.0)
@@ -367,5 +300,6 @@ class _Change:
         return text
 
 
-def _times(text: FormulaText, factor: float) -> FormulaText:
-    return text if factor == 1.0 or text == 0 else f"({text})*({factor!r})"
+def _times(text: T, factor: float) -> T | str:
+    """Return a formula times a factor; nothing, and zero, as they are."""
+    return text if text is None or factor == 1.0 or text == 0 else f"({text})*({factor!r})"

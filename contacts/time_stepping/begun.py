@@ -11,7 +11,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.stepped import Control, Stepped
 from contacts.time_stepping.stop_tapes import StopTapes
 from statechart.arrays import Bools, Ints
-from statechart.automaton.keeping import EVERYTHING, Keeping
+from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.time_stepper import Impulses
 from statechart.automaton.trace import Key
 from statechart.errors import SimulationError
@@ -98,4 +98,4 @@ class Span(NamedTuple):
     impulses: Impulses
     show: Callable[[float, int, int], None]
     every: float = math.inf
-    keeping: Keeping = EVERYTHING
+    policy: RecordingPolicy = RECORD_ALL

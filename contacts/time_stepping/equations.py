@@ -16,7 +16,8 @@ CONTACT = 6
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""
 
-# A pivot below this part of its row's scale: the equations do not determine the motion.
+# A pivot below this part of the scales of its row and column, whatever the unit of mass: the
+# equations do not determine the motion.
 _SINGULAR = 1e-12
 # Coordinates without an inertia of their own get this part of what the others have at their levers.
 _LIGHTEST = 1e-9
@@ -27,14 +28,19 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
     """Factor in place with partial pivoting of equilibrated rows; False where singular."""
     size = len(matrix)
     order, scale = np.empty(size, np.int64), np.empty(size)
+    column, row = np.zeros(size), np.zeros(size)
     for i in range(size):
         order[i] = i
+        for j in range(size):
+            column[j] = max(column[j], abs(matrix[i, j]))
     for i in range(size):
         largest = 0.0
         for j in range(size):
             largest = max(largest, abs(matrix[i, j]))
             if not math.isfinite(matrix[i, j]):
                 return False, order
+            if matrix[i, j] != 0.0:
+                row[i] = max(row[i], abs(matrix[i, j]) / column[j])
         if not largest > 0.0:
             return False, order
         scale[i] = 1.0 / largest
@@ -43,12 +49,13 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
         for i in range(k + 1, size):
             if abs(matrix[i, k]) * scale[i] > abs(matrix[best, k]) * scale[best]:
                 best = i
-        if abs(matrix[best, k]) * scale[best] <= _SINGULAR:
+        if not abs(matrix[best, k]) > _SINGULAR * row[best] * column[k]:
             return False, order
         if best != k:
             for j in range(size):
                 matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
             scale[k], scale[best] = scale[best], scale[k]
+            row[k], row[best] = row[best], row[k]
             order[k], order[best] = order[best], order[k]
         for i in range(k + 1, size):
             if matrix[i, k] != 0.0:

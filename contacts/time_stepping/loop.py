@@ -72,7 +72,7 @@ _KNOWN = 2**15
 
 def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
     """Return a run of a scene from its initial state."""
-    values, (record, watch) = begun.setup.values, span.keeping
+    values, (record, watch) = begun.setup.values, span.policy
     told = record is Record.MODES or begun.control is not None
     recorder = Recorder(
         stepping.regions[: len(begun.codes)],
@@ -109,7 +109,7 @@ class SteppedRun:
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = Effort(span.impulses)
         self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.start_depth)
-        poses = span.keeping.record is Record.POSES
+        poses = span.policy.record is Record.POSES
         self._track = Track(len(stepping.angles)) if poses else None
         self._turning = evenly(len(stepping.angles) + np.flatnonzero(stepping.angles))
 
@@ -234,9 +234,9 @@ class SteppedRun:
             return True
         if failure is not None:
             raise failure
-        if self.span.keeping.record is Record.NOTHING:
+        if self.span.policy.record is Record.NOTHING:
             return False
-        modes = self.span.keeping.record is Record.MODES
+        modes = self.span.policy.record is Record.MODES
         jumps = self.recorder.count if modes else len(self.recorder.told)
         if jumps >= self.span.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
@@ -250,7 +250,7 @@ class SteppedRun:
 
     def _hand_on(self) -> None:
         """Tell those who watch what has happened; keep no more of it than is asked for."""
-        record, watch = self.span.keeping
+        record, watch = self.span.policy
         if record is not Record.MODES:
             arcs, jumps = self.recorder.taken(looked_at=watch is not None)
             if watch is not None and (arcs or jumps):
@@ -297,7 +297,7 @@ class SteppedRun:
 
     def trace(self) -> Trace:
         """Return what was made."""
-        recorder, (record, watch) = self.recorder, self.span.keeping
+        recorder, (record, watch) = self.recorder, self.span.policy
         recorder.close()
         self._hand_on()
         if record is Record.MODES:

@@ -26,7 +26,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.pieces import ArcMaker, Line, Steps, Stretch, Stroke
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
-from statechart.automaton.deferred import Recorded
+from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Jump, Key
 
 # An arc longer than so many bytes goes on as another one.
@@ -110,12 +110,12 @@ class Recorder:
         self._jumps: list[Stroke | Jump] = []
         self.arcs, self.jumps = self.kept(kept=False)
 
-    def kept(self, *, kept: bool) -> tuple[Recorded[Arc], Recorded[Jump]]:
+    def kept(self, *, kept: bool) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Return all arcs and jumps up to now and later; `kept`: not made anew at every look."""
         arcs, jumps, maker = self._arcs, self._jumps, self._maker
         return (
-            Recorded(lambda i: maker.arc(arcs[i]), lambda: len(arcs), kept=kept),
-            Recorded(lambda i: maker.jump(jumps[i]), lambda: len(jumps), kept=kept),
+            LazySequence(lambda i: maker.arc(arcs[i]), lambda: len(arcs), kept=kept),
+            LazySequence(lambda i: maker.jump(jumps[i]), lambda: len(jumps), kept=kept),
         )
 
     def add(self, chunk: Chunk) -> None:

@@ -17,7 +17,7 @@ from contacts.time_stepping.loop import made_ready
 from contacts.time_stepping.stop_tapes import StopTapes
 from contacts.time_stepping.streaming import stream
 from statechart.arrays import Bools
-from statechart.automaton.keeping import EVERYTHING, Keeping
+from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.time_stepper import USUAL, Impulses
@@ -92,13 +92,13 @@ class Stepper(ABC):
         max_jumps: int,
         show: Callable[[float, int, int], None],
         impulses: Impulses = USUAL,
-        keeping: Keeping = EVERYTHING,
+        policy: RecordingPolicy = RECORD_ALL,
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
-        record, watch = keeping
+        record, watch = policy
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
         begun = self._able(overrides, step, until, impulses.tolerance, forces)
-        span = Span(step, until, max_jumps, impulses, show, keeping=keeping)
+        span = Span(step, until, max_jumps, impulses, show, policy=policy)
         return made_ready(self._stepping, begun, span).whole()
 
     def stream(

@@ -11,7 +11,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.time_stepping.active_states import ActiveStates
 from statechart.arrays import Array, Bools
-from statechart.automaton.course import size_of
+from statechart.automaton.margin_derivatives import rounding_scale
 from statechart.automaton.regions import Region, StopCondition
 from statechart.formulas.tape import Tape
 
@@ -65,7 +65,7 @@ class StopTapes:
         inputs = (*mechanics.variables, *mechanics.memory.values(), *self._unknowns)
         sizes = {symbol: sp.Symbol(f"size_{symbol}", real=True) for symbol in inputs}
         return mechanics.whole_tape(
-            [size_of(condition, sizes) for condition in self._conditions],
+            [rounding_scale(condition, sizes) for condition in self._conditions],
             unknowns=(*self._unknowns, *sizes.values()),
         )
 

@@ -10,11 +10,11 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.polynomials import Pieces, defined
 from contacts.time_stepping.stops import cut
 from statechart.arrays import Array, Bools
-from statechart.automaton.blocks import Blocks
 from statechart.automaton.clock import Clock
-from statechart.automaton.deferred import Recorded
 from statechart.automaton.laws import roles_in
+from statechart.automaton.lazy import LazySequence
 from statechart.automaton.trace import Arc, Key
+from statechart.automaton.trace_store import Blocks
 
 # A block is written when it holds so many bytes; an arc made of one takes some times as many.
 _BLOCK = 2**22
@@ -68,7 +68,7 @@ class Track:
         self._open.append(chunk)
         self._size += chunk.states.nbytes + chunk.solved.nbytes
 
-    def arcs(self, end: float) -> Recorded[Arc]:
+    def arcs(self, end: float) -> LazySequence[Arc]:
         """Return the arcs of a run that ended at `end`, each made when it is looked at."""
         self._seal()
         blocks = self._blocks
@@ -83,7 +83,7 @@ class Track:
             step = int(np.searchsorted(made.times, last, side="right")) - 1
             return cut(made, max(step, 0), last)
 
-        return Recorded(arc, lambda: len(blocks), kept=False)
+        return LazySequence(arc, lambda: len(blocks), kept=False)
 
     def _seal(self) -> None:
         """Put what is open into a block; what is more than memory is to hold is on disk."""

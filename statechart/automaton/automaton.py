@@ -17,14 +17,21 @@ import sympy as sp
 
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
-from statechart.automaton.regions import Margin, Mode, Region, StopCondition, active_in
+from statechart.automaton.regions import (
+    Invariant,
+    Margin,
+    Mode,
+    Region,
+    StopCondition,
+    active_in,
+)
 from statechart.automaton.time_stepper import TimeStepper
 from statechart.automaton.trace import Key
 from statechart.errors import Unsupported
-from statechart.formulas.relation import parse_relation
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
+    from statechart.automaton.components import Component
     from statechart.documents.declaration import Declaration
     from statechart.formulas.condition import Active
     from statechart.formulas.tape import Tape
@@ -78,6 +85,8 @@ class Automaton:
         Where the equations are those of mechanics: what modes may be reduced by.
     own_step : callable or None
         Where nothing but steps can run the model: returns how long they should be, by its scales.
+    components : callable
+        Returns the parts that have nothing to do with each other; none where all belong together.
     """
 
     name: str
@@ -100,6 +109,7 @@ class Automaton:
     stepper: Callable[[], TimeStepper] | None = None
     own_step: Callable[[], float] | None = None
     coordinates: Coordinates | None = None
+    components: Callable[[], tuple[Component, ...]] = tuple
 
     @property
     def laws_of_events(self) -> Laws:
@@ -162,10 +172,10 @@ class Automaton:
         return dict(zip(self.region_names, region_colours(names), strict=True))
 
     @cached_property
-    def invariants(self) -> tuple[Margin, ...]:
+    def invariants(self) -> tuple[Invariant, ...]:
         """What the declaration asserts of all of a run; no run looks at them."""
         return tuple(
-            Margin(label, -parse_relation(text).margin(self.observables))
+            Invariant(label, text, self.observables)
             for label, text in self.declaration.invariants.items()
         )
 

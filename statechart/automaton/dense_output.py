@@ -1,4 +1,4 @@
-"""Dense output of an arc: sampled, integrated, its least values."""
+"""Dense output: polynomials of steps, sampled, integrated, and their least values."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Arc
 from statechart.formulas.tape import Tape, contiguous
 from statechart.kernels.polynomials import sample_states
 from statechart.kernels.quadrature import integrate_outputs
 
-# Flows that are looked at at once.
+Flow = tuple[float, ArrayLike, ArrayLike]
+"""Start, local times (k + 1,) of the steps' ends and coefficients (k, n, d + 1) of a flow."""
+
+# Flows of one batch.
 _FLOWS = 1024
 
 
-def lowest(tape: Tape, arcs: Sequence[Arc], parameters: ArrayLike, per_step: int = 16) -> Array:
+def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: int = 16) -> Array:
     """Return the least value of every output on a grid along flows.
 
     Raises
@@ -27,12 +29,12 @@ def lowest(tape: Tape, arcs: Sequence[Arc], parameters: ArrayLike, per_step: int
     """
     s = np.arange(per_step + 1) / per_step
     parameters, found = contiguous(parameters), np.full(len(tape.outputs), np.inf)
-    for first in range(0, len(arcs), _FLOWS):
-        some = arcs[first : first + _FLOWS]
-        parts = [checked_arc(tape, a.times, a.coefficients, parameters)[:2] for a in some]
+    for first in range(0, len(flows), _FLOWS):
+        some = flows[first : first + _FLOWS]
+        parts = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in some]
         begin = np.concatenate([times[:-1] for times, _ in parts])[:, None]
         end = np.concatenate([times[1:] for times, _ in parts])[:, None]
-        start = np.repeat([a.start.high for a in some], [len(times) - 1 for times, _ in parts])
+        start = np.repeat([flow[0] for flow in some], [len(times) - 1 for times, _ in parts])
         coeffs = np.concatenate([coeffs for _, coeffs in parts])
         local = np.where(s < 1.0, begin + s * (end - begin), end)
         states = np.swapaxes(coeffs @ s ** np.arange(coeffs.shape[2])[:, None], 1, 2)

@@ -18,8 +18,8 @@ from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
     from statechart.automaton.feasibility import Feasibility
-    from statechart.automaton.recording import Event
     from statechart.automaton.regions import Mode
+    from statechart.automaton.trace_store import RecordedEvent
     from statechart.formulas.tape import Tape
 
 
@@ -318,10 +318,10 @@ class Ordinary(Protocol):
         """
         ...
 
-    def about(self, event: Event) -> tuple[str, str]:
+    def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the region that an event is about, and its cause, as in its jump."""
         ...
 
-    def jump(self, setup: Callable[[], Setup], event: Event, fired: str) -> Jump:
+    def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of an event that it made; `setup` gives the numbers of its run."""
         ...

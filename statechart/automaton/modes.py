@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +13,7 @@ from statechart.automaton.laws import uncaptured
 from statechart.automaton.reduction import Elimination, eliminated, minimal_equations
 from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
-from statechart.formulas.determinants import Definition
-from statechart.formulas.linear import solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 
 
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
@@ -57,6 +56,44 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
     return Mode((*controls, *solved), rates, margins, **follows)
 
 
+class _MassUnit:
+    """Solves for forces in a unit of mass: determinants hold products of up to five masses.
+
+    A parameter of the automaton is the unit; where it is zero, equations stay as they are.
+    """
+
+    def __init__(
+        self, automaton: Automaton, zeros: Collection[sp.Symbol], carriers: Sequence[sp.Symbol] = ()
+    ) -> None:
+        coordinates = automaton.coordinates
+        self.count = 0 if coordinates is None else len(coordinates.accelerations)
+        unit = None if coordinates is None else coordinates.mass_unit
+        self._unit = None if unit in zeros else unit
+        self._forces = (*automaton.unknowns[self.count :], *carriers)
+
+    def motion(self, equations: Iterable[sp.Expr]) -> list[sp.Expr]:
+        """Return equations of motion (each = 0) divided by the unit, their forces in it."""
+        unit = self._unit
+        if unit is None:
+            return [*equations]
+        scaled = {force: unit * force for force in self._forces}
+        return [
+            sp.Add(*(term.xreplace(scaled) / unit for term in sp.Add.make_args(equation)))
+            for equation in equations
+        ]
+
+    def solved(self, definitions: Iterable[Definition]) -> tuple[Definition, ...]:
+        """Return definitions with the forces that they find in the unit turned back."""
+        if self._unit is None:
+            return tuple(definitions)
+        found, within = [], {force: sp.Dummy(f"{force}_unit", real=True) for force in self._forces}
+        for symbol, expression in definitions:
+            found.append((within.get(symbol, symbol), expression.xreplace(within)))
+            if symbol in within:
+                found.append((symbol, self._unit * within[symbol]))
+        return tuple(found)
+
+
 def _solved(
     automaton: Automaton,
     states: Sequence[State],
@@ -65,7 +102,11 @@ def _solved(
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode for all accelerations and forces at once."""
     carried = {unknown: by for load in loads for unknown, by in load.carried.items()}
-    moving = (e.xreplace(carried) if carried else e for e in automaton.equations)
+    # In the places of what they carry: beside the equations that belong to it.
+    carriers = [c for load in loads for c in load.carriers]
+    unit = _MassUnit(automaton, substitution, carriers)
+    moving = [e.xreplace(carried) if carried else e for e in automaton.equations]
+    moving = [*unit.motion(moving[: unit.count]), *moving[unit.count :]]
     equations = [
         equation.xreplace(substitution)
         for equation in (*moving, *(e for s in states for e in s.equations))
@@ -73,17 +114,13 @@ def _solved(
     if automaton.idle:
         used = set().union(*(e.free_symbols for e in equations)) if equations else set()
         equations += [unknown for unknown in automaton.unknowns if unknown not in used]
-    # In the places of what they carry: beside the equations that belong to it.
-    carriers = [c for load in loads for c in load.carriers]
     unknowns: dict[sp.Symbol, None] = {}
     for unknown in automaton.unknowns:
         by = carried.get(unknown)
         own = [unknown] if by is None else [c for c in carriers if by.has(c)]
         unknowns |= dict.fromkeys(own)
-    return (
-        *solve_linear(equations, tuple(unknowns), len(automaton.equations)),
-        *_shared(loads, substitution),
-    )
+    solved = solve_linear(equations, tuple(unknowns), len(automaton.equations))
+    return (*unit.solved(solved), *_shared(loads, substitution))
 
 
 def _minimal(
@@ -105,14 +142,16 @@ def _minimal(
     # Coefficients of forces that are zero need not be finite, as of a contact that is off.
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
-    return minimal_equations(
+    unit = _MassUnit(automaton, substitution)
+    solved = minimal_equations(
         coordinates,
         elimination,
-        [e.xreplace(substitution) for e in motion],
+        [e.xreplace(substitution) for e in unit.motion(motion)],
         [e.xreplace(known).xreplace(substitution) for e in laws],
-        [e.xreplace(known).xreplace(substitution) for e in follow],
+        [e.xreplace(known).xreplace(substitution) for e in unit.motion(follow)],
         automaton.unknowns,
     )
+    return unit.solved(solved)
 
 
 def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from statechart.automaton.regions import Hold
-from statechart.formulas.determinants import Definition
-from statechart.formulas.linear import solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 
 # A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
 # mechanics are 1.
@@ -76,6 +75,8 @@ class Coordinates:
         (each = 0) of the coordinates that are left, in their order.
     written : mapping
         Parameters that the document does not declare -> how a person writes them.
+    mass_unit : Symbol or None
+        Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
     """
 
     positions: tuple[sp.Symbol, ...]
@@ -85,6 +86,7 @@ class Coordinates:
     joints: tuple[Hold, ...]
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
     written: Known
+    mass_unit: sp.Symbol | None = None
 
     def left(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the places of the coordinates that are left."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from statechart.automaton.trace import Role
     from statechart.formulas.condition import Active, Condition
-    from statechart.formulas.determinants import Definition
+    from statechart.formulas.linear import Definition
 
 MarginKind = Literal["plain", "gap", "speed", "force"]
 
@@ -112,6 +112,49 @@ def stop_conditions(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Invariant:
+    """A relation that a declaration asserts of a run, or of it as long as a state is active.
+
+    Attributes
+    ----------
+    name : str
+    text : str
+        The relation.
+    known : mapping
+        Name -> expression, of what it may use.
+    """
+
+    name: str
+    text: str
+    known: Mapping[str, sp.Expr]
+
+    @cached_property
+    def relation(self) -> Relation:
+        """The relation, read."""
+        return parse_relation(self.text)
+
+    @cached_property
+    def _margins(self) -> dict[tuple[bool, ...], Margin]:
+        return {}
+
+    def margin(self, active: Active) -> Margin:
+        """Return what is >= 0 while it holds in a mode: infinite where `in` alone decides."""
+        members = self.relation.members
+        key = tuple(active(member.region, member.state) for member in members)
+        found = self._margins.get(key)
+        if found is None:
+            import sympy
+
+            states = {
+                (member.region, member.state): sympy.oo if one else -sympy.oo
+                for member, one in zip(members, key, strict=True)
+            }
+            expression = -self.relation.margin(self.known, states)
+            found = self._margins[key] = Margin(self.name, expression)
+        return found
+
+
 @dataclass(frozen=True)
 class Claim:
     """Relations that all hold as long as a state is active, or of which one does not.
@@ -194,7 +237,7 @@ class State:
         Each = 0, linear in the automaton's unknowns and its carriers.
     margins : tuple of Margin
         What an event of the state is the fall of.
-    invariants : tuple of Margin
+    invariants : tuple of Invariant
         What its declaration asserts besides; for checks of a trace, no run looks at them.
     values : mapping
         What the state sets: some of the automaton's controls -> expressions without unknowns.
@@ -206,7 +249,7 @@ class State:
 
     equations: tuple[sp.Expr, ...] = ()
     margins: tuple[Margin, ...] = ()
-    invariants: tuple[Margin, ...] = ()
+    invariants: tuple[Invariant, ...] = ()
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     loads: Loads | None = None
     holds: tuple[Hold, ...] = ()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from statechart.automaton.keeping import EVERYTHING, Keeping
+from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 
 if TYPE_CHECKING:
     from statechart.automaton.sampling import Sampling
@@ -56,7 +56,7 @@ class TimeStepper(Protocol):
         max_jumps: int,
         show: Callable[[float, int, int], None],
         impulses: Impulses = USUAL,
-        keeping: Keeping = EVERYTHING,
+        policy: RecordingPolicy = RECORD_ALL,
     ) -> Trace:
         """Run from the declared initial state.
 
@@ -73,7 +73,7 @@ class TimeStepper(Protocol):
         show : callable
             Called now and then with the time reached, the number of jumps and that of steps.
         impulses : Impulses
-        keeping : Keeping
+        policy : RecordingPolicy
 
         Returns
         -------

@@ -12,9 +12,10 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.deferred import Recorded
+from statechart.automaton.dense_output import Flow, sample
+from statechart.automaton.lazy import LazySequence
 from statechart.documents.setting import Record
-from statechart.errors import TooLong
+from statechart.errors import StatechartError, TooLong
 
 LARGEST = 2**28
 """A trace may take so many bytes: with what is made of it, well below a gigabyte."""
@@ -137,10 +138,13 @@ class Arc:
         """When the arc ends."""
         return self.start.later(self.duration)
 
+    @property
+    def flow(self) -> Flow:
+        """Start, times and coefficients."""
+        return self.start.high, self.times, self.coefficients
+
     def states(self, local: Array) -> Array:
         """Return the states (m, n) at local times `local` (m,), 0 <= local <= duration."""
-        from statechart.automaton.dense_output import sample
-
         return sample(self.coefficients, self.times, np.ascontiguousarray(local, dtype=float))
 
     def unknowns(self, local: Array) -> Array | None:
@@ -332,10 +336,18 @@ class Trace:
 
         A very long one is returned as it is: made, it takes ten times the memory.
         """
-        passing = isinstance(self.arcs, Recorded) and not self.arcs.keeps
+        passing = isinstance(self.arcs, LazySequence) and not self.arcs.keeps
         if passing or max(len(self.arcs), len(self.jumps)) > _AT_HAND:
             return self
         return replace(self, arcs=tuple(self.arcs), jumps=tuple(self.jumps))
+
+    def require_motion(self) -> None:
+        """Raise `StatechartError` if the run recorded only its start and end."""
+        if self.record is Record.NOTHING:
+            raise StatechartError(
+                "the run recorded nothing between its start and its end: run it with record: "
+                "poses, or --record poses"
+            )
 
     @property
     def zeros(self) -> frozenset[int]:

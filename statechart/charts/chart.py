@@ -150,7 +150,7 @@ class Chart(Declaration):
         changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():
             for label, relation in state.invariants.items():
-                check_relation(relation, names, {}, changing, *at, "invariants", label)
+                check_relation(relation, names, states, changing, *at, "invariants", label)
             for key in ("entry", "exit"):
                 self._check_updates(getattr(state, key), names, (*at, key))
         for region, declared in self.regions.items():

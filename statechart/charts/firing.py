@@ -32,24 +32,12 @@ from statechart.formulas.relation import Relation, parse_relation
 
 @dataclass(frozen=True, eq=False)
 class Guard:
-    """A guard out of a state.
+    """A guard out of a state."""
 
-    Attributes
-    ----------
-    place : int
-        Of its region among those that are watched.
-    name : str
-        Region and transition.
-    relation : Relation
-        As declared.
-    transition : int
-        Place of its transition in the flattened region.
-    """
-
-    place: int
-    name: str
-    relation: Relation
-    transition: int
+    place: int  # of its region among those that are watched
+    name: str  # region and transition
+    relation: Relation  # as declared
+    transition: int  # place of its transition in the flattened region
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,28 +21,15 @@ Updates = Mapping[str, FiniteText]
 
 @dataclass(frozen=True, eq=False)
 class FlatTransition:
-    """Transitions that are taken together, from one configuration to another.
+    """Transitions that are taken together, from one configuration to another."""
 
-    Attributes
-    ----------
-    name : str
-        Those of the transitions, joined by ``+``.
-    source, target : str
-        Configurations.
-    members : tuple of Transition
-        As declared, in the order of their updates.
-    guard : str or None
-        What fires it, also where that is a time.
-    blocks : tuple of mappings
-        Updates in their order: of states left, of transitions, of states entered. Those of one
-        block see the values that the blocks before it left.
-    """
-
-    name: str
-    source: str
+    name: str  # those of the transitions, joined by ``+``
+    source: str  # configurations
     target: str
-    members: tuple[Transition, ...]
-    guard: str | None
+    members: tuple[Transition, ...]  # as declared, in the order of their updates
+    guard: str | None  # what fires it, also where that is a time
+    # Updates in their order: of states left, of transitions, of states entered. Those of one block
+    # see the values that the blocks before it left.
     blocks: tuple[Updates, ...]
 
     @property
@@ -76,39 +63,22 @@ class Shared(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FlatRegion:
-    """A region as the executor knows it.
+    """A region as the executor knows it."""
 
-    Attributes
-    ----------
-    name : str
-        Of the region.
-    initial : str
-        The configuration that it starts in.
-    begins : tuple of mappings
-        Updates of the states entered there.
-    states : mapping
-        Configuration -> what is declared of the states active in it, outer ones first.
-    transitions : tuple of FlatTransition
-        From each configuration in the order in which they are asked: inner ones first, then as
-        declared; those taken together after those alone.
-    clocks, counts : tuple of str
-        Variables of transitions that wait for times: when their sources were entered, and how many
-        periods have passed since of those that repeat.
-    superstates : mapping
-        As of a `statechart.automaton.regions.Region`.
-    nesting : Nesting
-        What else was declared of the hierarchy.
-    """
-
-    name: str
-    initial: str
-    begins: tuple[Updates, ...]
+    name: str  # of the region
+    initial: str  # the configuration that it starts in
+    begins: tuple[Updates, ...]  # updates of the states entered there
+    # Configuration -> what is declared of the states active in it, outer ones first.
     states: Mapping[str, tuple[BaseState, ...]]
+    # From each configuration in the order in which they are asked: inner ones first, then as
+    # declared; those taken together after those alone.
     transitions: tuple[FlatTransition, ...]
+    # Variables of transitions that wait for times: when their sources were entered, and how many
+    # periods have passed since of those that repeat.
     clocks: tuple[str, ...]
     counts: tuple[str, ...]
-    superstates: Mapping[str, str]
-    nesting: Nesting
+    superstates: Mapping[str, str]  # as of a `statechart.automaton.regions.Region`
+    nesting: Nesting  # what else was declared of the hierarchy
     _tree: Tree
     _configurations: Mapping[str, tuple[Nodes, Memory]]
     _places: Mapping[tuple[str, tuple[int, ...]], int]

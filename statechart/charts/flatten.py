@@ -36,11 +36,8 @@ MOST_CONFIGURATIONS = 4096
 def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     """Flatten a declared region.
 
-    Raises
-    ------
-    DeclarationProblem
-        If its states or transitions make no sense (see `tree`), or if there are more than
-        `MOST_CONFIGURATIONS`.
+    Raises `DeclarationProblem` if its states or transitions make no sense (see `tree`), or if there
+    are more than `MOST_CONFIGURATIONS`.
     """
     found = tree(region, *loc)
     return _Flattening(name, found, loc).region()
@@ -221,6 +218,8 @@ class _Flattening:
         unreached = frozenset(names) - self._entered_names(initial, transitions)
         entries = {name: state.entry for name, state in states.items() if state.entry}
         exits = {name: state.exit for name, state in states.items() if state.exit}
+        # States of charts and of controllers have flows, other states none.
+        flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
         if self._tree.flat:
             return Nesting(
                 names,
@@ -228,6 +227,7 @@ class _Flattening:
                 exits=exits,
                 edges=tuple(self._drawn()),
                 unreached=unreached,
+                flows=flows,
             )
         return Nesting(
             names,
@@ -255,6 +255,7 @@ class _Flattening:
             exits,
             tuple(self._drawn()),
             unreached,
+            flows,
         )
 
     def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:

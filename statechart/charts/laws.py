@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 import sympy as sp
@@ -20,13 +20,14 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.course import Courses, size_of
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
-from statechart.automaton.regions import Claim, Margin, Region, State, active_in, stop_conditions
+from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
+from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.claims import guard_claims
+from statechart.charts.components import components
 from statechart.charts.firing import Guard, Listening, considered, guard_margins, guards
 from statechart.charts.flat_region import FlatRegion, Updates
 from statechart.charts.guard_watch import GuardWatch, Judgement
@@ -35,7 +36,6 @@ from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
-from statechart.formulas.relation import parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
@@ -61,6 +61,7 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
+        components=cache(partial(components, chart, automaton)),
     )
 
 
@@ -97,29 +98,25 @@ class _Symbols:
 
 
 def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
-    def build(role: Role) -> State:
-        if role.state == HELD:
+    @cache
+    def state(state: str) -> State:
+        if state == HELD:
             return State()
         return State(
             tuple(
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
-                for variable, flow in _flows(flat, role.state).items()
+                for variable, flow in _flows(flat, state).items()
             ),
-            guard_margins(name, flat, role.state, symbols.known),
+            guard_margins(name, flat, state, symbols.known),
             tuple(
-                Margin(f"{name}.{label}", -parse_relation(text).margin(symbols.known))
-                for content in _contents(flat, role.state)
+                Invariant(f"{name}.{label}", text, symbols.known)
+                for content in _contents(flat, state)
                 for label, text in content.invariants.items()
             ),
         )
 
-    def claims(state: str) -> tuple[Claim, ...]:
-        invariants = (
-            Claim(f"{name}.{label}", (text,), holds=True)
-            for content in _contents(flat, state)
-            for label, text in content.invariants.items()
-        )
-        return (*guard_claims(name, flat, state), *invariants)
+    def build(role: Role) -> State:
+        return state(role.state)
 
     return Region(
         name,
@@ -128,7 +125,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         flat.edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=claims,
+        claims=partial(guard_claims, name, flat),
     )
 
 
@@ -163,8 +160,9 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
+        self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
-        self._courses = Courses(
+        self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()),
             symbols.parameters.ordered,
             symbols.time,
@@ -206,7 +204,7 @@ class ChartLaws:
             sizes = _summed(flow, state)
 
             def later(margin: str) -> float:
-                return self._courses.sign(
+                return self._derivatives.sign(
                     setup, flow.roles, margin, state, sizes, clock.high, setup.precision
                 )
 
@@ -298,14 +296,11 @@ class ChartLaws:
             known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
-            for place, (state, (name, region)) in enumerate(
-                zip(moving_mode(roles), self._flat.items(), strict=True)
-            ):
-                if state == HELD:
-                    continue
-                for variable, text in _flows(region, state).items():
-                    rates[variables[variable]] = parse(text).to_sympy(known)
-                watched += guards(place, name, region.transitions, state)
+            for place, state in enumerate(moving_mode(roles)):
+                if state != HELD:
+                    guards_out, flows = self._leaving(place, state)
+                    watched += guards_out
+                    rates |= flows
             self._watches[roles] = GuardWatch(
                 watched,
                 known,
@@ -316,6 +311,20 @@ class ChartLaws:
                 timers=self._symbols.timers,
             )
         return self._watches[roles]
+
+    def _leaving(self, place: int, state: str) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
+        """Return the guards out of a state of a region, and the rates of variables in it."""
+        found = self._of_states.get((place, state))
+        if found is None:
+            name, region = self._regions[place], self._flat[self._regions[place]]
+            known, variables = self._symbols.known, self._symbols.variables
+            flows = {
+                variables[variable]: parse(text).to_sympy(known)
+                for variable, text in _flows(region, state).items()
+            }
+            found = guards(place, name, region.transitions, state), flows
+            self._of_states[place, state] = found
+        return found
 
     def _updated(
         self,
@@ -340,7 +349,7 @@ class ChartLaws:
                 found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
             values = list(found.values())
             tape = self._updates[key] = compile_tape(
-                [*values, *(size_of(value, before) for value in values)],
+                [*values, *(rounding_scale(value, before) for value in values)],
                 variables=(*variables.values(), *before.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,

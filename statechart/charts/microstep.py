@@ -20,25 +20,13 @@ Memory = Mapping[int, Nodes]
 
 
 class Microstep(NamedTuple):
-    """What is done when transitions are taken.
+    """What is done when transitions are taken."""
 
-    Attributes
-    ----------
-    taken : tuple of int
-        Places of the arrows, in the order of their updates.
-    exits, entries : tuple of int
-        Nodes, in the order in which they are left and entered.
-    active : frozenset of int
-        What is active then.
-    memory : mapping
-        What is remembered then.
-    """
-
-    taken: tuple[int, ...]
-    exits: tuple[int, ...]
+    taken: tuple[int, ...]  # places of the arrows, in the order of their updates
+    exits: tuple[int, ...]  # Nodes, in the order in which they are left and entered
     entries: tuple[int, ...]
-    active: Nodes
-    memory: Memory
+    active: Nodes  # what is active then
+    memory: Memory  # what is remembered then
 
 
 def beginning(tree: Tree) -> Microstep:

@@ -206,10 +206,7 @@ def check_periods(
 ) -> None:
     """Check that every time that transitions wait for is a formula of parameters above zero.
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first that is not.
+    Raises `DeclarationProblem` at the first that is not.
     """
     for name, region in regions.items():
         for transition, at in declared_transitions(region, "regions", name):
@@ -238,6 +235,8 @@ def check_listening(
 ) -> None:
     """Check that transitions wait for events that exist, of other regions.
 
+    Raises `DeclarationProblem` at the first that does not.
+
     Parameters
     ----------
     region : str
@@ -248,11 +247,6 @@ def check_listening(
         Of every region, as for `Declaration.check_uses`.
     alone : collection of str
         Words that `on` may be besides.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first that does not.
     """
     others = {name: found for name, found in causes.items() if name != region}
     for transition, at in transitions:

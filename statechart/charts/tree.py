@@ -42,34 +42,17 @@ ROOT = 0
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A state, a region in a state, or a history.
+    """A state, a region in a state, or a history."""
 
-    Attributes
-    ----------
-    name : str
-        Unique in the region; that of the region itself is "".
-    sort : Sort
-        What it is.
-    parent : int
-        What holds it; of the region itself -1.
-    children : tuple of int
-        What it holds, histories besides.
-    histories : tuple of int
-        Those of its states.
-    initial : int
-        What is entered with it where nothing else is said; of a history where nothing is
-        remembered. -1 where there is no choice.
-    declared : BaseState or BaseRegion
-        As declared.
-    """
-
-    name: str
-    sort: Sort
-    parent: int
-    children: tuple[int, ...]
-    histories: tuple[int, ...]
+    name: str  # unique in the region; that of the region itself is ""
+    sort: Sort  # what it is
+    parent: int  # what holds it; of the region itself -1
+    children: tuple[int, ...]  # what it holds, histories besides
+    histories: tuple[int, ...]  # those of its states
+    # What is entered with it where nothing else is said; of a history where nothing is remembered.
+    # -1 where there is no choice.
     initial: int
-    declared: Holder
+    declared: Holder  # as declared
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,17 +66,10 @@ class Arrow:
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The states of a region and the transitions between them.
+    """The states of a region and the transitions between them."""
 
-    Attributes
-    ----------
-    nodes : tuple of Node
-        In document order.
-    arrows : tuple of Arrow
-        In document order: those declared in a state before those of what holds it.
-    """
-
-    nodes: tuple[Node, ...]
+    nodes: tuple[Node, ...]  # in document order
+    # In document order: those declared in a state before those of what holds it.
     arrows: tuple[Arrow, ...]
 
     @cached_property
@@ -127,12 +103,9 @@ class Tree:
 def tree(region: BaseRegion, *loc: str | int) -> Tree:
     """Return the tree of a declared region.
 
-    Raises
-    ------
-    DeclarationProblem
-        If names are not unique, a state that holds states has no initial one, a history has no
-        parent, or a transition leads to or from what there is not, or from one region of a state
-        into another.
+    Raises `DeclarationProblem` if names are not unique, a state that holds states has no initial
+    one, a history has no parent, or a transition leads to or from what there is not, or from one
+    region of a state into another.
     """
     entries: list[tuple[str, Holder, Loc]] = [("", region, loc), *nested(region, *loc)]
     places: dict[str, int] = {}

@@ -55,6 +55,8 @@ def parser() -> argparse.ArgumentParser:
     _listing(verb("modes", "list a model's modes, which are possible, and their transitions"))
     _drawing(verb("draw", "draw the statechart of a model, or its scene"))
     _checking(verb("check", "test a model's invariants over its ranges of parameters"))
+    ahead = verb("compile", "compile all numerical kernels, once per machine", file=False)
+    ahead.add_argument("-q", "--quiet", action="store_true", help="show no progress")
     schema = verb("schema", "print the JSON Schema of the documents", file=False)
     schema.add_argument("kind", nargs="?", metavar="KIND", help="scene or chart; else both")
     new = verb("new", "write a commented scene to start from", file=False)

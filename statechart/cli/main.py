@@ -19,6 +19,7 @@ _DONE, _FAILED, _WRONG = 0, 1, 2
 _ROOMS = {
     **dict.fromkeys(("schema", "new", "completion"), "texts"),
     **dict.fromkeys(("trade", "sweep", "check"), "studies"),
+    "compile": "ahead_of_time",
 }
 """Where verbs stand that run no model once; the others in `verbs`."""
 
@@ -46,7 +47,7 @@ def program() -> int:
 
         take_streams()
         be_quiet()
-        compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))
+        compiling.announce(compiling.StderrLine())
         import gc
 
         # Imports, and what is composed of a model, make a million objects that stay; to look for

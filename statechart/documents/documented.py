@@ -44,7 +44,7 @@ class Documented(ModelMetaclass):
         try:
             return super().__call__(**kwargs)
         except ValidationError as error:
-            from statechart.documents.built import Built
+            from statechart.documents.document import Built
             from statechart.documents.validation import declaration_error
 
             model = cast("type[BaseModel]", cls)

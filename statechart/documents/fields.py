@@ -13,15 +13,17 @@ from statechart.documents.documented import Documented, own_words
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError
 from statechart.formulas.derivatives import check_derived
 from statechart.formulas.formula import Formula, parse
+from statechart.formulas.hints import no_name
 from statechart.formulas.relation import Relation, conjunction, parse_relation
 from statechart.formulas.syntax import NAME
 from statechart.formulas.tree import JUMPS, RESERVED, WORDS, Binary, Call, nodes
-from statechart.formulas.words import no_name
 
 
 def problem(error: FormulaError, *loc: str | int) -> DeclarationProblem:
     """Return the error of a formula as what validators raise."""
-    return DeclarationProblem(error.message, advice=error.advice, loc=loc, offset=error.offset)
+    return DeclarationProblem(
+        error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
+    )
 
 
 def _constant(value: Any) -> Any:
@@ -186,10 +188,7 @@ class Part(BaseModel, metaclass=Documented):
 def check_names(formula: Formula | Relation, known: Collection[str], *loc: str | int) -> None:
     """Check that a formula uses only known names.
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first unknown name.
+    Raises `DeclarationProblem` at the first unknown name.
     """
     try:
         formula.require(known)
@@ -206,10 +205,7 @@ def check_relation(
 ) -> None:
     """Check that a relation uses only what exists, and equalities only of what no flow changes.
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first fault.
+    Raises `DeclarationProblem` at the first fault.
     """
     relation = parse_relation(text)
     check_names(relation, names, *loc)

@@ -26,10 +26,7 @@ _LOCKS = find_spec("fcntl") is not None
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
     """Return the first `most` + 1 bytes of a regular file, or all where it is shorter.
 
-    Raises
-    ------
-    DeclarationError
-        If it is missing, no regular file, or cannot be read.
+    Raises `DeclarationError` if it is missing, no regular file, or cannot be read.
     """
     source = str(path)
     try:
@@ -49,10 +46,8 @@ def read_bounded(path: Path, most: int, advice: str) -> bytes:
 def write_atomic(path: Path, data: bytes) -> None:
     """Write `data` to `path` so that a reader sees the old file or the new one, never a part.
 
-    Raises
-    ------
-    OSError
-        If the folder is missing or not writable, or the disk is full; `path` is then as it was.
+    Raises `OSError` if the folder is missing or not writable, or the disk is full; `path` is then
+    as it was.
     """
     _sweep(path.parent, re.compile(rf"\.{re.escape(path.name)}\.{_RANDOM}{re.escape(_PART)}"))
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_PART)
@@ -106,11 +101,7 @@ def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
 
     A new folder appears at once. In one that exists, files are replaced one by one; those of
     `names` that were not written this time are of another time, and removed; others are left alone.
-
-    Raises
-    ------
-    OSError
-        If that cannot be done; what was there is as it was.
+    Raises `OSError` if that cannot be done; what was there is as it was.
     """
     names = set(names)
     # Inside a folder that exists: its parent may be read-only, or on another disk.

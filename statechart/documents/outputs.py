@@ -44,10 +44,7 @@ class Moment:
 def parse_events(text: str) -> tuple[Event, ...]:
     """Return the events of a text such as ``tip.slip or tip.reverse``.
 
-    Raises
-    ------
-    DeclarationProblem
-        If it is not one.
+    Raises `DeclarationProblem` if it is not one.
     """
     events = []
     for part in text.split(" or "):
@@ -206,10 +203,7 @@ def check_event(
 ) -> None:
     """Check that an event can happen.
 
-    Raises
-    ------
-    DeclarationProblem
-        If it cannot.
+    Raises `DeclarationProblem` if it cannot.
     """
     if event.region is not None:
         check_member("region", event.region, causes, *loc)

@@ -23,20 +23,12 @@ SYSTEMS: Mapping[str, Mapping[str, str]] = {
 
 
 class Powers(NamedTuple):
-    """What a quantity is measured in, as powers of length, time and mass.
+    """What a quantity is measured in, as powers of length, time and mass."""
 
-    Attributes
-    ----------
-    length, time, mass : Fraction
-        Their exponents.
-    angle : bool
-        Whether it is an angle, or one per time.
-    """
-
-    length: Fraction = Fraction(0)
+    length: Fraction = Fraction(0)  # their exponents
     time: Fraction = Fraction(0)
     mass: Fraction = Fraction(0)
-    angle: bool = False
+    angle: bool = False  # whether it is an angle, or one per time
 
     def times(self, other: Powers, exponent: Fraction | int = 1) -> Powers:
         """Return what the product with a power of another quantity is measured in."""
@@ -48,16 +40,9 @@ class Powers(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What a name of a model measures.
+    """What a name of a model measures."""
 
-    Attributes
-    ----------
-    words : str
-        What it is, such as `x of rod`.
-    dimension : Dimension
-    """
-
-    words: str
+    words: str  # what it is, such as `x of rod`
     dimension: Dimension = ""
 
 

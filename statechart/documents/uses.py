@@ -31,7 +31,8 @@ def check_uses(
 ) -> None:
     """Check that stop conditions, invariants and outputs speak of things that exist.
 
-    For the validators of the models of a kind, which know what exists.
+    For the validators of the models of a kind, which know what exists. Raises `DeclarationProblem`
+    at the first that does not.
 
     Parameters
     ----------
@@ -45,11 +46,6 @@ def check_uses(
         The causes of jumps of every region; `stop` need not be among them.
     changing : collection of str
         Names whose value some flow changes.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first that does not.
     """
     found = Findings()
     named = {*BASES, *names, *model.parameters, *model.outputs}
@@ -67,7 +63,7 @@ def check_uses(
             check_relation(relation, names, states, changing, "stop", "conditions", label)
     for label, relation in model.invariants.items():
         with found:
-            check_relation(relation, names, {}, changing, "invariants", label)
+            check_relation(relation, names, states, changing, "invariants", label)
     for label, output in model.outputs.items():
         with found:
             _check_output(label, output, names, states, causes)

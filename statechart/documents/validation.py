@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.annotations import elsewhere, example, known_keys, other_word
-from statechart.documents.built import Built
-from statechart.documents.document import Document, Loc
+from statechart.documents.document import Built, Document, Loc, relations
+from statechart.documents.hints import elsewhere, example, known_keys, other_word
 from statechart.documents.yaml_text import flow
 from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.formulas.hints import no_name
+from statechart.formulas.relation import conjunction, place_in
 from statechart.formulas.syntax import NAME
-from statechart.formulas.words import no_name
+from statechart.formulas.tree import Source
 from statechart.tabular import several
 
 if TYPE_CHECKING:
@@ -162,6 +163,7 @@ def _one(
         kind, loc = "too_short", loc[:-1]
     key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
     if isinstance(cause, DeclarationProblem):
+        cause = _of_item(document, cause, loc)
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
         message, advice = _message(document, cause), cause.advice
@@ -257,10 +259,8 @@ def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple
 def validate(document: Document, model: type[Model]) -> Model:
     """Build `model` from a document.
 
-    Raises
-    ------
-    DeclarationError
-        With the place of the first wrong field; its `others` are the further ones.
+    Raises `DeclarationError` with the place of the first wrong field; its `others` are the further
+    ones.
     """
     try:
         # A document uses the documented spelling of a field (`from`), never its Python name.
@@ -316,7 +316,7 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
             elif loc is None:
                 loc = self._document.where(error.text) if self._document else ()
             problem = DeclarationProblem(
-                error.message, advice=error.advice, loc=loc, offset=error.offset
+                error.message, advice=error.advice, loc=loc, offset=error.offset, text=error.text
             )
             raise _located(self._document, problem, {}) from None
 
@@ -341,9 +341,28 @@ def _message(document: Document | Built | None, problem: DeclarationProblem) -> 
     return problem.message.replace("{see}", path)
 
 
+def _of_item(
+    document: Document | Built | None, problem: DeclarationProblem, above: Loc = ()
+) -> DeclarationProblem:
+    """Return a problem of the relation that a list stands for as one of its item."""
+    texts: Any = document.value((*above, *problem.loc)) if document and problem.text else None
+    if not (relations(texts) and conjunction(texts) == problem.text):
+        return problem
+    place, offset = place_in(texts, problem.offset)
+    old, new = Source(problem.text).named, Source(texts[place]).named
+    return DeclarationProblem(
+        problem.message.replace(old, new),
+        advice=problem.advice,
+        loc=(*problem.loc, place),
+        offset=offset,
+        see=problem.see,
+    )
+
+
 def _located(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
+    problem = _of_item(document, problem)
     path = ".".join(_written(document, problem.loc))
     message = _message(document, problem)
     message = f"{path}: {message}" if path else message

@@ -35,7 +35,7 @@ from statechart.documents.document import Document, Loc
 from statechart.documents.files import read_bounded
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
-from statechart.formulas.words import character
+from statechart.formulas.hints import character
 
 # The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
 # worst file below a second, and are some hundred times what a scene needs.
@@ -57,10 +57,8 @@ _OTHERS = {
 def read(path: Path) -> Document:
     """Read a YAML file.
 
-    Raises
-    ------
-    DeclarationError
-        If it is missing, not a readable file, not UTF-8, or not an acceptable document.
+    Raises `DeclarationError` if it is missing, not a readable file, not UTF-8, or not an acceptable
+    document.
     """
     source = str(path)
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
@@ -88,10 +86,7 @@ def read(path: Path) -> Document:
 def read_text(text: str, source: str = "<text>") -> Document:
     """Read YAML text.
 
-    Raises
-    ------
-    DeclarationError
-        If it is not an acceptable document.
+    Raises `DeclarationError` if it is not an acceptable document.
     """
     if len(text) > MAX_BYTES:
         raise DeclarationError(

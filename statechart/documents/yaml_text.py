@@ -22,10 +22,8 @@ _WORDS: Mapping[str, Any] = {
 def resolve(text: str) -> Any:
     """Return what a plain scalar means in the core schema of YAML 1.2, decimal numbers only.
 
-    Raises
-    ------
-    ValueError
-        If it is an integer of thousands of digits, or a number beyond the range of floats.
+    Raises `ValueError` if it is an integer of thousands of digits, or a number beyond the range of
+    floats.
     """
     if text in _WORDS:
         return _WORDS[text]

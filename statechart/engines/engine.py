@@ -9,7 +9,7 @@ from typing import NamedTuple
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.lift import Lift
+from statechart.automaton.coordinate_reconstruction import Reconstruction
 from statechart.automaton.regions import Mode
 from statechart.engines.event_location import Search
 from statechart.engines.path import Path
@@ -50,7 +50,7 @@ class FlowWatch(NamedTuple):
         Values of the automaton's parameters.
     start : float
         When the flow begins.
-    lift : Lift
+    reconstruction : Reconstruction
         What follows from other variables in every state.
     """
 
@@ -59,7 +59,7 @@ class FlowWatch(NamedTuple):
     constraints: Constraints
     parameters: Array
     start: float
-    lift: Lift
+    reconstruction: Reconstruction
 
 
 class Steps(NamedTuple):

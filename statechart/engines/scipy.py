@@ -90,7 +90,7 @@ class SciPy(Engine):
         polynomial = _polynomial(solver.dense_output(), h, solver.n)
         path.append(h, polynomial)
         polynomial.sum(axis=1, out=end)
-        moved = watch.lift.onto(end, start + h)
+        moved = watch.reconstruction.onto(end, start + h)
         if moved is not end:
             end[:] = moved
             if self.method != "LSODA":  # Its state is part of its history, and is near enough.

@@ -11,8 +11,8 @@ from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part, seldom
-from statechart.kernels.lift import Program, lift_any
 from statechart.kernels.polynomials import horner
+from statechart.kernels.reconstruction import Program, reconstruct_any
 from statechart.kernels.search import NONE, search
 from statechart.kernels.tapes import tape_values
 
@@ -135,7 +135,7 @@ def _taylor_steps(
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
-        lift_any(follows, state, start + times[first + taken])
+        reconstruct_any(follows, state, start + times[first + taken])
         put(state, here)
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
@@ -228,7 +228,7 @@ def taylor_flow(
         An `Integrator`; its parameters `heyokas` are a time and what a tape, `fixed`, makes of
         `parameters`.
     follows : Program
-        What follows from other variables in the flow, see `statechart.kernels.lift`.
+        What follows from other variables in the flow, see `statechart.kernels.reconstruction`.
     until : float
         Longest time since the flow began.
     count, longest : int
@@ -283,7 +283,7 @@ def taylor_flow(
         finished = finite == taken and h == left
         if finished:
             times[last] = until
-        lift_any(follows, end, start + times[last])
+        reconstruct_any(follows, end, start + times[last])
         found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
         local = start + times[last]
         if (

@@ -46,9 +46,9 @@ from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
 from statechart.kernels.defect import rough_in, unseen
 from statechart.kernels.jit import part
-from statechart.kernels.lift import Program as Following
-from statechart.kernels.lift import following, lift_any
 from statechart.kernels.polynomials import cut_steps, horner
+from statechart.kernels.reconstruction import Program as Following
+from statechart.kernels.reconstruction import reconstruct_any, reconstruction_program
 from statechart.kernels.resolution import roughen
 from statechart.kernels.roots import value_at
 from statechart.kernels.search import (
@@ -93,7 +93,9 @@ def _following(
     tape_values(code, constants, outputs, state, watch.parameters, start, anchors)
     code, constants, outputs, _, _ = tape_of(program, row[LIFT : LIFT + TAPE])
     places = program.ints[row[PLACES_AT] : row[PLACES_AT] + outputs.shape[0]]
-    return following(code, constants, outputs, places, anchors, watch.parameters, state.shape[0])
+    return reconstruction_program(
+        code, constants, outputs, places, anchors, watch.parameters, state.shape[0]
+    )
 
 
 @part
@@ -169,7 +171,7 @@ def flow_to_event(
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
-    lift_any(follows, initial, start)
+    reconstruct_any(follows, initial, start)
     ready = ready_along(
         code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory.searched
     )  # fmt: skip
@@ -179,7 +181,7 @@ def flow_to_event(
         if chunk_end > coeffs.shape[0]:
             return UNUSUAL, -1, 0, boxes
         h[0] = min(left, pace.max_step)
-        lift_any(follows, state, start + times[made])
+        reconstruct_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
         if pending and _strays(ready[0], rates, watch, pace, memory, made - 1, length):
             return UNUSUAL, -1, 0, boxes
@@ -196,7 +198,7 @@ def flow_to_event(
         if last or made == chunk_end:
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
-            lift_any(follows, ended, start + times[made])
+            reconstruct_any(follows, ended, start + times[made])
             if _off(program, watch, ended, start + times[made]):
                 return UNUSUAL, -1, 0, boxes
         if clear_whole(ready, guards, tolerances, made - 1, jets):
@@ -245,7 +247,7 @@ def flow_to_event(
             return UNUSUAL, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
-    lift_any(follows, initial, start + times[count])
+    reconstruct_any(follows, initial, start + times[count])
     return EVENT, guard, count, boxes
 
 

@@ -15,7 +15,7 @@ from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.laws import Flow, Ordinary, Setup
-from statechart.automaton.recording import Kind
+from statechart.automaton.trace_store import Kind
 from statechart.execution.flow import floors
 from statechart.execution.loops import Loop, Modes
 from statechart.kernels.polynomials import summands
@@ -148,7 +148,7 @@ class Ahead:
         place = np.array([row, count, run.max_jumps, 0, 0, 0])
         state, flown = run.state.copy(), len(record.arcs)
         reason, margin, now[T_REST] = self._call(
-            record.memory, now, place, state, run.accumulation.series, self._entered
+            record.buffer, now, place, state, run.accumulation.series, self._entered
         )
         return Made(loop.kinds, reason, margin, now, place, state, self._entered, count, flown)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,11 +11,11 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.coordinate_reconstruction import ModeReconstruction, mode_reconstruction
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
-from statechart.automaton.lift import Lifting, lifting
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode, whole_margins
-from statechart.automaton.trace import Key, Roles
+from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.standing import StandingStops
 from statechart.formulas.tape import Tape
@@ -32,7 +33,7 @@ class CompiledMode:
         Outputs: the margins, in order.
     rates : Tape
         Outputs: the rates of all variables.
-    lifting : Lifting
+    reconstruction : ModeReconstruction
         What follows from other variables.
     watched : tuple of (str, str)
         Name and kind of every margin.
@@ -47,7 +48,7 @@ class CompiledMode:
     mode: Mode
     guards: Tape
     rates: Tape
-    lifting: Lifting
+    reconstruction: ModeReconstruction
     watched: tuple[tuple[str, str], ...]
     names: tuple[str, ...]
     stepper: object
@@ -70,7 +71,7 @@ class TapedMode:
     mode: Mode
     guards: Tape
     rates: Tape
-    lifting: Lifting
+    reconstruction: ModeReconstruction
     wholes: Tape
 
 
@@ -88,6 +89,13 @@ class SolvedModes:
         self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
+        self._parts: dict[Automaton, SolvedModes] = {}
+        self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
+        self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
+
+    def part(self, automaton: Automaton) -> SolvedModes:
+        """Return the modes of a component."""
+        return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
@@ -102,11 +110,11 @@ class SolvedModes:
             bare = uncaptured(roles)
             if bare == roles:
                 rates = self.automaton.tape(mode.rates, mode)
-                following = lifting(self.automaton, mode)
+                reconstruction = mode_reconstruction(self.automaton, mode)
             else:
                 moving = self.taped(bare, zeros)
-                rates, following = moving.rates, moving.lifting
-            found = self._taped[mode] = TapedMode(mode, guards, rates, following, wholes)
+                rates, reconstruction = moving.rates, moving.reconstruction
+            found = self._taped[mode] = TapedMode(mode, guards, rates, reconstruction, wholes)
         return found
 
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
@@ -129,13 +137,27 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the places of the parameters that the equations of `roles` mention."""
-        automaton = self.automaton
-        parts = list(automaton.equations) + list(automaton.rates)
-        for region, role in zip(automaton.regions, roles, strict=True):
-            state = region.build(role)
-            parts += (*state.equations, *state.values.values())
-        used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
-        return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
+        return self._always.union(*(self._in_state(*pair) for pair in enumerate(roles)))
+
+    @cached_property
+    def _always(self) -> frozenset[int]:
+        automaton, coordinates = self.automaton, self.automaton.coordinates
+        unit = None if coordinates is None else coordinates.mass_unit
+        further = () if unit is None else (unit,)
+        return self._places((*automaton.equations, *automaton.rates, *further))
+
+    def _in_state(self, region: int, role: Role) -> frozenset[int]:
+        """Return the places of the parameters that one region's equations mention."""
+        found = self._mentioned.get((region, role))
+        if found is None:
+            state = self.automaton.regions[region].build(role)
+            found = self._places((*state.equations, *state.values.values()))
+            self._mentioned[region, role] = found
+        return found
+
+    def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
+        used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))
+        return frozenset(self._place[symbol] for symbol in used if symbol in self._place)
 
 
 class CompiledModes:
@@ -153,7 +175,7 @@ class CompiledModes:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
         self.standing = solved.standing
         self.engine = engine
-        self._solved = solved
+        self.solved = solved
         self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
         self._built: set[Key] = set()
 
@@ -161,7 +183,7 @@ class CompiledModes:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
         found = self._compiled.get((roles, zeros))
         if found is None:
-            taped = self._solved.taped(roles, zeros)
+            taped = self.solved.taped(roles, zeros)
             mode = taped.mode
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:
@@ -182,7 +204,14 @@ class CompiledModes:
         else:
             stepper = self.compiled(bare, zeros).stepper
         return CompiledMode(
-            mode, taped.guards, taped.rates, taped.lifting, watched, names, stepper, taped.wholes
+            mode,
+            taped.guards,
+            taped.rates,
+            taped.reconstruction,
+            watched,
+            names,
+            stepper,
+            taped.wholes,
         )
 
     @property

@@ -12,8 +12,8 @@ import numpy as np
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
-from statechart.automaton.recording import Recording
 from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
+from statechart.automaton.trace_store import TraceRecorder
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
@@ -49,7 +49,7 @@ class Execution:
         The automaton and the engine, with the modes entered so far, in this run or before.
     path : Path
         Takes the steps of the flow under way.
-    record : Recording
+    record : TraceRecorder
         Takes its arcs and jumps.
     setup : Setup
         The numbers of the run.
@@ -71,7 +71,7 @@ class Execution:
 
     modes: CompiledModes
     path: Path
-    record: Recording
+    record: TraceRecorder
     setup: Setup
     zeros: frozenset[int]
     until: float
@@ -171,7 +171,10 @@ class Execution:
         if flow.doubted:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
-        begun, told = watch.lift.onto(self.state, watch.start), self.show if self.progress else None
+        begun, told = (
+            watch.reconstruction.onto(self.state, watch.start),
+            self.show if self.progress else None,
+        )
         reached = Advance(
             self.engine, compiled, self.path, watch, begun, duration, self.horizon, told
         ).run()
@@ -201,8 +204,10 @@ class Execution:
         allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
-        lift = compiled.lifting.begun(self.state, setup.values, start)
-        return FlowWatch(compiled.guards, np.array(allowed), constraints, setup.values, start, lift)
+        reconstruction = compiled.reconstruction.begun(self.state, setup.values, start)
+        return FlowWatch(
+            compiled.guards, np.array(allowed), constraints, setup.values, start, reconstruction
+        )
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
         """Make an arc of the steps of a flow, and go to its end."""

@@ -144,7 +144,7 @@ class Advance:
         path, watch = self.path, self.watch
         path.count = self._kept
         reached = watch.start + path.times.item(path.count)
-        self.state = watch.lift.onto(self.state, reached)
+        self.state = watch.reconstruction.onto(self.state, reached)
         return self
 
     def _start(self) -> None:

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
-from statechart.automaton.recording import Block, Event, Kind
 from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace_store import Kind, RecordedEvent, TraceBuffer
 from statechart.engines.engine import Engine, Entry, Pace
 from statechart.engines.flow_watch import KINDS
 from statechart.engines.mode_table import COLUMNS, LAWS_AT, TAPE, Program, Scratch, scratch
@@ -92,11 +92,11 @@ class Modes:
         """Whether loops can go through a mode."""
         return kind in self._compiled
 
-    def about(self, event: Event) -> tuple[str, str]:
+    def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the region that an event of a loop is about, and its cause."""
         return self._ordinary.about(event)
 
-    def jump(self, setup: Callable[[], Setup], event: Event) -> Jump:
+    def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
         names = self._compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
@@ -176,9 +176,9 @@ class Modes:
                 *packed.tape(self._watched_of(kind)),
                 *packed.tape(compiled.rates),
                 *(packed.tape(within) if within is not None else _NO_TAPE),
-                *packed.tape(compiled.lifting.tape),
-                *packed.tape(compiled.lifting.anchors),
-                packed.ints(compiled.lifting.places),
+                *packed.tape(compiled.reconstruction.tape),
+                *packed.tape(compiled.reconstruction.anchors),
+                packed.ints(compiled.reconstruction.places),
             )
         tapes = np.array([packed.tape(tape) for tape in self._ordinary.tapes], np.int64)
         # Of one engine, and so of one order.
@@ -216,7 +216,7 @@ class RowCall(Protocol):
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
         ...
 
-    def run(self, rows: Rows, block: Block, found: Found) -> int:
+    def run(self, rows: Rows, block: TraceBuffer, found: Found) -> int:
         """Make runs; return how many of them before the block was full."""
         ...
 

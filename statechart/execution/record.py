@@ -7,18 +7,9 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from statechart.automaton.deferred import Deferred, Recorded
-from statechart.automaton.recording import (
-    ARCS,
-    EVENTS,
-    Block,
-    Event,
-    Kind,
-    arc_of,
-    copied,
-    event_of,
-)
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Outcome, Trace
+from statechart.automaton.trace_store import TraceStore, copied
 from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
 from statechart.execution.rows import FIRST_MODE, MARGIN, Batch
@@ -27,51 +18,6 @@ if TYPE_CHECKING:
     from statechart.automaton.laws import Setup
     from statechart.execution.execution import Execution
     from statechart.execution.simulator import Simulator
-
-
-class _Whole:
-    """A run that one block holds.
-
-    Parameters
-    ----------
-    pad : Block
-        What it stands on, from the beginning.
-    variables : int
-        Of a state.
-    kinds : list of (Key, Roles)
-    jump : callable
-        Makes the jump of an event.
-    last : callable or None
-        Makes one more that follows those.
-
-    Attributes
-    ----------
-    block : Block
-        A copy.
-    arcs, jumps : sequence
-    """
-
-    def __init__(
-        self,
-        pad: Block,
-        variables: int,
-        kinds: list[Kind],
-        jump: Callable[[Event], Jump],
-        last: Callable[[], Jump] | None,
-    ) -> None:
-        written = pad.used.tolist()
-        arcs, events = written[ARCS], written[EVENTS]
-        block = copied(pad, written)
-
-        def event(j: int) -> Jump:
-            if j == events and last is not None:
-                return last()
-            return jump(event_of(block, j, j, kinds))
-
-        jumps = events if last is None else events + 1
-        self.block = block
-        self.arcs = Recorded(lambda row: arc_of(block, row, variables, kinds), lambda: arcs)
-        self.jumps = Recorded(event, lambda: jumps)
 
 
 def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup]) -> Trace:
@@ -84,21 +30,21 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     if outcome is Outcome.STOPPED:
         margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
         message = f"{margin} at t = {t_end:.6g}"
-        key, made = last[0], place[N_JUMPS]
-        stop = partial(Jump, t_end, made, "", "stop", key, key, final, final, (margin,))
+        key, count = last[0], place[N_JUMPS]
+        stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
     else:
         message = f"reached t = {t_end:.6g}"
-    whole = _Whole(
-        batch.block, len(automaton.variables), modes.kinds, partial(modes.jump, setup), stop
-    )
-    whole.arcs.source = batch._replace(block=whole.block)
+    block = copied(batch.block)
+    store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
+    arcs, jumps = store.sequences()
+    arcs.source = batch._replace(block=block)
     return Trace(
         name=automaton.name,
         regions=automaton.region_names,
         variables=automaton.names,
         parameters=dict(zip(automaton.parameter_names, found.values[0].tolist(), strict=True)),
-        arcs=whole.arcs,
-        jumps=whole.jumps,
+        arcs=arcs,
+        jumps=jumps,
         initial=found.initial[0],
         final=final,
         start_mode=first,
@@ -107,8 +53,8 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
         outcome=outcome,
         message=message,
         certified="guards",
-        evidence=Deferred(partial(_evidence_of_row, batch)),
-        tolerances=Deferred(lambda: dict(setup().tolerances)),
+        evidence=LazyMapping(partial(_evidence_of_row, batch)),
+        tolerances=LazyMapping(lambda: dict(setup().tolerances)),
         engine=engine.title,
         tolerance=engine.tolerance,
         warnings=(),
@@ -116,7 +62,7 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
             "steps": place[N_STEPS],
             "evaluations": 0,
             "boxes": place[N_BOXES],
-            "jumps": len(whole.jumps),
+            "jumps": len(jumps),
             "modes_built": simulator.modes_built,
             "python_instants": 0,
         },

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import Setup
-from statechart.automaton.recording import Block, event_of, polynomials
 from statechart.automaton.trace import Jump, Outcome
+from statechart.automaton.trace_store import TraceBuffer, arc_polynomials, event_of
 from statechart.execution.ahead import N_JUMPS, N_MODE, T_HIGH, Begun, Made
 from statechart.execution.finding import closing
 from statechart.kernels.polynomials import summands
 
 if TYPE_CHECKING:
-    from statechart.automaton.recording import Kind
+    from statechart.automaton.trace_store import Kind
     from statechart.execution.loops import Modes
     from statechart.execution.simulator import Simulator
 
@@ -103,7 +103,7 @@ class Batch(NamedTuple):
         Which they are.
     found : Found
         Of them alone.
-    block : Block
+    block : TraceBuffer
         Holds their arcs and events, and others.
     kinds : tuple of (Key, Roles)
         Of the modes.
@@ -116,7 +116,7 @@ class Batch(NamedTuple):
 
     rows: NDArray[np.intp]
     found: Found
-    block: Block
+    block: TraceBuffer
     kinds: tuple[Kind, ...]
     modes: Modes
     zeros: frozenset[int]
@@ -237,7 +237,7 @@ class RowRunner:
             gone = self._gone[zeros] = np.zeros(p, np.bool_)
             gone[list(zeros)] = True
         asked = Rows(call.inputs(table), until, gone, max_jumps, engine.floor, alone)
-        block = simulator.pad
+        block = simulator.buffer
         block.used[:] = 0
         made = max(call.run(asked, block, found), 1)
         if made < m:
@@ -261,7 +261,7 @@ class RowRunner:
         size = len(simulator.automaton.variables)
         arc = int(found.spans[row, ARCS_END]) - 1
         if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, N_JUMPS]:
-            terms = summands(*polynomials(block, arc, size))
+            terms = summands(*arc_polynomials(block, arc, size))
         final, time = found.final[row], float(found.now[row, T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
         compiled = batch.modes.compiled(kind)

@@ -10,8 +10,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.course import UNDERFLOW, Courses
 from statechart.automaton.laws import Flow, Instant, Setup
+from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.regions import Mode, StopCondition
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
@@ -32,7 +32,9 @@ class StandingStops:
 
     def __init__(self, automaton: Automaton) -> None:
         self._automaton = automaton
-        self._courses = Courses(automaton.variables, automaton.parameters, automaton.time)
+        self._derivatives = MarginDerivatives(
+            automaton.variables, automaton.parameters, automaton.time
+        )
 
     def __bool__(self) -> bool:
         return bool(self._automaton.stops)
@@ -47,7 +49,7 @@ class StandingStops:
             With room for the conditions that begin on their boundary and do not fall; without
             those that its certificates do not need.
         """
-        atoms = _Atoms(self._automaton, self._courses, mode, guards, at)
+        atoms = _Atoms(self._automaton, self._derivatives, mode, guards, at)
         flow, tolerances = at.flow, dict[str, float]()
         for stop, first in self._stops():
             if stop.condition.disjoint:
@@ -80,7 +82,7 @@ class StandingStops:
     def met(self, mode: Mode, guards: Tape, at: Instant) -> str | None:
         """Return the condition that holds where a flow came to the fall of one of its margins."""
         (fired,) = at.fired
-        atoms = _Atoms(self._automaton, self._courses, mode, guards, at)
+        atoms = _Atoms(self._automaton, self._derivatives, mode, guards, at)
         stop, first = next(
             (stop, first) for stop, first in self._stops() if stop is self._automaton.stop_of[fired]
         )
@@ -103,10 +105,15 @@ class _Atoms:
     """The atoms of stop conditions at an instant."""
 
     def __init__(
-        self, automaton: Automaton, courses: Courses, mode: Mode, guards: Tape, at: Instant
+        self,
+        automaton: Automaton,
+        derivatives: MarginDerivatives,
+        mode: Mode,
+        guards: Tape,
+        at: Instant,
     ) -> None:
         setup, clock, _, flow, state, _ = at
-        self._courses, self._at = courses, at
+        self._derivatives, self._at = derivatives, at
         time, count = clock.high, len(automaton.stop_margins)
         first = len(mode.margins) - count
         self._values = guards.values(state, setup.values, time)[first:].tolist()
@@ -123,7 +130,7 @@ class _Atoms:
     def way(self, k: int) -> float:
         """Return the sign of the first derivative of an atom's margin that is not zero."""
         setup, clock, _, flow, state, _ = self._at
-        return self._courses.sign(
+        return self._derivatives.sign(
             setup, flow.roles, self.names[k], state, self._sizes, clock.high, setup.precision
         )
 

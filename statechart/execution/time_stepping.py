@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from statechart.automaton.keeping import Keeping, Watch
+from statechart.automaton.recording_policy import OutputStream, RecordingPolicy
 from statechart.automaton.time_stepper import USUAL, Impulses, TimeStepper
 from statechart.documents.setting import Record
 from statechart.errors import SimulationError
@@ -48,8 +48,7 @@ class SteppingSimulator:
             )
         self.automaton = automaton
         self.step, self.impulses, self.record = step, impulses, record
-        # Who watches each run.
-        self.watched: Callable[[], Watch | None] = lambda: None
+        self.new_outputs: Callable[[], OutputStream | None] = lambda: None
         self.stepper: TimeStepper = automaton.stepper()
         self.progress = progress
 
@@ -74,7 +73,7 @@ class SteppingSimulator:
                 max_jumps=max_jumps,
                 show=shown.show if shown else _silent,
                 impulses=self.impulses,
-                keeping=Keeping(self.record, self.watched()),
+                policy=RecordingPolicy(self.record, self.new_outputs()),
             )
         finally:
             if shown:

@@ -12,9 +12,9 @@ all of them. As long as no atom of the certificate changes, nor does the relatio
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -64,35 +64,33 @@ class Atom:
     strict: bool
 
 
-def replaced(tree: Any, leaf: Callable[[Any], Any]) -> Any:
-    """Return a tree with `leaf(x)` in the place of every leaf x."""
+def folded(
+    tree: Any,
+    leaf: Callable[[Any], Any],
+    within: Callable[[Within], Any],
+    every: Callable[[list[Any]], Any],
+    some: Callable[[list[Any]], Any],
+) -> Any:
+    """Return what `every` and `some` make of a tree from the bottom, given its leaves."""
     if isinstance(tree, Every | Some):
-        return type(tree)(tuple(replaced(part, leaf) for part in tree.parts))
-    return tree if isinstance(tree, Within) else leaf(tree)
+        parts = [folded(part, leaf, within, every, some) for part in tree.parts]
+        return (every if isinstance(tree, Every) else some)(parts)
+    return within(tree) if isinstance(tree, Within) else leaf(tree)
 
 
-def leaves(tree: Any) -> Iterator[Any]:
-    """Yield the leaves of a tree from left to right, without those of `in`."""
-    if isinstance(tree, Every | Some):
-        for part in tree.parts:
-            yield from leaves(part)
-    elif not isinstance(tree, Within):
-        yield tree
+def replaced(
+    tree: Any, leaf: Callable[[Any], Any], within: Callable[[Within], Any] = lambda one: one
+) -> Any:
+    """Return a tree with `leaf(x)` in the place of every leaf x, and `within` of those of `in`."""
+    return folded(tree, leaf, within, lambda p: Every(tuple(p)), lambda p: Some(tuple(p)))
 
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """A tree over numbered atoms; build it with `Relation.condition`.
-
-    Attributes
-    ----------
-    atoms : tuple of Atom
-    root : int, Within, Every or Some
-        Leaves are places in `atoms`.
-    """
+    """A tree over numbered atoms; build it with `Relation.condition`."""
 
     atoms: tuple[Atom, ...]
-    root: Any
+    root: Any  # leaves are places in `atoms`
 
     @property
     def single(self) -> bool:
@@ -119,16 +117,13 @@ class Condition:
 
         `active` returns arrays (m,).
         """
-
-        def rows(tree: Any) -> Any:
-            if isinstance(tree, Within):
-                return active(tree.region, tree.state) == tree.holds
-            if isinstance(tree, Every | Some):
-                join = operator.and_ if isinstance(tree, Every) else operator.or_
-                return reduce(join, map(rows, tree.parts))
-            return atoms[:, tree]
-
-        return rows(self.root)
+        return folded(
+            self.root,
+            lambda place: atoms[:, place],
+            lambda within: active(within.region, within.state) == within.holds,
+            partial(reduce, operator.and_),
+            partial(reduce, operator.or_),
+        )
 
     def margin(self, values: Sequence[float], active: Active) -> float:
         """Return the margin of the tree from those of its atoms.
@@ -136,14 +131,11 @@ class Condition:
         It is the largest of an *and*, the least of an *or*, and infinite where `in` decides.
         """
 
-        def margin(tree: Any) -> float:
-            if isinstance(tree, Within):
-                return -inf if active(tree.region, tree.state) == tree.holds else inf
-            if isinstance(tree, Every | Some):
-                return (max if isinstance(tree, Every) else min)(map(margin, tree.parts))
-            return values[tree]
+        def within(tree: Within) -> float:
+            return -inf if active(tree.region, tree.state) == tree.holds else inf
 
-        return margin(self.root)
+        found: float = folded(self.root, values.__getitem__, within, max, min)
+        return found
 
     def certificate(
         self, of: Callable[[int], bool | None], active: Active, still: Callable[[int], bool]
@@ -189,10 +181,7 @@ def _certificate(
 def condition_of(tree: Any, source: Source) -> Condition:
     """Return the condition of a tree whose leaves are `Atom`, split into smooth ones.
 
-    Raises
-    ------
-    FormulaError
-        Where it has more than `MAX_ATOMS`.
+    Raises `FormulaError` where it has more than `MAX_ATOMS`.
     """
     import sympy
 
@@ -234,7 +223,8 @@ def condition_of(tree: Any, source: Source) -> Condition:
         plain = isinstance(tree, Atom) and tree.expression.is_number
         return Condition((tree if plain else Atom(sympy.Integer(1 - 2 * root), False),), 0)
     atoms = tuple(places)
-    used = {place: k for k, place in enumerate(dict.fromkeys(leaves(root)))}
+    used: dict[int, int] = {}
+    replaced(root, lambda place: used.setdefault(place, len(used)))
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
 
 
@@ -278,21 +268,14 @@ def _split(atom: Atom) -> Any:
     form = expression.xreplace({corner: slot})
     factor = sympy.diff(form, slot) if form.is_polynomial(slot) else slot
     if factor.has(slot):
-        return Some(
-            tuple(
-                Every(
-                    (
-                        *(
-                            Atom(other - part if largest else part - other, False)
-                            for other in arguments
-                            if other is not part
-                        ),
-                        Atom(form.xreplace({slot: part}), strict),
-                    )
-                )
-                for part in arguments
-            )
-        )
+        sign = 1 if largest else -1
+
+        def chosen(part: sp.Expr) -> Every:
+            others = (other for other in arguments if other is not part)
+            first = (Atom(sign * (other - part), False) for other in others)
+            return Every((*first, Atom(form.xreplace({slot: part}), strict)))
+
+        return Some(tuple(map(chosen, arguments)))
     rising, falling = (Every, Some) if largest else (Some, Every)
     if factor.is_nonnegative:
         return each(rising, expression)

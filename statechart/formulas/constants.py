@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping
 
 from statechart.errors import FormulaError, close_matches
 from statechart.formulas.formula import Formula, parse
+from statechart.formulas.hints import meant
 from statechart.formulas.tree import CONSTANTS, FUNCTIONS, names_in
-from statechart.formulas.words import meant
 
 
 def order_parameters(
@@ -16,10 +16,8 @@ def order_parameters(
 ) -> tuple[str, ...]:
     """Return the names so that each comes after those that its formula uses.
 
-    Raises
-    ------
-    FormulaError
-        If a name is not a parameter, or parameters depend on each other in a circle.
+    Raises `FormulaError` if a name is not a parameter, or parameters depend on each other in a
+    circle.
     """
     for name, formula in formulas.items():
         for used in names_in(formula.root):
@@ -59,10 +57,7 @@ class Constants:
     def values(self, overrides: Mapping[str, float]) -> dict[str, float]:
         """Return the value of every parameter.
 
-        Raises
-        ------
-        FormulaError
-            If an override names no parameter, or a formula has no value.
+        Raises `FormulaError` if an override names no parameter, or a formula has no value.
         """
         for name in overrides:
             if name not in self.formulas:

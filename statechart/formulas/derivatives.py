@@ -28,6 +28,8 @@ def check_smooth(
 ) -> None:
     """Check that a formula has no kink in any of `variables`.
 
+    Raises `DeclarationProblem` at the first kink.
+
     Parameters
     ----------
     text : str, int or float
@@ -40,11 +42,6 @@ def check_smooth(
         What the formula has not where it switches, and what to write instead.
     roots : bool
         Whether the root of a square, which is smooth on either side of zero, counts as a kink.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first kink.
     """
     for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
         switched = {name.name for name in names_in(call)}.intersection(variables)
@@ -85,10 +82,7 @@ def check_derived(
 ) -> None:
     """Check that the derivatives of a formula are not too large to be built.
 
-    Raises
-    ------
-    DeclarationProblem
-        If they are.
+    Raises `DeclarationProblem` if they are.
     """
     nested = _nested(root)
     if nested > MAX_NESTED:

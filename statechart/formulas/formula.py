@@ -98,10 +98,7 @@ def _power_of_numbers(node: Binary, left: sp.Expr, right: sp.Expr, source: Sourc
 def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
     """Return an expression built of a formula without quotients that overflow to inf / inf.
 
-    Raises
-    ------
-    FormulaError
-        If it has no real value.
+    Raises `FormulaError` if it has no real value.
     """
     import sympy
 
@@ -138,18 +135,10 @@ def _bounded(power: sp.Expr) -> sp.Expr:
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula that was read; build it with `parse`.
+    """A formula that was read; build it with `parse`."""
 
-    Attributes
-    ----------
-    text : str
-        As written.
-    root : Node
-        Its syntax tree.
-    """
-
-    text: str
-    root: Node
+    text: str  # as written
+    root: Node  # its syntax tree
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -164,10 +153,7 @@ class Formula:
     def require(self, known: Iterable[str]) -> None:
         """Check that it uses only names in `known`.
 
-        Raises
-        ------
-        FormulaError
-            At the first other name, with the ones that it may have meant.
+        Raises `FormulaError` at the first other name, with the ones that it may have meant.
         """
         known = frozenset(known)
         for name in names_in(self.root):
@@ -177,23 +163,16 @@ class Formula:
     def to_sympy(self, symbols: Mapping[str, sp.Expr]) -> sp.Expr:
         """Build the formula from SymPy's constructors.
 
-        Integers and quotients of them stay exact, decimals become floats of full double
-        precision, powers of two numbers are computed in floats.
-
-        Raises
-        ------
-        FormulaError
-            If a name is missing from `symbols`, or the expression has no real value.
+        Integers and quotients of them stay exact, decimals become floats of full double precision,
+        powers of two numbers are computed in floats. Raises `FormulaError` if a name is missing
+        from `symbols`, or the expression has no real value.
         """
         return finished(_build(self.root, symbols, self._source), self)
 
     def value(self, values: Mapping[str, float]) -> float:
         """Evaluate in IEEE floats.
 
-        Raises
-        ------
-        FormulaError
-            If a name is missing, or a part is undefined or overflows.
+        Raises `FormulaError` if a name is missing, or a part is undefined or overflows.
         """
         return evaluate(self.root, values, self._source)
 
@@ -206,12 +185,8 @@ def parse(text: str | int | float) -> Formula:
     """Read a formula; the same text is read once.
 
     Fields keep what was written, so that a model is typed, compared and written as its user wrote
-    it; what computes with a field reads it here.
-
-    Raises
-    ------
-    FormulaError
-        If it cannot be read, is beyond the bounds, or has a constant part without a value.
+    it; what computes with a field reads it here. Raises `FormulaError` if it cannot be read, is
+    beyond the bounds, or has a constant part without a value.
     """
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         Source(str(text)).fail("not a number and not a formula")

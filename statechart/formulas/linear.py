@@ -9,17 +9,18 @@ singularities left are those of the mode itself, such as the Painleve boundary.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import lru_cache
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
 
-from statechart.formulas.determinants import (
-    CRAMER_LIMIT,
-    Definition,
-    Singular,
-    by_determinants,
-    naming,
-)
+from statechart.errors import SingularMode
+
+Definition = tuple[sp.Symbol, sp.Expr]
+
+# Cramer's rule: Laplace expansion grows as n!, and is exact in structure; beyond this, Gaussian
+# elimination. One body with a pinned point makes a system of 5.
+CRAMER_LIMIT = 5
 
 # A force that follows from an acceleration is a difference: of weight and what moves, say, of which
 # little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
@@ -34,25 +35,77 @@ Equation = tuple[Row, sp.Expr, int]
 """Coefficients, right-hand side, place among the equations given."""
 
 
+class Singular(SingularMode):
+    """The equations do not determine every unknown, whatever the numbers are.
+
+    Parameters
+    ----------
+    unknowns : sequence of Symbol
+        The unknowns that nothing determines.
+    """
+
+    def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
+        super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
+        self.unknowns = tuple(unknowns)
+
+
 def solve_linear(
     equations: Sequence[sp.Expr],
     unknowns: Sequence[sp.Symbol],
     paired: int = 0,
     before: Collection[sp.Symbol] = (),
 ) -> tuple[Definition, ...]:
-    """Solve `equations` (each = 0, linear in `unknowns`).
+    """Solve `equations` (each = 0, linear in `unknowns`), one connected component at a time.
+
+    The first `paired` equations and unknowns belong together, one by one.
+
+    Raises `Singular` if the structure of the equations leaves an unknown free.
 
     Returns
     -------
     tuple of (Symbol, Expr)
         Definitions in order of evaluation; each uses the unknowns defined before it, and
         auxiliary symbols defined before it.
-
-    Raises
-    ------
-    Singular
-        If the structure of the equations leaves an unknown free.
     """
+    found: list[Definition] = []
+    missing: list[sp.Symbol] = []
+    for component in _connected(equations, unknowns):
+        pairs = sum(place < paired for place in component)
+        try:
+            found += _solved(
+                tuple(equations[i] for i in component if i < len(equations)),
+                tuple(unknowns[i] for i in component if i < len(unknowns)),
+                pairs,
+                frozenset(before),
+            )
+        except Singular as error:
+            missing += error.unknowns
+    if missing:
+        raise Singular(missing)
+    return tuple(found)
+
+
+def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> list[list[int]]:
+    """Return the places of equations and unknowns that belong together; pairs are not parted."""
+    place = {unknown: i for i, unknown in enumerate(unknowns)}
+    edges = [
+        (row, place[unknown])
+        for row, equation in enumerate(equations)
+        for unknown in equation.free_symbols
+        if unknown in place
+    ]
+    vertices = range(max(len(equations), len(unknowns)))
+    return sorted(map(sorted, connected_components((vertices, edges))))
+
+
+@lru_cache(4096)
+def _solved(
+    equations: tuple[sp.Expr, ...],
+    unknowns: tuple[sp.Symbol, ...],
+    paired: int,
+    before: frozenset[sp.Symbol],
+) -> tuple[Definition, ...]:
+    """Solve the equations of one component, the same in all modes in which it stands."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
     first, rows, last = _reduced(given, unknowns, before, paired)
@@ -256,9 +309,11 @@ def _blocks(
             named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
             definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
-        matrix = sp.Matrix([[rows[i][0].get(u, 0) for u in unknowns] for i in indices])
-        right = sp.Matrix([rows[i][1] for i in indices])
-        definitions += by_determinants(matrix, right, unknowns)
+        component_rows = [rows[i] for i in indices]
+        if len(unknowns) > CRAMER_LIMIT:
+            definitions += _by_elimination(component_rows, unknowns)
+        else:
+            definitions += _by_determinants(component_rows, unknowns)
     return definitions
 
 
@@ -274,6 +329,26 @@ def _largest(rows: list[Equation]) -> int:
     return max((len(component) for component in _components(rows)), default=0)
 
 
+def _eliminated(
+    rows: list[Equation],
+    pivot: Callable[[list[Equation]], tuple[int, sp.Symbol] | None],
+    name: Callable[[sp.Expr], sp.Expr],
+) -> tuple[list[Equation], list[Definition]]:
+    """Eliminate unknowns by the pivots chosen, with every intermediate result named.
+
+    Returns the equations left, and the unknowns eliminated, to be evaluated in the opposite order.
+    """
+    rows = [({u: name(c) for u, c in row.items()}, name(right), i) for row, right, i in rows]
+    last: list[Definition] = []
+    while (found := pivot(rows)) is not None:
+        index, unknown = found
+        row, right, _ = rows.pop(index)
+        others = {u: c for u, c in row.items() if u != unknown}
+        rows = [_eliminate(e, unknown, others, right, row[unknown], name) for e in rows]
+        last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / row[unknown]))
+    return rows, last
+
+
 def _by_pairs(
     rows: list[Equation],
     unknowns: Sequence[sp.Symbol],
@@ -282,23 +357,72 @@ def _by_pairs(
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate unknowns by the equations that belong to them, motions first.
 
-    Returns
-    -------
-    named, rest, last
-        Intermediate results, the equations left, and the unknowns eliminated, to be evaluated in
-        the opposite order.
+    Returns intermediate results, the equations left, and the unknowns eliminated, to be evaluated
+    in the opposite order.
     """
+    todo = sorted((u for u in unknowns if place[u] < paired), key=place.__getitem__)
+
+    def own(rows: list[Equation]) -> tuple[int, sp.Symbol] | None:
+        while todo:
+            unknown = todo.pop(0)
+            for index, (row, _, origin) in enumerate(rows):
+                if origin == place[unknown] and unknown in row:
+                    return index, unknown
+        return None
+
     named: list[Definition] = []
-    last: list[Definition] = []
-    name = naming("pair", named)
-    rest = [({u: name(c) for u, c in row.items()}, name(b), i) for row, b, i in rows]
-    for unknown in sorted(unknowns, key=place.__getitem__):
-        own = [e for e in rest if e[2] == place[unknown] < paired and unknown in e[0]]
-        if not own:
-            continue
-        row, right, origin = own[0]
-        pivot = row[unknown]
-        others = {u: c for u, c in row.items() if u != unknown}
-        rest = [_eliminate(e, unknown, others, right, pivot, name) for e in rest if e[2] != origin]
-        last.append((unknown, sum((-c * u for u, c in others.items()), start=right) / pivot))
+    rest, last = _eliminated(rows, own, _naming("pair", named))
     return named, rest, last
+
+
+def _by_elimination(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+    """Solve by Gaussian elimination: a straight-line program of O(n^3) operations."""
+    columns = {unknown: k for k, unknown in enumerate(unknowns)}
+
+    def sparsest(rows: list[Equation]) -> tuple[int, sp.Symbol] | None:
+        if not rows:
+            return None
+        costs = [(len(row), i, columns[u]) for i, (row, _, _) in enumerate(rows) for u in row]
+        if not costs:
+            raise Singular(list(columns))
+        _, index, column = min(costs)
+        columns.pop(unknowns[column])
+        return index, unknowns[column]
+
+    named: list[Definition] = []
+    _, last = _eliminated(rows, sparsest, _naming("elimination", named))
+    return [*named, *reversed(last)]
+
+
+def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> list[Definition]:
+    """Solve by Cramer's rule with every entry named, so that the determinants stay small."""
+    tag = str(unknowns[0])
+    result: list[Definition] = []
+    name = _naming(f"entry_{tag}", result)
+    matrix = sp.Matrix([[row.get(u, 0) for u in unknowns] for row, _, _ in rows]).applyfunc(name)
+    right = sp.Matrix([right for _, right, _ in rows]).applyfunc(name)
+    determinant = sp.Dummy(f"det_{tag}", real=True)
+    total = matrix.det(method="laplace")
+    if total == 0:
+        raise Singular(unknowns)
+    result.append((determinant, total))
+    for column, unknown in enumerate(unknowns):
+        replaced = matrix.copy()
+        replaced[:, column] = right
+        result.append((unknown, replaced.det(method="laplace") / determinant))
+    return result
+
+
+def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
+    """Return what gives an expression a symbol, and notes it; symbols and numbers stay."""
+    known: dict[sp.Expr, sp.Symbol] = {}
+
+    def name(entry: sp.Expr) -> sp.Expr:
+        if entry.is_number or entry.is_Symbol:
+            return entry
+        if entry not in known:
+            known[entry] = sp.Dummy(word, real=True)
+            named.append((known[entry], entry))
+        return known[entry]
+
+    return name

@@ -64,12 +64,8 @@ class Parameters:
     def values(self, overrides: Mapping[str, float]) -> tuple[Array, Array]:
         """Return the parameters (derived ones last) and the further expressions.
 
-        Raises
-        ------
-        DeclarationProblem
-            If an override names no parameter or is not a number.
-        FormulaError
-            If a formula has no value there.
+        Raises `DeclarationProblem` if an override names no parameter or is not a number. Raises
+        `FormulaError` if a formula has no value there.
         """
         for name, value in overrides.items():
             if name not in self._formulas:

@@ -20,6 +20,8 @@ from statechart.formulas.condition import (
     Some,
     Within,
     condition_of,
+    folded,
+    replaced,
 )
 from statechart.formulas.formula import Formula, finished
 from statechart.formulas.syntax import RELATIONS, Reader
@@ -37,6 +39,7 @@ _EQUALITIES = tuple(_ORDERED)
 _COMPARISONS = (*RELATIONS, *_EQUALITIES)
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 _TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
+_AND = " and "
 _OR = re.compile(r"\bor\b")
 States = Mapping[tuple[str, str], "sp.Expr"]
 """(region, state) -> a number above 0 while the state is active, below 0 else."""
@@ -47,25 +50,14 @@ _JOINTS = frozenset({"<", "<=", ">", ">=", "==", "!=", "=", "!", "and", "or", "n
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison of two formulas.
+    """A comparison of two formulas."""
 
-    Attributes
-    ----------
-    left, right : Formula
-        The sides. Both have the text of the whole relation, so that offsets point into it.
-    operator : str
-        One of ``< <= > >= == !=``.
-    offset : int
-        Of the operator.
-    text : str
-        As written.
-    """
-
+    # The sides. Both have the text of the whole relation, so that offsets point into it.
     left: Formula
     right: Formula
-    operator: str
-    offset: int
-    text: str
+    operator: str  # one of ``< <= > >= == !=``
+    offset: int  # of the operator
+    text: str  # as written
 
     def negated(self) -> Comparison:
         """Return the comparison that holds where this one does not."""
@@ -117,18 +109,10 @@ Term = Comparison | Member | Negation | Junction
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation that was read; build it with `parse_relation`.
+    """A relation that was read; build it with `parse_relation`."""
 
-    Attributes
-    ----------
-    root : Comparison, Member, Negation or Junction
-        Its syntax tree.
-    text : str
-        As written.
-    """
-
-    root: Term
-    text: str
+    root: Term  # its syntax tree
+    text: str  # as written
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
@@ -159,15 +143,13 @@ class Relation:
     def require_states(self, states: Mapping[str, Collection[str]]) -> None:
         """Check that ``in(...)`` names regions and states that exist.
 
-        Raises
-        ------
-        FormulaError
-            At the first that does not exist.
+        Raises `FormulaError` at the first that does not exist.
         """
         source = Source(self.text)
         for member in self.members:
             if not states:
-                advice = "`in` is for guards, stop conditions, and `enabled` with controllers"
+                advice = "`in` is for guards, stop conditions, invariants, and `enabled` of scenes "
+                advice += "with controllers"
                 source.fail("no state can be asked for here", member.offset, advice)
             for kind, name, known in (
                 ("region", member.region, states),
@@ -179,10 +161,7 @@ class Relation:
     def require_still(self, changing: Collection[str]) -> None:
         """Check that ``==`` and ``!=`` compare only what no flow changes.
 
-        Raises
-        ------
-        FormulaError
-            At the first equality of one of them.
+        Raises `FormulaError` at the first equality of one of them.
         """
         for one in self.comparisons:
             moved = sorted((one.left.names | one.right.names).intersection(changing))
@@ -196,46 +175,33 @@ class Relation:
     def margin(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> sp.Expr:
         """Return what is >= 0 while the relation does not hold and falls as it begins to.
 
-        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` it is
-        ``b - a``; of an *and* the largest, of an *or* the least of its parts. Its negative is
-        the margin by which the relation holds.
-
-        Raises
-        ------
-        FormulaError
-            As `Formula.to_sympy`.
+        For ``a <= b`` and ``a < b`` this is ``a - b``, for ``a >= b`` and ``a > b`` the opposite;
+        for an *and* the largest, for an *or* the least of its parts. Its negative is the margin by
+        which the relation holds. Raises `FormulaError` as `Formula.to_sympy`.
         """
-        return self._margin(_normal(self.root, False), symbols, states)
-
-    def _margin(self, tree: Any, symbols: Mapping[str, sp.Expr], states: States) -> sp.Expr:
         import sympy
 
-        if isinstance(tree, Comparison):
-            return tree.margin(symbols)
-        if isinstance(tree, Within):
-            if (tree.region, tree.state) not in states:
-                self.require_states({})
-            return _within(tree, states).expression
-        parts = (self._margin(part, symbols, states) for part in tree.parts)
-        return (sympy.Max if isinstance(tree, Every) else sympy.Min)(*parts)
+        if any((member.region, member.state) not in states for member in self.members):
+            self.require_states({})
+        return folded(
+            _normal(self.root),
+            lambda comparison: comparison.margin(symbols),
+            lambda within: _within(within, states).expression,
+            lambda parts: sympy.Max(*parts),
+            lambda parts: sympy.Min(*parts),
+        )
 
     def condition(self, symbols: Mapping[str, sp.Expr], states: States = _NO_STATES) -> Condition:
         """Return the relation over smooth atoms: `min`, `max` and `abs` are rewritten.
 
-        Raises
-        ------
-        FormulaError
-            As `Formula.to_sympy`, and if it has too many atoms.
+        Raises `FormulaError` as `Formula.to_sympy`, and if it has too many atoms.
         """
-
-        def atoms(tree: Any) -> Any:
-            if isinstance(tree, Every | Some):
-                return type(tree)(tuple(map(atoms, tree.parts)))
-            if isinstance(tree, Comparison):
-                return Atom(tree.margin(symbols), tree.strict)
-            return _within(tree, states) if (tree.region, tree.state) in states else tree
-
-        return condition_of(atoms(_normal(self.root)), Source(self.text))
+        tree = replaced(
+            _normal(self.root),
+            lambda comparison: Atom(comparison.margin(symbols), comparison.strict),
+            lambda one: _within(one, states) if (one.region, one.state) in states else one,
+        )
+        return condition_of(tree, Source(self.text))
 
 
 def _terms(term: Term) -> Iterator[Term]:
@@ -271,10 +237,7 @@ def _within(tree: Within, states: States) -> Atom:
 def parse_relation(text: str) -> Relation:
     """Read a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
 
-    Raises
-    ------
-    FormulaError
-        If it cannot be read; see `parse`.
+    Raises `FormulaError` if it cannot be read; see `parse`.
     """
     reader = _RelationReader(Source(text))
     root = reader.disjunction()
@@ -286,7 +249,18 @@ def conjunction(texts: Sequence[str]) -> str:
     """Return the relation that holds where all of `texts` do."""
     if len(texts) == 1:
         return texts[0]
-    return " and ".join(f"({text})" if _OR.search(text) else text for text in texts)
+    return _AND.join(f"({text})" if _OR.search(text) else text for text in texts)
+
+
+def place_in(texts: Sequence[str], offset: int) -> tuple[int, int]:
+    """Return the place among `texts`, and the offset in it, of an offset in their conjunction."""
+    for place, text in enumerate(texts):
+        opened = int(len(texts) > 1 and _OR.search(text) is not None)
+        width = len(text) + 2 * opened
+        if offset <= width or place == len(texts) - 1:
+            return place, max(offset - opened, 0)
+        offset -= width + len(_AND)
+    return 0, 0
 
 
 class _RelationReader(Reader):

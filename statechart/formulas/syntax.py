@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
+from statechart.formulas.hints import TOKENS, character, meant
 from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
@@ -28,7 +29,6 @@ from statechart.formulas.tree import (
     evaluate,
     is_constant,
 )
-from statechart.formulas.words import TOKENS, character, meant
 
 MAX_LENGTH = 2000
 MAX_NODES = 500

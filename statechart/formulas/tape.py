@@ -32,32 +32,17 @@ def contiguous(array: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """A straight-line program for a list of outputs.
+    """A straight-line program for a list of outputs."""
 
-    Attributes
-    ----------
-    code : ndarray of int32, shape (n_ops, 3)
-        Operation (`statechart.kernels.tapes.OPCODES`), left register, right register. One operand:
-        the right is 0; an integer power: the exponent.
-    constants : ndarray of float64
-        Numbers of the expressions.
-    outputs : ndarray of int32
-        Registers of the outputs.
-    n_variables, n_parameters : int
-        Length of a state and of the parameters.
-    n_fixed : int
-        Number of leading operations that read only parameters and constants.
-    reads : ndarray of int32
-        Variables that are read at all; `n_variables` stands for the time.
-    """
-
+    # Operation (`statechart.kernels.tapes.OPCODES`), left register, right register. One operand:
+    # the right is 0; an integer power: the exponent.
     code: Ints32
-    constants: Array
-    outputs: Ints32
-    n_variables: int
+    constants: Array  # numbers of the expressions
+    outputs: Ints32  # registers of the outputs
+    n_variables: int  # length of a state and of the parameters
     n_parameters: int
-    n_fixed: int
-    reads: Ints32
+    n_fixed: int  # number of leading operations that read only parameters and constants
+    reads: Ints32  # variables that are read at all; `n_variables` stands for the time
 
     @cached_property
     def program(self) -> tuple[Ints32, Array, Ints32]:
@@ -67,10 +52,7 @@ class Tape:
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point.
 
-        Raises
-        ------
-        ValueError
-            If a shape does not fit.
+        Raises `ValueError` if a shape does not fit.
         """
         state, parameters = contiguous(state), contiguous(parameters)
         if state.shape != (self.n_variables,):
@@ -90,10 +72,7 @@ class Tape:
     def table(self, states: ArrayLike, parameters: ArrayLike, times: ArrayLike) -> Array:
         """Return the outputs at many points.
 
-        Raises
-        ------
-        ValueError
-            If a shape does not fit.
+        Raises `ValueError` if a shape does not fit.
         """
         states, parameters, times = contiguous(states), contiguous(parameters), contiguous(times)
         if times.ndim != 1 or states.shape != (len(times), self.n_variables):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from statechart.errors import FormulaError
-from statechart.formulas.words import meant
+from statechart.formulas.hints import meant
 from statechart.kernels.whole import whole
 
 
@@ -99,7 +99,7 @@ def _hypot(x: Any, y: Any) -> Any:
 
 
 def _floor(x: Any) -> Any:
-    from statechart.formulas.jumps import Whole
+    from statechart.formulas.writer import Whole
 
     return Whole(x)
 
@@ -145,11 +145,16 @@ class Source:
 
     text: str
 
+    @property
+    def named(self) -> str:
+        """What errors call it."""
+        shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
+        return f"formula {shown!r}"
+
     def fail(self, message: str, offset: int = 0, advice: str = "", name: str = "") -> NoReturn:
         """Raise a `FormulaError` that points `offset` characters into the text."""
-        shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
         raise FormulaError(
-            f"formula {shown!r}: {message}",
+            f"{self.named}: {message}",
             advice=advice,
             offset=offset,
             name=name,

@@ -144,9 +144,11 @@ class Deadline:
         Whether it never took too long to run them all.
     meanwhile : bool
         Whether it takes steps while another process compiles what takes them.
+    ahead : bool
+        Whether kernels are compiled at their first call, whatever that costs.
     """
 
-    spent, at, all_written, patient, meanwhile = 0.0, math.inf, False, True, False
+    spent, at, all_written, patient, meanwhile, ahead = 0.0, math.inf, False, True, False, False
 
 
 class Seldom(Kernel):
@@ -167,7 +169,7 @@ class Seldom(Kernel):
             return self.made(*arguments)
         left = BRIEF - self._spent
         dear = self._spent >= LINKING if numba_is_there() else Deadline.spent >= LOADING
-        if left <= 0.0 or (dear and self._on_disk):
+        if left <= 0.0 or Deadline.ahead or (dear and self._on_disk):
             self._settled = True
             return self.made(*arguments)
         given = {id(a): a for a in arguments if isinstance(a, np.ndarray)}

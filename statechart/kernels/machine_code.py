@@ -100,12 +100,10 @@ class _Turn:
     ----------
     path : str
         The file whose lock it is; it is left there, empty.
-    name : str
-        The kernel.
     """
 
-    def __init__(self, path: str, name: str) -> None:
-        self._path, self._name = path, name
+    def __init__(self, path: str) -> None:
+        self._path = path
         self._place: int | None = None
 
     def take(self) -> None:
@@ -117,7 +115,7 @@ class _Turn:
             os.makedirs(os.path.dirname(self._path), exist_ok=True)
             self._place = place = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
             if not _locked(place):
-                with compiling.whole(self._name):
+                with compiling.whole(compiling.KERNELS):
                     until = time.monotonic() + _PATIENCE
                     while not _locked(place) and time.monotonic() < until:
                         time.sleep(_LOOK)
@@ -206,7 +204,7 @@ class _Cache(FunctionCache):
             self._cache_path, self._impl.filename_base, tuple(sorted(stamps.items()))
         )
         place = os.path.join(self._cache_path, f"{self._impl.filename_base}.lock")
-        self.turn = _Turn(place, function.__name__)
+        self.turn = _Turn(place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = self._loaded(sig, target_context)
@@ -236,7 +234,7 @@ class _Told(event.Listener):
 
     def on_start(self, event: Any) -> None:
         compiled = event.data["dispatcher"]
-        compiling.begin(compiled.py_func.__name__, lambda: len(_missing(compiled, {})))
+        compiling.begin(compiling.KERNELS, lambda: len(_missing(compiled, {})))
 
     def on_end(self, event: Any) -> None:
         made = event.data["dispatcher"]._compiler.pipeline_class

@@ -48,7 +48,7 @@ class Maker:
             )
             self._ask((kernel, arguments))
             Thread(target=self._listen, daemon=True).start()
-            compiling.beside(kernel.py_func.__name__)
+            compiling.beside()
 
     def is_done(self) -> bool:
         """Whether it has compiled all that the run has entered, or is no more."""

@@ -22,26 +22,15 @@ class Kind:
 
     What must hold for its runs, and by how much it does not, it offers under the kind's name in the
     groups `statechart.properties` and `statechart.violations` (see `offered`).
-
-    Attributes
-    ----------
-    name : str
-        The value of the document's `kind:`.
-    model : type of Declaration
-        What the document is validated as.
-    automaton : callable
-        Builds the automaton of a model.
-    starter : Path
-        A commented document that runs, to start from; the word NAME in it stands for the name of
-        the model.
-    stage : callable or None
-        Makes of an automaton what its runs are seen on; None where there is nothing to see.
     """
 
-    name: str
-    model: type[Declaration]
-    automaton: Callable[[Any], Automaton]
+    name: str  # the value of the document's `kind:`
+    model: type[Declaration]  # what the document is validated as
+    automaton: Callable[[Any], Automaton]  # builds the automaton of a model
+    # A commented document that runs, to start from; the word NAME in it stands for the name of the
+    # model.
     starter: Path
+    # Makes of an automaton what its runs are seen on; None where there is nothing to see.
     stage: Callable[[Automaton], Stage] | None = None
 
     @property
@@ -58,14 +47,8 @@ def kinds() -> Mapping[str, EntryPoint]:
 def kind(name: str) -> Kind:
     """Return a kind, importing its package and no other.
 
-    Raises
-    ------
-    KeyError
-        If there is none of this name.
-    TypeError
-        If the entry point leads to something else.
-    StatechartError
-        If its package is hidden by another of its name.
+    Raises `KeyError` if there is none of this name. Raises `TypeError` if the entry point leads to
+    something else. Raises `StatechartError` if its package is hidden by another of its name.
     """
     return loaded(kinds()[name])
 
@@ -81,10 +64,7 @@ def loaded(offered: EntryPoint) -> Kind:
 def offered(group: str, name: str) -> Any:
     """Return what is installed under a kind's name in a group of entry points; None where nothing.
 
-    Raises
-    ------
-    StatechartError
-        If its package is hidden by another of its name.
+    Raises `StatechartError` if its package is hidden by another of its name.
     """
     found = {entry.name: entry for entry in entries(group)}
     return load(found[name]) if name in found else None

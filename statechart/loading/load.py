@@ -17,10 +17,7 @@ from statechart.loading.offered import entries, module
 def interpret(document: Document) -> Declaration:
     """Build the model of the kind that the document names in its `kind:`.
 
-    Raises
-    ------
-    DeclarationError
-        If it names no known kind, or is not a correct model of it.
+    Raises `DeclarationError` if it names no known kind, or is not a correct model of it.
     """
     name = document.data.get("kind")
     offered = kinds().get(name) if isinstance(name, str) else None
@@ -65,10 +62,7 @@ def load(path_or_name: str | Path) -> Declaration:
 def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, Document | None]:
     """Return a model, and the document that it was read from.
 
-    Raises
-    ------
-    DeclarationError
-        If it is none of these, or wrong.
+    Raises `DeclarationError` if it is none of these, or wrong.
     """
     if isinstance(model, str | Path):
         model = read(find(str(model)))
@@ -85,10 +79,7 @@ def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, D
 def find(path_or_name: str) -> Path:
     """Return the file that a path or the name of a shipped model stands for.
 
-    Raises
-    ------
-    DeclarationError
-        If neither exists; with the names that it may have meant.
+    Raises `DeclarationError` if neither exists; with the names that it may have meant.
     """
     if not path_or_name.strip():
         raise DeclarationError(

@@ -17,10 +17,7 @@ _ID = "urn:contact-statecharts:schema"
 def schema(name: str | None = None) -> str:
     """Return the JSON Schema of a kind of document, as text.
 
-    Raises
-    ------
-    DeclarationError
-        If there is no such kind.
+    Raises `DeclarationError` if there is no such kind.
     """
     if name is not None and name not in kinds():
         raise DeclarationError(f"no kind {name!r}", advice=close_matches(name, kinds()))

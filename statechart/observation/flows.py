@@ -14,7 +14,7 @@ from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.execution.simulator import Simulator
-from statechart.formulas.determinants import Singular
+from statechart.formulas.linear import Singular
 from statechart.observation.sampling import Points
 
 Where = tuple[tuple[str, str], ...]

@@ -8,6 +8,7 @@ its simulator, so that the next run finds its programs ready.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +19,6 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
@@ -100,7 +100,7 @@ class Observer:
         ValueError
             If the times are outside the run or not in order.
         """
-        check_kept(trace)
+        trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)
         expressions = tuple(self.programs.expression(formula) for formula in formulas)
         if times is None:
@@ -217,7 +217,7 @@ class Observer:
         total: Array | None = None,
     ) -> Array:
         """Return the integrals (f,) of formulas over time."""
-        check_kept(trace)
+        trace.require_motion()
         expressions = self.programs.expressions(formulas)
         where = wanted(during) if during else ((),) * len(expressions)
         total = np.zeros(len(expressions)) if total is None else total
@@ -261,7 +261,6 @@ class Observer:
         Modes of no duration belong to it, its start and its end. Places where the formula is
         undefined do not count; both are not a number if it is everywhere.
         """
-        check_kept(trace)
         found = np.full(2, np.nan)
         include(found, self.initial(trace, (formula,)))
         self.widened(trace, formula, found)
@@ -270,8 +269,31 @@ class Observer:
         include(found, self.final(trace, (formula,)))
         return found.item(0), found.item(1)
 
+    def lowest(self, trace: Trace, formula: Callable[[Key], sp.Expr]) -> float:
+        """Return the least value over a run of what depends on the mode; see `extremes`."""
+        found, jumps = np.full(2, np.nan), passed(trace)
+        flowed = (arc.mode for arc in trace.arcs)
+        jumped = (jump.target for jump in jumps)
+        modes: dict[sp.Expr, set[Key]] = {}
+        for key in dict.fromkeys([trace.start_mode, *flowed, *jumped, trace.final_mode]):
+            modes.setdefault(formula(key), set()).add(key)
+        for expression, keys in modes.items():
+            if expression in (sp.oo, -sp.oo):
+                include(found, np.array([float(expression)]))
+                continue
+            if trace.start_mode in keys:
+                include(found, self.initial(trace, (expression,)))
+            arcs = tuple(arc for arc in trace.arcs if arc.mode in keys)
+            self.widened(replace(trace, arcs=arcs), expression, found)
+            if own := [jump for jump in jumps if jump.target in keys]:
+                include(found, self.at(trace, (expression,), own))
+            if trace.final_mode in keys:
+                include(found, self.final(trace, (expression,)))
+        return found.item(0)
+
     def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
         """Let an interval (2,) hold the values of a formula over all arcs, too."""
+        trace.require_motion()
         expressions = (self.programs.expression(formula),)
         for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
             widen(

@@ -6,6 +6,7 @@ from typing import Any
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD, moving_mode
+from statechart.automaton.regions import Invariant
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
@@ -50,6 +51,16 @@ def built(observer: Observer, trace: Trace) -> dict[str, Any]:
     }
 
 
+def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
+    """Return the invariants that ask for states which the run has not kept."""
+    kept = {*trace.regions}
+    return [
+        one
+        for one in automaton.invariants
+        if not kept.issuperset(member.region for member in one.relation.members)
+    ]
+
+
 def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     """Return what a run did without: `what`, and `why`."""
     found = []
@@ -81,5 +92,12 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
                 "why": "the run did not enter them",
             }
         )
+    found += [
+        {
+            "what": f"the invariant {one.name!r}",
+            "why": f"record: {trace.record.value} keeps none of its states; ask for record: modes",
+        }
+        for one in unkept_invariants(automaton, trace)
+    ]
     omitted = automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
     return found + [{"what": what, "why": why} for what, why in omitted.items()]

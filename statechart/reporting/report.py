@@ -11,14 +11,14 @@ from itertools import zip_longest
 from typing import Any
 
 from statechart.automaton.dense_output import lowest
-from statechart.automaton.regions import whole_margins
+from statechart.automaton.regions import Invariant, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.grazes import grazes, told
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
-from statechart.reporting.inventory import built, left_out
+from statechart.reporting.inventory import built, left_out, unkept_invariants
 from statechart.reporting.pieces import Pieces
 
 
@@ -185,7 +185,7 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
         flows.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     for (roles, _), arcs in flows.items():
         compiled = simulator.compiled(roles, trace.zeros)
-        found = lowest(compiled.wholes, arcs, trace.values)
+        found = lowest(compiled.wholes, [arc.flow for arc in arcs], trace.values)
         for margin, value in zip(whole_margins(compiled.mode.margins), found.tolist(), strict=True):
             before = least.get(margin.name, math.inf)
             # Once undefined, always undefined: NaN compares false.
@@ -196,10 +196,19 @@ def margins(observer: Observer, trace: Trace) -> dict[str, float]:
 def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
     """Return the least margin of every invariant of the run: below 0 it does not hold.
 
-    None where nothing of the run was kept.
+    Those of states that the run has not kept are missing, and all where it kept nothing.
     """
-    declared = observer.automaton.invariants if trace.record is not Record.NOTHING else ()
-    return {m.name: observer.extremes(trace, m.expression)[0] for m in declared}
+    if trace.record is Record.NOTHING:
+        return {}
+    automaton = observer.automaton
+
+    def least(one: Invariant) -> float:
+        if not one.relation.members:
+            return observer.extremes(trace, one.margin(automaton.active(())).expression)[0]
+        return observer.lowest(trace, lambda key: one.margin(automaton.active(key)).expression)
+
+    lost = unkept_invariants(automaton, trace)
+    return {one.name: least(one) for one in automaton.invariants if one not in lost}
 
 
 def dumps(report: Mapping[str, Any]) -> str:

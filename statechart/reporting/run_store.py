@@ -13,7 +13,6 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.clock import decimals
-from statechart.automaton.keeping import check_kept
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
 from statechart.errors import StatechartError
@@ -44,7 +43,7 @@ def write_store(
     """
     import zarr
 
-    check_kept(trace)
+    trace.require_motion()
     path = Path(path)
     with _explained(path):
         group = zarr.open_group(path, mode="w-")

@@ -10,7 +10,7 @@ from typing import Any
 
 from statechart.automaton.product import feasibility
 from statechart.documents.declaration import Declaration
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.errors import SimulationError
 from statechart.running.runner import Runner
 

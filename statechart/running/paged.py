@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from statechart.automaton.keeping import check_kept
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError
@@ -33,7 +32,7 @@ def paged(result: Result, study: Measured | None) -> dict[str, Any]:
             f"the study is not of {model.name!r} as it is now and as this version runs it; make "
             "it anew with trade"
         )
-    check_kept(result.trace)
+    result.trace.require_motion()
     held = replace(result, trace=result.trace.at_hand())
     told = held.to_dict(explain=True, most=MOST_EVENTS)
     diagram = held.diagram() if result.trace.record is Record.MODES else None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from statechart.automaton.trace import Trace
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Record, Setting
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer

@@ -17,7 +17,7 @@ from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Record, Setting
 from statechart.documents.validation import located
 from statechart.engines.budget import Allowance

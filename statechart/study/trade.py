@@ -9,7 +9,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.files import obstacle
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner

@@ -18,7 +18,7 @@ from statechart import interrupts
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner

@@ -228,7 +228,7 @@ def _begin(says: Semaphore | None) -> None:
     """Begin a worker: it ends when the process that started it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if says is not None and says.acquire(block=False):
-        compiling.announce(lambda line: print(line, file=sys.stderr, flush=True))  # noqa: T201
+        compiling.announce(compiling.StderrLine())
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from statechart.documents.declaration import Declaration
-from statechart.documents.keywords import checked
+from statechart.documents.hints import checked
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
@@ -23,21 +23,11 @@ from statechart.testing.subject import Case, Subject
 
 @dataclass(frozen=True)
 class Failure:
-    """The simplest example found on which a property does not hold.
+    """The simplest example found on which a property does not hold."""
 
-    Attributes
-    ----------
-    parameters : mapping of str to float
-        Those that are not as declared.
-    message : str
-        What does not hold.
-    reproduction : str
-        YAML of the model with these parameters.
-    """
-
-    parameters: Mapping[str, float]
-    message: str
-    reproduction: str
+    parameters: Mapping[str, float]  # those that are not as declared
+    message: str  # what does not hold
+    reproduction: str  # YAML of the model with these parameters
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton.regions import Margin, whole_margins
@@ -15,6 +16,7 @@ from statechart.observation.flows import passed
 from statechart.observation.observer import Observer
 from statechart.testing.agreement import NUDGE
 from statechart.testing.hybrid_time import ROUNDING
+from statechart.testing.relation_truth import assert_invariant_relations
 from statechart.testing.subject import Subject
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -49,15 +51,8 @@ def assert_margins(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     moved = _moved(trace)
     for arc, tau in dense(trace):
@@ -73,25 +68,13 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
     moved = _moved(trace)
     for arc, tau in dense(trace):
-        margins = [
-            margin
-            for region, state in zip(subject.automaton.regions, arc.mode, strict=True)
-            for margin in region.build(Role(state)).invariants
-        ]
-        margins += subject.automaton.invariants
+        margins = _invariants(subject, arc)
         if not margins:
             continue
         allowed = _assert_margins(subject, trace, arc, tau, margins, moved)
@@ -105,10 +88,29 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
                     f"{margin.name} falls to {least:.6g} between t = {begins:.6g} and "
                     f"{ends:.6g} in {subject.automaton.label(arc.mode)}"
                 )
-    for margin in subject.automaton.invariants:
+    automaton = subject.automaton
+    for invariant in automaton.invariants:
         for jump in {jump.j: jump for jump in (*trace.jumps[:1], *passed(trace))}.values():
             for before in (True, False):
-                _assert_at(observer, trace, jump, margin, before=before)
+                active = automaton.active(jump.source if before else jump.target)
+                _assert_at(observer, trace, jump, invariant.margin(active), before=before)
+    if trace.step is None:
+        assert_invariant_relations(subject, trace)
+
+
+def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
+    """Return the margins of the invariants of a mode, but for those that hold by its states."""
+    automaton = subject.automaton
+    states = zip(automaton.regions, arc.mode, strict=True)
+    own = (one for region, state in states for one in region.build(Role(state)).invariants)
+    margins = [one.margin(automaton.active(arc.mode)) for one in (*own, *automaton.invariants)]
+    for margin in margins:
+        if margin.expression == -sp.oo:
+            raise AssertionError(
+                f"{margin.name} does not hold from t = {arc.start.high:.6g} to "
+                f"{arc.start.high + arc.duration:.6g} in {automaton.label(arc.mode)}"
+            )
+    return [margin for margin in margins if margin.expression != sp.oo]
 
 
 def _assert_at(
@@ -116,6 +118,11 @@ def _assert_at(
 ) -> None:
     """Check an invariant of the run beside a jump, where it may be in a mode of no duration."""
     expression = margin.expression
+    mode = observer.automaton.label(jump.source if before else jump.target)
+    if expression == -sp.oo:
+        raise AssertionError(f"{margin.name} does not hold at t = {jump.t:.6g} in {mode}")
+    if expression == sp.oo:
+        return
     value = observer.at(trace, (expression,), [jump], before=before).item()
     allowed = trace.tolerances.get(margin.kind, 0.0)
     state = jump.before if before else jump.after
@@ -125,7 +132,6 @@ def _assert_at(
         moved = replace(jump, before=changed, after=changed)
         allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
     if value < -allowed:
-        mode = observer.automaton.label(jump.source if before else jump.target)
         raise AssertionError(f"{margin.name} is {value:.6g} at t = {jump.t:.6g} in {mode}")
 
 

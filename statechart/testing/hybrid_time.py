@@ -21,11 +21,6 @@ def assert_ordered(trace: Trace) -> None:
     ----------
     trace : Trace
         A run.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     t, j = 0.0, 0
     # Steps of one length add up to it with their roundings.
@@ -56,11 +51,6 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
         That of the model.
     trace : Trace
         A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     mode = trace.start_mode
     for jump in trace.jumps:
@@ -89,11 +79,6 @@ def assert_continuous(trace: Trace) -> None:
     ----------
     trace : Trace
         A run.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)

@@ -66,11 +66,6 @@ def assert_ended(case: Case) -> None:
     ----------
     case : Case
         A choice of parameters and its runs.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
@@ -86,11 +81,6 @@ def assert_start(case: Case) -> None:
     ----------
     case : Case
         A choice of parameters and its runs.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
     """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
@@ -112,13 +102,6 @@ def assert_engines_agree(case: Case) -> None:
     ----------
     case : Case
         A choice of parameters and its runs.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    Undecidable
-        Where that cannot be told.
     """
     first, *others = case.sound
     for other in others:
@@ -133,13 +116,6 @@ def assert_prefix(case: Case) -> None:
     ----------
     case : Case
         A choice of parameters and its runs.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
-    Undecidable
-        Where that cannot be told.
     """
     trace = case.sound[0]
     if not trace.arcs:

@@ -8,7 +8,7 @@ of the state, of its evaluation, or of an event's time explains that.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 import sympy as sp
@@ -16,7 +16,7 @@ import sympy as sp
 from statechart.arrays import Array, Bools
 from statechart.automaton.laws import HELD
 from statechart.automaton.regions import Claim, active_in
-from statechart.automaton.trace import Arc, Trace, sizes
+from statechart.automaton.trace import Arc, Role, Trace, sizes
 from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES
 from statechart.formulas.condition import Active
 from statechart.formulas.relation import (
@@ -63,19 +63,23 @@ def assert_relations(subject: Subject, trace: Trace) -> None:
 
     Parameters
     ----------
-    subject : Subject
-        The model.
-    trace : Trace
-        A run of it.
-
-    Raises
-    ------
-    AssertionError
-        Where it does not hold.
+    subject, trace : Subject, Trace
+        The model, and a run of it.
     """
+    _assert_claims(subject, trace, _claims)
+
+
+def assert_invariant_relations(subject: Subject, trace: Trace) -> None:
+    """Check that invariants, of the run and of states, are true."""
+    _assert_claims(subject, trace, _invariant_claims)
+
+
+def _assert_claims(
+    subject: Subject, trace: Trace, claims: Callable[[Subject, Arc], Iterable[Claim]]
+) -> None:
     judge = _Judge(subject, trace)
     for arc, tau in _grids(trace):
-        for claim in _claims(subject, arc):
+        for claim in claims(subject, arc):
             wrong = judge.unexplained(claim, arc, tau)
             if wrong.size:
                 time = arc.start.high + (arc.start.low + wrong.item(0))
@@ -92,6 +96,13 @@ def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
             yield from region.claims(state)
     for name, text in subject.model.stop.conditions.items():
         yield Claim(name, (text,), holds=False)
+
+
+def _invariant_claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
+    automaton = subject.automaton
+    states = zip(automaton.regions, arc.mode, strict=True)
+    own = (one for region, state in states for one in region.build(Role(state)).invariants)
+    return (Claim(one.name, (one.text,), holds=True) for one in (*own, *automaton.invariants))
 
 
 def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:

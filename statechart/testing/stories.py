@@ -34,29 +34,14 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A jump as numbers to compare.
+    """A jump as numbers to compare."""
 
-    Attributes
-    ----------
-    what : (str, str, Key, Key)
-        Region, cause, mode before and after.
-    numbers : (1 + 2 n,) array
-        Time, state before, state after.
-    skipped : float
-        See `Jump`.
-    rounded : float
-        The relative error that rounding has caused by then.
-    rates : (1 + 2 n,) array or float
-        How fast the numbers change.
-    hit : tuple of str
-        The first words of its path: the contacts in the order in which they were hit.
-    """
-
-    what: tuple[str, str, Key, Key]
-    numbers: Array
-    skipped: float
-    rounded: float = 0.0
-    rates: Array | float = 0.0
+    what: tuple[str, str, Key, Key]  # Region, cause, mode before and after
+    numbers: Array  # Time, state before, state after
+    skipped: float  # see `Jump`
+    rounded: float = 0.0  # the relative error that rounding has caused by then
+    rates: Array | float = 0.0  # how fast the numbers change
+    # The first words of its path: the contacts in the order in which they were hit.
     hit: tuple[str, ...] = ()
 
     @property
@@ -78,21 +63,11 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """What happened in a run, as numbers.
+    """What happened in a run, as numbers."""
 
-    Attributes
-    ----------
-    events : tuple of Event
-        In order.
-    mode : Key
-        The last one.
-    end, sizes : (1 + 2 n,) array
-        Where it ended (time, state, state), and how large all gets.
-    """
-
-    events: tuple[Event, ...]
-    mode: Key
-    end: Array
+    events: tuple[Event, ...]  # in order
+    mode: Key  # the last one
+    end: Array  # where it ended (time, state, state), and how large all gets
     sizes: Array
 
     @classmethod

@@ -18,7 +18,7 @@ from contacts.kind import automaton as compose
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.lift import lifting
+from statechart.automaton.coordinate_reconstruction import mode_reconstruction
 from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Role
@@ -102,9 +102,9 @@ def test_a_pinned_point_stays_where_it_was_when_it_was_pinned() -> None:
     mode = mode_of(model, PIN)
     setup = model.setup({}, 1e-12)
     begun = np.array([3.0, math.cos(0.2), -0.2, 0.0, 0.0, 0.7])
-    lift = lifting(model, mode).begun(begun, setup.values, 0.0)
+    reconstruction = mode_reconstruction(model, mode).begun(begun, setup.values, 0.0)
     point = 3.0 - math.sin(0.2)
-    found = lift.onto(np.array([0.0, 0.0, -0.9, 0.0, 0.0, 0.7]), 1.0)
+    found = reconstruction.onto(np.array([0.0, 0.0, -0.9, 0.0, 0.0, 0.7]), 1.0)
     expected = [point + math.sin(0.9), math.cos(0.9), -0.9, -math.cos(0.9) * 0.7]
     assert found[:4] == pytest.approx(expected, abs=1e-15)
     assert found[4] == pytest.approx(0.7 * math.sin(0.9), abs=1e-15)
@@ -177,10 +177,10 @@ def test_random_linkages_accelerate_as_in_all_coordinates(seed: int) -> None:
     size = len(model.variables) // 2
     assert len(mode.eliminated) == 2 * (size - size // 3)
     setup = model.setup({}, 1e-12)
-    lift = lifting(model, mode).begun(setup.initial, setup.values, 0.0)
+    reconstruction = mode_reconstruction(model, mode).begun(setup.initial, setup.values, 0.0)
     full = mode_of(whole(model), zeros=zeros)
     for _ in range(5):
-        state = lift.onto(random.uniform(-2, 2, 2 * size), 0.0)
+        state = reconstruction.onto(random.uniform(-2, 2, 2 * size), 0.0)
         found = solved(model, mode, state, setup.values, 0.0)
         expected = solved(model, full, state, setup.values, 0.0)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-10)

@@ -344,7 +344,8 @@ def test_invariants_are_margins_that_are_positive_while_they_hold() -> None:
     declared = region({"a": {"x": "1"}})
     declared["states"]["a"]["invariants"] = {"small": "x < 4"}
     chart = compose({"x": 1}, {"r": declared})
-    (margin,) = chart.regions[0].build(Role("a")).invariants
+    (invariant,) = chart.regions[0].build(Role("a")).invariants
+    margin = invariant.margin(chart.active(("a",)))
     assert margin.name == "r.small"
     assert sp.simplify(margin.expression - (4 - chart.variables[0])) == 0
     assert not chart.regions[0].build(Role(HELD)).invariants

@@ -176,10 +176,97 @@ def test_words_of_relations_name_no_value_but_states(word):
     assert fired == [0.0]
 
 
-def test_an_invariant_of_states_is_refused():
-    with pytest.raises(DeclarationError, match="no state can be asked for here"):
-        interpret(
-            read_text(
-                CHART + STOP.replace("RELATION", "x <= 0") + "\ninvariants: {i: in(gate.open)}"
-            )
-        )
+@ENGINES
+@pytest.mark.parametrize(
+    ("invariant", "least"),
+    [
+        ("not in(gate.open) or x <= -0.5", PI / 2 - 1.5),
+        ("not in(gate.open) or x <= -1", PI / 2 - 2.0),
+        ("in(gate.shut) or c <= 0 and in(m.a)", 0.0),
+        ("in(gate.shut) or in(gate.open)", math.inf),
+        ("not in(gate.fast)", -math.inf),
+        ("not in(gate.fast) or time >= 1", PI / 2 - 0.75),
+        # Without a value where another part decides.
+        ("in(gate.open) or 1/(time - 2) <= -0.5", 0.0),
+    ],
+)
+def test_the_least_margin_of_an_invariant_counts_the_states_that_it_asks_for(
+    invariant, least, engine
+):
+    text = CHART + f'stop: {{time: 1.9}}\ninvariants: {{i: "{invariant}"}}'
+    found = run(text, engine).to_dict()["invariants"]["i"]
+    assert float(found) == pytest.approx(least, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("where", "invariant", "message"),
+    [
+        ("RUN", "not in(gate.open) or x <= -0.5", ""),
+        ("RUN", "not in(gate.open) or x <= -1", "i is -0."),
+        ("RUN", "not in(gate.fast)", "i does not hold from t = 1.8"),
+        ("RUN", "count != 1", "i does not hold at t = 1"),
+        ("STATE", "not in(gate.open) or x <= -0.5", ""),
+        ("STATE", "not in(gate.open) or x <= -1", "m.i is -0."),
+        ("STATE", "not in(gate.open)", "m.i does not hold from t = 1.5"),
+    ],
+)
+def test_check_judges_invariants_by_the_states_that_they_ask_for(where, invariant, message):
+    text = CHART
+    if where == "STATE":
+        text = text.replace("s: c}}}", f's: c}}, invariants: {{i: "{invariant}"}}}}}}')
+    else:
+        text = f'invariants: {{i: "{invariant}"}}\n{text}'
+    found = statechart.check(interpret(read_text(text + "stop: {time: 1.9}")), examples=1)
+    failures = {one.name: one.failure.message for one in found.properties if one.failure}
+    assert [*failures] == (["declared invariants hold"] if message else [])
+    assert message in failures.get("declared invariants hold", "")
+
+
+def test_an_invariant_of_a_mode_of_no_duration_is_judged_by_its_states():
+    # Both transitions are taken at one instant, one after the other.
+    twins = """
+  one: {initial: a, states: {a: {}, b: {}}, transitions: [
+    {name: go, from: a, to: b, guard: x <= 0}]}
+  two: {initial: a, states: {a: {}, b: {}}, transitions: [
+    {name: go, from: a, to: b, guard: in(one.b)}]}
+stop: {time: 2}
+invariants: {both: "in(one.a) or in(two.b)", either: "in(one.b) or in(two.a)"}
+"""
+    found = run(CHART + twins, "taylor").to_dict()["invariants"]
+    assert found == {"both": "-inf", "either": "inf"}
+    (failed,) = (
+        one.failure.message
+        for one in statechart.check(interpret(read_text(CHART + twins)), examples=1).properties
+        if one.failure
+    )
+    assert "both does not hold at t = 1 in m:a clock:w gate:shut one:b two:a" in failed
+
+
+LISTED = {
+    "guard": "  e:\n    initial: w\n    states: {w: {}}\n    transitions:\n"
+    "    - name: hit\n      from: w\n      to: w\n      guard:",
+    "of a state": "  e:\n    initial: w\n    states:\n      w:\n        invariants:\n          i:",
+    "stop": "stop:\n  conditions:\n    i:",
+    "of a run": "invariants:\n  i:",
+}
+
+
+@pytest.mark.parametrize("field", LISTED)
+@pytest.mark.parametrize(
+    ("wrong", "column", "message"),
+    [
+        ("x <= why", 6, "unknown name 'why'"),
+        ("x <= 1 or why <= 1", 11, "unknown name 'why'"),
+        ("in(gate.closed)", 1, "no state 'closed'"),
+        ("x == 0", 3, "== compares 'x'"),
+    ],
+)
+def test_a_mistake_in_a_list_of_relations_has_the_place_of_its_item(field, wrong, column, message):
+    items = ["x <= 3 or c <= 3", "count >= 0", wrong, "x <= 9"]
+    text = CHART + LISTED[field] + "".join(f"\n            - {item}" for item in items)
+    with pytest.raises(DeclarationError) as caught:
+        interpret(read_text(text, "f.yaml"))
+    assert message in str(caught.value)
+    assert f".2: formula '{wrong}'" in str(caught.value)
+    assert caught.value.line == text.count("\n")
+    assert caught.value.column == len("            - ") + column

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from statechart.automaton import blocks, recording, trace
+from statechart.automaton import trace, trace_store
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.engines import path
@@ -73,16 +73,16 @@ def test_numbers_whose_squares_are_no_floats_are_refused(
         run(read_text(BALL), parameters={name: value}, **settings)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("mass", [1e-150, 1e-100, 1e100, 1e300])
+@pytest.mark.parametrize("mass", [1e-280, 1e-100, 1e100, 1e300])
 def test_the_mass_of_a_ball_does_not_matter(mass: float) -> None:
     made = run(read_text(BALL), parameters={"m": mass}).trace
     assert made.outcome is Outcome.HORIZON
     assert made.final == pytest.approx(run(read_text(BALL)).trace.final, abs=1e-12)
 
 
-@pytest.mark.parametrize("mass", [1e-320, 1e-151, 1e301])
+@pytest.mark.parametrize("mass", [1e-320, 1e-281, 1e301])
 def test_a_mass_whose_energy_is_no_float_is_refused(mass: float) -> None:
-    with pytest.raises(DeclarationError, match=r"must be between 1e-150 and 1e\+300"):
+    with pytest.raises(DeclarationError, match=r"must be between 1e-280 and 1e\+300"):
         run(read_text(BALL), parameters={"m": mass})
 
 
@@ -110,8 +110,8 @@ def test_a_trace_that_memory_does_not_hold_is_kept_on_disk(
 ) -> None:
     runner = Runner("stick_slip_block", engine="taylor")
     kept = runner.run(until=200.0).trace
-    monkeypatch.setattr(blocks, "IN_MEMORY", 2**10)
-    monkeypatch.setattr(recording, "_ARCS", 40)
+    monkeypatch.setattr(trace_store, "IN_MEMORY", 2**10)
+    monkeypatch.setattr(trace_store, "_ARCS", 40)
     spilled = Runner("stick_slip_block", engine="taylor").run(until=200.0).trace
     assert len(spilled.arcs) == len(kept.arcs) > 50
     assert _mapped(spilled.arcs[30].coefficients)
@@ -128,8 +128,8 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     opened = len(os.listdir("/dev/fd"))
     most = resource.getrlimit(resource.RLIMIT_NOFILE)
     kept = Runner("stick_slip_block", engine="taylor").run(until=2000.0).trace
-    monkeypatch.setattr(blocks, "IN_MEMORY", 2**18)
-    monkeypatch.setattr(recording, "_TERMS", 2**11)
+    monkeypatch.setattr(trace_store, "IN_MEMORY", 2**18)
+    monkeypatch.setattr(trace_store, "_TERMS", 2**11)
     # What a flow may take of a pad fits on it.
     monkeypatch.setattr(loops, "_PART", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")

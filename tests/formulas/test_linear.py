@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from strategies import examples
 
 from statechart.errors import SingularMode
-from statechart.formulas.determinants import Definition
-from statechart.formulas.linear import solve_linear
+from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.writer import compile_tape
 
 

@@ -1,4 +1,4 @@
-"""What compiles is said, and is no part of the time that work takes."""
+"""Progress of compilation, and clocks that leave it out."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def clock(monkeypatch):
 def lines(clock):
     """Return what is said; every function takes a second."""
     said: list[str] = []
-    compiling.announce(said.append)
+    compiling.announce(lambda subject, line, last: said.append(line))
     return said
 
 
@@ -71,10 +71,10 @@ def test_what_compiles_is_said_with_how_far_it_is(kernels, clock, lines, monkeyp
     slow(monkeypatch, clock, 1.0)
     assert kernels().upper_kernel(1.0) == 10.0
     assert lines == [
-        "compiling upper_kernel: 1 of 4 functions, 1 s",
-        "compiling upper_kernel: 2 of 4 functions, 2 s",
-        "compiling upper_kernel: 3 of 4 functions, 3 s",
-        "compiled upper_kernel in 4 s; this happens once",
+        "compiling numerical kernels: 1 of 4 functions, 1 s; this happens once",
+        "compiling numerical kernels: 2 of 4 functions, 2 s; this happens once",
+        "compiling numerical kernels: 3 of 4 functions, 3 s; this happens once",
+        "compiled numerical kernels in 4 s; this happens once",
     ]
 
 
@@ -82,7 +82,7 @@ def test_what_lies_on_disk_is_not_counted(kernels, clock, lines, monkeypatch):
     kernels().lower_kernel(1.0)
     slow(monkeypatch, clock, 1.0)
     kernels().upper_kernel(1.0)
-    assert lines[0] == "compiling upper_kernel: 1 of 3 functions, 1 s"
+    assert lines[0] == "compiling numerical kernels: 1 of 3 functions, 1 s; this happens once"
     lines.clear()
     kernels().upper_kernel(1.0)
     assert not lines
@@ -95,8 +95,11 @@ def test_what_lies_on_disk_and_is_of_no_use_is_counted(kernels, clock, lines, mo
     # one part for both types.
     kernels().upper_kernel(1)
     assert lines == [
-        *(f"compiling upper_kernel: {n} of {n + 1} functions, {n} s" for n in range(1, 5)),
-        "compiled upper_kernel in 5 s; this happens once",
+        *(
+            f"compiling numerical kernels: {n} of {n + 1} functions, {n} s; this happens once"
+            for n in range(1, 5)
+        ),
+        "compiled numerical kernels in 5 s; this happens once",
     ]
 
 

@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import P, T, X, Y, examples, expressions, tape_of
 
-from statechart.automaton.clock import Clock
 from statechart.automaton.dense_output import integrals, lowest, sample
-from statechart.automaton.trace import Arc, Role
 from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape
@@ -470,7 +468,7 @@ def test_the_least_value_is_that_of_the_grid():
         [sample(coeffs[i : i + 1], times[i : i + 2], tau[17 * i : 17 * i + 17]) for i in range(3)]
     )
     table = tape.table(states, [2.0], tau + 4.0)
-    flow = Arc(("a",), (Role("a"),), Clock(4.0), 0, times, coeffs)
+    flow = 4.0, times, coeffs
     np.testing.assert_allclose(lowest(tape, [flow], [2.0]), table.min(axis=0), rtol=1e-12)
     assert np.isnan(lowest(tape_of(sp.log(-1 - X**2)), [flow], [2.0])[0])
     assert np.isinf(lowest(tape, [], [2.0])).all()
@@ -480,10 +478,7 @@ def test_the_least_value_along_many_flows_is_the_least_of_each():
     rng = np.random.default_rng(4)
     tape = tape_of(X * Y + sp.sin(T) * P, sp.sqrt(X**2 + 1))
     ends = np.array([0.0, 0.5, 1.25])
-    flows = [
-        Arc(("a",), (Role("a"),), Clock(1.25 * k), k, ends, rng.normal(size=(2, 2, 4)))
-        for k in range(2500)
-    ]
+    flows = [(1.25 * k, ends, rng.normal(size=(2, 2, 4))) for k in range(2500)]
     each = np.array([lowest(tape, [flow], [2.0]) for flow in flows])
     assert lowest(tape, flows, [2.0]).tolist() == each.min(axis=0).tolist()
 

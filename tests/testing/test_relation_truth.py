@@ -17,7 +17,11 @@ from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.testing.checking import examine
 from statechart.testing.properties import generic
-from statechart.testing.relation_truth import assert_relations, truth
+from statechart.testing.relation_truth import (
+    assert_invariant_relations,
+    assert_relations,
+    truth,
+)
 from statechart.testing.subject import Subject
 
 NAME = "relations hold where modes say so"
@@ -149,7 +153,9 @@ def test_a_guard_that_is_passed_while_its_margin_stays_at_zero_is_found() -> Non
 
 def test_an_invariant_that_fails_is_found() -> None:
     text = FALLS.replace("x <= n", "x <= -0.5")
-    assert failure(changed(text, "", later(0))).startswith("taylor: e.high does not hold at t = 1")
+    subject = changed(text, "", later(0))
+    with pytest.raises(AssertionError, match=r"^e\.high does not hold at t = 1"):
+        assert_invariant_relations(subject, subject.case({}).trace)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ T = TypeVar("T")
 _SHORT = 1 << 12
 
 
-class Deferred(Mapping[str, T], Generic[T]):
+class LazyMapping(Mapping[str, T], Generic[T]):
     """What is made when it is first read: every mode considered, and why it was taken or not.
 
     Parameters
@@ -43,7 +43,7 @@ class Deferred(Mapping[str, T], Generic[T]):
         return dict, (dict(self),)
 
 
-class Recorded(Sequence[T], Generic[T]):
+class LazySequence(Sequence[T], Generic[T]):
     """What is made when it is looked at, in order.
 
     Parameters

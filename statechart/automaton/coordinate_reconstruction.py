@@ -1,8 +1,8 @@
-"""States of a mode in minimal coordinates: what follows from the others is put where it belongs."""
+"""Dependent coordinates of a mode, reconstructed from its minimal coordinates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,17 +14,11 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.lift import Program, following, lift
+from statechart.kernels.reconstruction import Program, reconstruct, reconstruction_program
 
 
-class Lift(NamedTuple):
-    """What follows from other variables in a flow.
-
-    Attributes
-    ----------
-    program : tuple
-        See `statechart.kernels.lift`.
-    """
+class Reconstruction(NamedTuple):
+    """Reconstruction of the dependent coordinates in one flow."""
 
     program: Program
 
@@ -33,18 +27,18 @@ class Lift(NamedTuple):
         if not len(self.program[3]):
             return state
         moved = np.array(state)
-        lift(self.program, moved, time)
+        reconstruct(self.program, moved, time)
         return moved
 
 
 @dataclass(frozen=True, eq=False)
-class Lifting:
-    """What follows from other variables in a mode.
+class ModeReconstruction:
+    """Reconstruction of the dependent coordinates in the flows of a mode.
 
     Attributes
     ----------
     tape : Tape
-        Outputs: the variables that follow; its variables are those of the automaton, then anchors.
+        Outputs: the dependent coordinates; its variables are those of the automaton, then anchors.
     places : (k,) array
         Of the outputs among the variables.
     anchors : Tape
@@ -55,15 +49,17 @@ class Lifting:
     places: Ints32
     anchors: Tape
 
-    def begun(self, state: Array, parameters: Array, time: float) -> Lift:
-        """Return what follows in a flow that begins in `state` (n,) at an absolute time."""
+    def begun(self, state: Array, parameters: Array, time: float) -> Reconstruction:
+        """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""
         anchors = self.anchors.at(contiguous(state), parameters, time)
-        return Lift(following(*self.tape.program, self.places, anchors, parameters, len(state)))
+        program = self.tape.program
+        return Reconstruction(
+            reconstruction_program(*program, self.places, anchors, parameters, len(state))
+        )
 
 
-def lifting(automaton: Automaton, mode: Mode) -> Lifting:
-    """Return what follows from other variables in a mode."""
-    anchors: Mapping[sp.Symbol, sp.Expr] = mode.anchors
+def mode_reconstruction(automaton: Automaton, mode: Mode) -> ModeReconstruction:
+    """Compile the reconstruction of the coordinates that a mode eliminates."""
 
     def tape(outputs: Sequence[sp.Expr], further: Sequence[sp.Symbol] = ()) -> Tape:
         return compile_tape(
@@ -73,8 +69,8 @@ def lifting(automaton: Automaton, mode: Mode) -> Lifting:
             time=automaton.time,
         )
 
-    return Lifting(
-        tape(list(mode.eliminated.values()), tuple(anchors)),
-        np.array(list(mode.eliminated), dtype=np.int32),
-        tape(list(anchors.values())),
+    return ModeReconstruction(
+        tape([*mode.eliminated.values()], [*mode.anchors]),
+        np.array([*mode.eliminated], dtype=np.int32),
+        tape([*mode.anchors.values()]),
     )

@@ -12,7 +12,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Setup
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Roles
-from statechart.formulas.determinants import Singular
+from statechart.formulas.linear import Singular
 from statechart.formulas.series import Series, expand
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -24,7 +24,7 @@ starts at zero and rises with slope zero."""
 _ORDERS = 12
 
 
-class Courses:
+class MarginDerivatives:
     """The margins of modes, expanded in time where a mode is entered.
 
     Parameters
@@ -134,25 +134,32 @@ class Courses:
         return tapes[margin]
 
 
-def size_of(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
     """Return what the rounding of an expression is relative to."""
     if not expression.args:
         return sizes.get(expression, abs(expression))
     # A number is exact: an exponent, a factor.
     parts = [part for part in expression.args if not part.is_Number]
     if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
-        return sp.Add(*(size_of(part, sizes) for part in parts), *map(abs, _numbers(expression)))
+        return sp.Add(
+            *(rounding_scale(part, sizes) for part in parts), *map(abs, _numbers(expression))
+        )
+    if expression.is_Mul and len(parts) == 1:
+        slope = abs(sp.Mul(*_numbers(expression)))
+        return sp.Add(abs(expression), slope * rounding_scale(parts[0], sizes))
     slots = {part: sp.Dummy(real=True) for part in parts}
     form = expression.func(*(slots.get(part, part) for part in expression.args))
     whole = {slot: part for part, slot in slots.items()}
     changes = (
-        abs(_slope(form, slot).xreplace(whole)) * size_of(part, sizes)
+        abs(_slope(form, slot).xreplace(whole)) * rounding_scale(part, sizes)
         for part, slot in slots.items()
     )
     return sp.Add(abs(expression), *changes)
 
 
-def along(expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol) -> sp.Expr:
+def time_derivative(
+    expression: sp.Expr, rates: Mapping[sp.Symbol, sp.Expr], time: sp.Symbol
+) -> sp.Expr:
     """Return the total derivative of an expression in time."""
     return sp.Add(
         _slope(expression, time),

@@ -12,7 +12,7 @@ Program = tuple[Ints32, int, Ints32, Ints32, int, Array]
 
 
 @seldom
-def following(
+def reconstruction_program(
     code: Ints32,
     constants: Array,
     outputs: Ints32,
@@ -43,7 +43,7 @@ def following(
 
 
 @seldom
-def lift(program: Program, state: Array, time: float) -> None:
+def reconstruct(program: Program, state: Array, time: float) -> None:
     """Write what follows from the rest of `state` into it."""
     code, base, outputs, places, clock, registers = program
     for v in range(state.shape[0]):
@@ -55,7 +55,7 @@ def lift(program: Program, state: Array, time: float) -> None:
 
 
 @part
-def lift_any(program: Program, state: Array, time: float) -> None:
-    """Do what `lift` does where something follows, and nothing where nothing does."""
+def reconstruct_any(program: Program, state: Array, time: float) -> None:
+    """Do what `reconstruct` does where something follows, and nothing where nothing does."""
     if program[3].shape[0] > 0:
-        lift(program, state, time)
+        reconstruct(program, state, time)

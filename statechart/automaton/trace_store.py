@@ -1,0 +1,434 @@
+"""Trace store: arcs and jumps of a run in blocks of arrays, in memory or, if many, on disk.
+
+Compiled loops write a buffer that is used again from run to run. A full buffer is copied to a
+block, and so is the rest at the end of the run. Arcs and jumps are made of the blocks when they are
+read.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+from statechart.automaton.clock import Clock
+from statechart.automaton.lazy import LazySequence
+from statechart.automaton.trace import Arc, Jump, Key, Roles
+from statechart.errors import TooLong
+
+Kind = tuple[Key, Roles]
+"""The mode that a flow shows, and whose equations apply."""
+
+ARCS, TIMES, TERMS, EVENTS = range(4)
+"""Places in `TraceBuffer.used`."""
+MADE = -1
+"""As the kind of an event's source: the jump is kept as it was made."""
+
+# Size of a buffer: arcs and events, times, coefficients.
+_ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
+
+IN_MEMORY = 2**26
+"""Bytes of a trace in memory beyond which they are written to disk."""
+# Alignment of an array in a file, in bytes.
+_ALIGNED = 8
+
+B = TypeVar("B", bound=tuple[Any, ...])
+
+
+class Blocks(Generic[B]):
+    """Named tuples of arrays, in the order in which they were added.
+
+    All blocks in memory are written to one file together: one open file each would exceed the limit
+    of a process at some hundreds of megabytes.
+    """
+
+    def __init__(self) -> None:
+        self._blocks: list[B] = []
+        # Blocks on disk; bytes of the others, and of all.
+        self._written, self._bytes, self._size = 0, 0, 0
+
+    def __len__(self) -> int:
+        return len(self._blocks)
+
+    def __getitem__(self, place: int) -> B:
+        return self._blocks[place]
+
+    def add(self, block: B) -> None:
+        """Append a block.
+
+        Raises
+        ------
+        TooLong
+            If neither memory nor the disk is to take it.
+        """
+        self._blocks.append(block)
+        size = sum([part.nbytes for part in block if isinstance(part, np.ndarray)])
+        self._bytes += size
+        self._size += size
+        if self._bytes > IN_MEMORY:
+            try:
+                self._blocks[self._written :] = _on_disk(self._blocks[self._written :])
+            except OSError as error:
+                raise TooLong(
+                    f"a trace of {self._size >> 20} MB is more than is kept in memory, and the "
+                    f"disk does not take it ({error.strerror}); end the run earlier"
+                ) from None
+            self._written, self._bytes = len(self._blocks), 0
+
+
+def _on_disk(blocks: list[B]) -> list[B]:
+    """Return blocks as views of a temporary file that vanishes with its last reader."""
+    with tempfile.TemporaryFile(prefix="statechart-") as file:
+        for block in blocks:
+            for part in block:
+                if isinstance(part, np.ndarray):
+                    file.write(part.tobytes())
+                    file.write(bytes(-part.nbytes % _ALIGNED))
+        file.flush()
+        mapped = np.memmap(file, np.uint8, "r")
+    at, found = 0, []
+    for block in blocks:
+        parts: list[Any] = list(block)
+        for k, part in enumerate(parts):
+            if isinstance(part, np.ndarray):
+                parts[k] = _view(mapped, at, part)
+                at += part.nbytes + -part.nbytes % _ALIGNED
+        found.append(type(block)(*parts))
+    return found
+
+
+def _view(mapped: NDArray[np.uint8], at: int, like: NDArray[Any]) -> NDArray[Any]:
+    return np.ndarray(like.shape, like.dtype, mapped[at : at + like.nbytes])
+
+
+class TraceBuffer(NamedTuple):
+    """Arcs and events in the order in which they were made.
+
+    Attributes
+    ----------
+    arcs : (a, 4) array of int32
+        Kind, number of jumps before it, steps, terms of its polynomials.
+    places : (a, 2) array of int64
+        Where its times and its coefficients begin.
+    starts : (a, 2) array
+        When it starts, a `Clock`.
+    times, coefficients : (..,) arrays
+        Of all arcs, one behind the other (see `Arc`).
+    events : (e, 6) array of int32
+        Kind left and kind entered, the margin that fell; the others are the laws' own.
+    numbers : (e, 6) array
+        When, energy before and after, time skipped; the others are the laws' own.
+    states : (e, 2, n) array
+        Before and after.
+    used : (4,) array of int64
+        How much of it is written: arcs, times, coefficients, events.
+    """
+
+    arcs: NDArray[np.int32]
+    places: NDArray[np.int64]
+    starts: Array
+    times: Array
+    coefficients: Array
+    events: NDArray[np.int32]
+    numbers: Array
+    states: Array
+    used: NDArray[np.int64]
+
+
+class RecordedEvent(NamedTuple):
+    """One event of a block, from which the laws make a jump.
+
+    Attributes
+    ----------
+    j : int
+        Number of jumps before it.
+    source, target : Key
+    fired : int
+        Margin of the mode left.
+    path, struck, group : int
+    t, energy_before, energy_after, skipped : float
+    normal, tangential : float
+    before, after : (n,) array
+    """
+
+    j: int
+    source: Key
+    target: Key
+    fired: int
+    path: int
+    struck: int
+    group: int
+    t: float
+    energy_before: float
+    energy_after: float
+    skipped: float
+    normal: float
+    tangential: float
+    before: Array
+    after: Array
+
+
+def trace_buffer(variables: int) -> TraceBuffer:
+    """Return an empty buffer for states of so many variables."""
+    return _empty((_ARCS, _TIMES, _TERMS, _ARCS), variables)
+
+
+def arc_polynomials(block: TraceBuffer, row: int, variables: int) -> tuple[Array, Array]:
+    """Return the times and the coefficients of an arc of a block (see `Arc`)."""
+    steps, width = block.arcs[row, 2:].tolist()
+    at, begin = block.places[row].tolist()
+    terms = block.coefficients[begin : begin + steps * variables * width]
+    return block.times[at : at + steps + 1], terms.reshape(steps, variables, width)
+
+
+def arc_of(block: TraceBuffer, row: int, variables: int, kinds: Sequence[Kind]) -> Arc:
+    """Return an arc of a block that is not written any more."""
+    kind, j = block.arcs[row, :2].tolist()
+    mode, roles = kinds[kind]
+    start = Clock._make(block.starts[row].tolist())
+    times, terms = arc_polynomials(block, row, variables)
+    return Arc(mode, roles, start, j, times, terms)
+
+
+def event_of(block: TraceBuffer, row: int, j: int, kinds: Sequence[Kind]) -> RecordedEvent:
+    """Return an event of a block, preceded by `j` jumps."""
+    source, target, *codes = block.events[row].tolist()
+    numbers, states = block.numbers[row].tolist(), block.states[row].copy()
+    return RecordedEvent(j, kinds[source][0], kinds[target][0], *codes, *numbers, *states)
+
+
+@lru_cache(maxsize=64)
+def _no_buffer(variables: int) -> TraceBuffer:
+    """Return a buffer without capacity."""
+    return _empty((0, 0, 0, 0), variables)
+
+
+def _empty(capacity: tuple[int, int, int, int], variables: int) -> TraceBuffer:
+    arcs, times, terms, events = capacity
+    return TraceBuffer(
+        np.empty((arcs, 4), np.int32),
+        np.empty((arcs, 2), np.int64),
+        np.empty((arcs, 2)),
+        np.empty(times),
+        np.empty(terms),
+        np.empty((events, 6), np.int32),
+        np.empty((events, 6)),
+        np.empty((events, 2, variables)),
+        np.zeros(4, np.int64),
+    )
+
+
+def copied(buffer: TraceBuffer) -> TraceBuffer:
+    """Return a copy of the written part of a buffer."""
+    arcs, times, terms, events = buffer.used.tolist()
+    return TraceBuffer(
+        buffer.arcs[:arcs].copy(), buffer.places[:arcs].copy(), buffer.starts[:arcs].copy(),
+        buffer.times[:times].copy(), buffer.coefficients[:terms].copy(),
+        buffer.events[:events].copy(), buffer.numbers[:events].copy(),
+        buffer.states[:events].copy(), buffer.used.copy(),
+    )  # fmt: skip
+
+
+class TraceStore:
+    """Arcs and jumps of a run in blocks, made when they are read.
+
+    Parameters
+    ----------
+    variables : int
+        Of a state.
+    kinds : list of (Key, Roles)
+        The kinds to which blocks refer by number; may grow.
+    buffer : TraceBuffer
+        What follows the blocks, while a run writes it.
+    jump : callable, optional
+        Makes the jump of an event that a loop has written.
+
+    Attributes
+    ----------
+    made : dict
+        Number of jumps before it -> a jump stored as an object.
+    last : callable or None
+        Makes the jump that follows all events.
+    """
+
+    def __init__(
+        self,
+        variables: int,
+        kinds: list[Kind],
+        buffer: TraceBuffer,
+        jump: Callable[[RecordedEvent], Jump] | None = None,
+    ) -> None:
+        self.buffer, self.variables = buffer, variables
+        self._kinds, self._jump = kinds, jump
+        self.made: dict[int, Jump] = {}
+        self.last: Callable[[], Jump] | None = None
+        self._blocks = Blocks[TraceBuffer]()
+        # Numbers of arcs and events before each block.
+        self._arcs, self._events = [0], [0]
+
+    @classmethod
+    def of(
+        cls,
+        block: TraceBuffer,
+        kinds: list[Kind],
+        jump: Callable[[RecordedEvent], Jump],
+        last: Callable[[], Jump] | None,
+    ) -> TraceStore:
+        """Return the store of a whole run in one block."""
+        variables = block.states.shape[2]
+        store = cls(variables, kinds, _no_buffer(variables), jump)
+        store.add(block)
+        store.last = last
+        return store
+
+    def sequences(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
+        """Return the arcs and the jumps so far; they grow with the run."""
+        return LazySequence(self._arc, self._arc_count), LazySequence(self._event, self._count)
+
+    def add(self, block: TraceBuffer) -> None:
+        """Append a block."""
+        self._blocks.add(block)
+        arcs, _, _, events = block.used.tolist()
+        self._arcs.append(self._arcs[-1] + arcs)
+        self._events.append(self._events[-1] + events)
+
+    def _arc_count(self) -> int:
+        return self._arcs[-1] + int(self.buffer.used[ARCS])
+
+    def _count(self) -> int:
+        return self._events[-1] + int(self.buffer.used[EVENTS]) + (self.last is not None)
+
+    def _arc(self, place: int) -> Arc:
+        block, row = self._found(self._arcs, place)
+        arc = arc_of(block, row, self.variables, self._kinds)
+        if block is self.buffer:  # a later arc overwrites it
+            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
+        return arc
+
+    def _event(self, j: int) -> Jump:
+        made = self.made.get(j)
+        if made is not None:
+            return made
+        if self.last is not None and j == self._count() - 1:
+            return self.last()
+        assert self._jump is not None
+        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
+
+    def _found(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
+        """Return the block and the row of one item of a sequence."""
+        block = bisect_right(begins, place) - 1
+        row = place - begins[block]
+        return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
+
+
+class TraceRecorder(TraceStore):
+    """Records a run in a buffer; moves that to a block if it is full, and at the end.
+
+    Parameters
+    ----------
+    variables, kinds, buffer, jump
+        As of a `TraceStore`.
+    begun : bool
+        Whether the buffer holds the beginning of the run already.
+    """
+
+    def __init__(
+        self,
+        variables: int,
+        kinds: list[Kind],
+        buffer: TraceBuffer,
+        jump: Callable[[RecordedEvent], Jump] | None = None,
+        *,
+        begun: bool = False,
+    ) -> None:
+        super().__init__(variables, kinds, buffer, jump)
+        self._places: dict[Kind, int] = {}
+        if not begun:
+            buffer.used[:] = 0
+        self.arcs, self.jumps = self.sequences()
+
+    def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
+        """Release the buffer; return the arcs and the jumps of the run, which has ended."""
+        self.seal()
+        self.buffer = _no_buffer(self.variables)
+        found = self.arcs, self.jumps
+        # No reference back: the last reader's reference frees the trace at once.
+        del self.arcs, self.jumps
+        return found
+
+    def kind(self, mode: Key, roles: Roles) -> int:
+        """Return the number of a kind, a new one if it is new."""
+        kind = mode, roles
+        place = self._places.get(kind)
+        if place is None:
+            known = len(self._places)
+            # Others may have added kinds.
+            self._places |= {kind: known + i for i, kind in enumerate(self._kinds[known:])}
+            place = self._places.setdefault(kind, len(self._kinds))
+            if place == len(self._kinds):
+                self._kinds.append(kind)
+        return place
+
+    def add_arc(self, mode: Key, roles: Roles, start: Clock, times: Array, terms: Array) -> None:
+        """Add an arc; `times` and `terms` are those of an `Arc`."""
+        steps, width = len(times) - 1, _width(terms)
+        size = steps * self.variables * width
+        if self._reserve(1, len(times), size, 0):
+            block = self.buffer
+        else:
+            # Longer than the buffer: a block of its own.
+            self.seal()
+            block = _empty((1, len(times), size, 0), self.variables)
+        arc, at, place, _ = block.used.tolist()
+        block.arcs[arc] = self.kind(mode, roles), len(self.jumps), steps, width
+        block.places[arc] = at, place
+        block.starts[arc] = start
+        block.times[at : at + len(times)] = times
+        block.coefficients[place : place + size] = terms[:, :, :width].ravel()
+        block.used[:3] += (1, len(times), size)
+        if block is not self.buffer:
+            self.add(block)
+
+    def add_jump(self, jump: Jump) -> None:
+        """Add a jump as an object."""
+        self._reserve(0, 0, 0, 1)
+        self.made[len(self.jumps)] = jump
+        block = self.buffer
+        block.events[block.used[EVENTS]] = MADE
+        block.used[EVENTS] += 1
+
+    def replace_last(self, jump: Jump) -> None:
+        """Replace the last jump."""
+        self.made[len(self.jumps) - 1] = jump
+        self.jumps.forget(len(self.jumps) - 1)
+
+    def seal(self) -> None:
+        """Move the written part of the buffer to a block."""
+        if any(self.buffer.used.tolist()):
+            self.add(copied(self.buffer))
+            self.buffer.used[:] = 0
+
+    def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:
+        """Make room in the buffer; False if its capacity is too small."""
+        buffer, wanted = self.buffer, (arcs, times, terms, events)
+        parts = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
+        capacity, used = [len(part) for part in parts], buffer.used.tolist()
+        if all(u + w <= c for u, w, c in zip(used, wanted, capacity, strict=True)):
+            return True
+        self.seal()
+        return all(w <= c for w, c in zip(wanted, capacity, strict=True))
+
+
+def _width(terms: Array) -> int:
+    """Return how many terms of polynomials are not zero in all; one at least."""
+    width = terms.shape[2]
+    while width > 1 and not terms[:, :, width - 1].any():
+        width -= 1
+    return width

@@ -1,0 +1,258 @@
+"""Hints for mistakes: what to write instead of a wrong key of a document or argument of a call.
+
+All of it is computed after something failed. A place in a document is looked up in the type
+annotations of the models. Hints within formulas are in `statechart.formulas.hints`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import types
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import fields
+from numbers import Integral, Real
+from os import PathLike
+from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, Tag
+from pydantic.fields import FieldInfo
+
+from statechart.documents.setting import Setting
+from statechart.documents.yaml_text import flow
+from statechart.errors import DeclarationError, close_matches
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+# A key that is as like a known one as this is that one, misspelt.
+_NEARLY = 0.8
+
+_ARGUMENTS = {
+    **dict.fromkeys(("dt", "h", "timestep", "time_step"), "step"),
+    **dict.fromkeys(("rtol", "atol", "tol", "eps"), "tolerance"),
+    **dict.fromkeys(("solver", "integrator", "backend"), "engine"),
+    **dict.fromkeys(("t", "T", "t_end", "tmax", "t_max", "end", "time", "duration"), "until"),
+    **dict.fromkeys(("params", "param", "set", "p"), "parameters"),
+    **dict.fromkeys(("n", "max_examples"), "examples"),
+    **dict.fromkeys(("filename", "file", "output", "out", "dir", "directory"), "path"),
+}
+"""What other programs call an argument."""
+
+_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
+    "float": ((Real,), "a number"),
+    "int": ((Integral,), "a whole number"),
+    "Path | str": ((str, PathLike), "a path"),
+    "bool": ((bool,), "True or False"),
+}
+"""What an argument must be, by its annotation, and in words."""
+
+
+def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:
+    """Return an example of what stands at `loc`, as it is written there; empty for none.
+
+    The example of a whole has those of its parts.
+    """
+    shown: Any = None
+    for part, _, field in _followed(model, loc):
+        if field is not None:
+            shown = field.examples[0] if field.examples else None
+        elif isinstance(shown, Mapping) and not isinstance(part, int):  # else a list of one
+            shown = next(iter(shown.values()), None)
+        elif isinstance(shown, list) and isinstance(part, int):
+            shown = shown[min(part, len(shown) - 1)]
+    if shown is None:
+        return ""
+    return repr(shown) if built else flow(shown)
+
+
+def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, str]:
+    """Return the keys that the mapping at `loc` may have, and what Python calls these fields."""
+    return {
+        field.alias or name: name
+        for member in _models(_reached(model, loc))
+        for name, field in member.model_fields.items()
+    }
+
+
+def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
+    """Return what is written for a key that goes by another name at its place; empty for none."""
+    members = _models(_reached(model, loc[:-1]))
+    words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
+    return next(filter(None, words), "")
+
+
+def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]) -> str:
+    """Return to which parts a key belongs that has no meaning where it stands; empty for none.
+
+    Those on the way to it come first. A key that is nearly a known one belongs here.
+    """
+    key = str(loc[-1])
+    if difflib.get_close_matches(key, known, cutoff=_NEARLY):
+        return ""
+    here = tuple(part for part, _, field in _followed(model, loc[:-1]) if field is not None)
+    places = sorted(
+        {place for place in _keyed(model, key) if place and place != here},
+        key=lambda place: (-sum(part in loc for part in place), len(place), place),
+    )
+    if not places:
+        return ""
+    shown = " and of ".join(".".join(place) for place in places[:2])
+    return f"{key!r} is a key of {shown}; known keys here: {', '.join(sorted(known))}"
+
+
+def _keyed(
+    annotation: Any, key: str, place: tuple[str, ...] = (), above: tuple[Any, ...] = ()
+) -> Iterator[tuple[str, ...]]:
+    """Yield the places of the parts, and of the mappings of known keys, that have a key."""
+    for member in _members([annotation]):
+        if _is_model(member):
+            if member in above:  # states in states
+                continue
+            for name, field in member.model_fields.items():
+                if (field.alias or name) == key:
+                    yield place
+                below = (*place, field.alias or name)
+                yield from _keyed(field.annotation, key, below, (*above, member))
+        else:
+            arguments = get_args(member)
+            if arguments and key in get_args(arguments[0]):
+                yield place
+            for argument in arguments:
+                yield from _keyed(argument, key, place, above)
+
+
+def _followed(
+    model: type[BaseModel], loc: Sequence[str | int]
+) -> Iterator[tuple[str | int, list[Any], FieldInfo | None]]:
+    """Yield every part of a place with what may stand there, and the field that it is."""
+    annotations: list[Any] = [model]
+    for part in loc:
+        below: list[Any] = []
+        found: FieldInfo | None = None
+        for member in _members(annotations):
+            origin, arguments = get_origin(member), get_args(member)
+            if _is_model(member):
+                for name, field in member.model_fields.items():
+                    if part in (name, field.alias):
+                        below.append(field.annotation)
+                        found = found or field
+            elif isinstance(origin, type) and issubclass(origin, Mapping):
+                below.append(arguments[1])
+            elif isinstance(origin, type) and issubclass(origin, Sequence):
+                below += arguments[:1] if isinstance(part, int) else ()
+        annotations = below or list(_tagged(annotations, part)) or annotations
+        yield part, annotations, found
+
+
+def _reached(model: type[BaseModel], loc: Sequence[str | int]) -> list[Any]:
+    """Return what may stand at `loc`."""
+    return [[model], *(annotations for _, annotations, _ in _followed(model, loc))][-1]
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _models(annotations: Sequence[Any]) -> Iterator[type[BaseModel]]:
+    return filter(_is_model, _members(annotations))
+
+
+def _members(annotations: Sequence[Any]) -> Iterator[Any]:
+    """Yield every alternative of the annotations, without what is only attached to them."""
+    for annotation in annotations:
+        if get_origin(annotation) is Annotated:
+            yield from _members(get_args(annotation)[:1])
+        elif get_origin(annotation) in (Union, types.UnionType):
+            yield from _members(get_args(annotation))
+        else:
+            yield annotation
+
+
+def _tagged(annotations: Sequence[Any], part: str | int) -> Iterator[Any]:
+    """Yield the member of a union that pydantic calls `part` in the place of an error."""
+    for annotation in annotations:
+        if get_origin(annotation) is Annotated:
+            member, *attached = get_args(annotation)
+            yield from [member] if Tag(str(part)) in attached else _tagged([member], part)
+        elif get_origin(annotation) in (Union, types.UnionType):
+            yield from _tagged(get_args(annotation), part)
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a call with arguments that the function does not take be a `DeclarationError`.
+
+    So is one that Python stumbles over because an argument is not what its annotation says.
+    """
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TypeError:
+            wrong = _wrong_call(function, args, kwargs)
+            if not wrong:
+                raise
+        name = function.__qualname__.removesuffix(".__init__")
+        raise DeclarationError(f"{name}: {wrong[0]}", advice=wrong[1])
+
+    return called
+
+
+def _wrong_call(
+    function: Callable[..., Any], args: tuple[object, ...], kwargs: Mapping[str, object]
+) -> tuple[str, str] | None:
+    """Return what is wrong with a call, and advice; None where its arguments are right."""
+    signature = inspect.signature(function)
+    try:
+        bound = signature.bind(*args, **kwargs)
+    except TypeError as error:
+        otherwise = str(error)
+    else:
+        found = (_mistaken(signature, word, value) for word, value in bound.arguments.items())
+        return next(((message, "") for message in found if message), None)
+    taken = {name: part for name, part in signature.parameters.items() if name != "self"}
+    known = ", ".join(taken)
+    for word in kwargs:
+        if word not in taken:
+            return f"unknown argument {word!r}", _argument(word, kwargs[word], [*taken])
+    placed = [word for word, part in taken.items() if part.kind is not part.KEYWORD_ONLY]
+    count = len(args) - (len(signature.parameters) > len(taken))
+    if count > len(placed):
+        named = ", ".join(word for word in taken if word not in placed)
+        listed = ", ".join(placed) or "nothing"
+        return (
+            f"of what is given, {listed} can stand without a name",
+            f"give the others by name: {named}",
+        )
+    for word in placed[count:]:
+        if taken[word].default is inspect.Parameter.empty and word not in kwargs:
+            return f"{word!r} is missing", f"it takes {known}"
+    return otherwise, f"it takes {known}"
+
+
+def _mistaken(signature: inspect.Signature, word: str, value: object) -> str:
+    """Return what is wrong with an argument of another kind than its annotation; "" for nothing."""
+    annotation = str(signature.parameters[word].annotation)
+    kind = annotation.removesuffix(" | None").replace("str | Path", "Path | str")
+    if kind not in _KINDS or (value is None and annotation.endswith(" | None")):
+        return ""
+    wanted, words = _KINDS[kind]
+    return "" if isinstance(value, wanted) else f"{word} must be {words}, not {value!r}"
+
+
+def _argument(word: str, value: object, known: list[str]) -> str:
+    """Return advice on an argument that there is not."""
+    meant, listed = _ARGUMENTS.get(word, word), ", ".join(known)
+    if meant in known:
+        return f"write {meant}=...; known: {listed}"
+    if meant in {part.name for part in fields(Setting)}:
+        return (
+            f"say it of a runner, Runner(model, {meant}=...), or among the model's settings; "
+            f"known: {listed}"
+        )
+    advice = close_matches(word, known)
+    if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
+        return f"a parameter of the model is given by parameters={{{word!r}: {value}}}; {advice}"
+    return advice
