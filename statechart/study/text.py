@@ -1,4 +1,4 @@
-"""A study as text for people."""
+"""A study as text for people, and as the plain object that `--json` prints."""
 
 from __future__ import annotations
 
@@ -7,25 +7,24 @@ from dataclasses import asdict
 from typing import Any
 
 from statechart.automaton.trace import Outcome
-from statechart.study.notes import Note, beyond, notes, reasons
-from statechart.study.point import Point, Third
-from statechart.study.record import Study
+from statechart.study.measurements import Measurements, Point, Third
 from statechart.study.slopes import slopes, unfitted
+from statechart.study.warnings import Note, beyond, notes, reasons
 from statechart.tabular import Block, Table, plain, several
 
-# Of what an odd run is off in, the parts that are so much of the largest are told.
+# Errors of an odd run are listed that are so much of its largest.
 _MUCH = 0.5
-# So many warnings are told in full.
-_NOTES = 8
+# Warnings that are listed in full.
+_MAX_NOTES = 8
 
 
-def text(study: Study) -> str:
+def format_text(study: Measurements) -> str:
     """Return a study as a table, with what follows from it below."""
-    return plain(told(study))
+    return plain(describe_study(study))
 
 
-def told(study: Study) -> list[Block]:
-    """Return a study as `text` does, its table as such."""
+def describe_study(study: Measurements) -> list[Block]:
+    """Return the blocks of `format_text`: what is above the table, the table, what is below."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     front, cold = study.front(), study.front(once=True)
     head = ["error", "state", "events", "outputs", "path", "energy"]
@@ -55,7 +54,7 @@ def told(study: Study) -> list[Block]:
     return [above, Table(rows, headed=True), _foot(study)]
 
 
-def _head(study: Study) -> list[str]:
+def _head(study: Measurements) -> list[str]:
     lines = [
         f"{study.model} to t = {study.until:g}: {len(study.points)} of "
         f"{several(study.planned, 'setting')}",
@@ -75,8 +74,8 @@ def _head(study: Study) -> list[str]:
     return lines
 
 
-def _odd(third: Third, study: Study) -> str:
-    """Return by what one of three runs differs from the others, which agree."""
+def _odd(third: Third, study: Measurements) -> str:
+    """Return how one of three runs differs from the others, which agree."""
     errors = third.errors
     worst = errors.largest or 0.0
     parts = [
@@ -99,15 +98,15 @@ def _odd(third: Third, study: Study) -> str:
     )
 
 
-def _parting(study: Study) -> str:
-    """Return how it shows that the motion has no accuracy, and what follows."""
+def _parting(study: Measurements) -> str:
+    """Return the evidence that the motion has no accuracy."""
     third, known = study.third, study.warnings.get(study.reference, ())
-    told = beyond(study.warnings.get(study.check, ()), known)
+    own = beyond(study.warnings.get(study.check, ()), known)
     why = "chaotic, or on a knife's edge" + (
         ", or their steps are too long" if study.step > 0.0 else ""
     )
-    if told:
-        why = f"{study.check} warns: " + "; ".join(told)
+    if own:
+        why = f"{study.check} warns: " + "; ".join(own)
     two = f"the two leave each other at t = {study.parted:.6g}"
     if third is None:
         return f"{two}, and no run of another kind can judge: {why}"
@@ -119,7 +118,7 @@ def _parting(study: Study) -> str:
     )
 
 
-def _foot(study: Study) -> str:
+def _foot(study: Measurements) -> str:
     lines = []
     if study.front():
         lines.append(
@@ -141,9 +140,9 @@ def _foot(study: Study) -> str:
             f"+- {slope.scatter:.1g} "
             f"(theory {slope.theory:.3g}), {slope.points} points"
         )
-    why, told = reasons(study), _told(study)
+    why, listed = reasons(study), _listed(study)
     lines += [
-        f"{family} deviates from the reference even at its finest: see {_numbers(texts, told)}, "
+        f"{family} deviates from the reference even at its finest: see {_numbers(texts, listed)}, "
         "which the reference does not have"
         for family, texts in why.items()
     ]
@@ -159,9 +158,9 @@ def _foot(study: Study) -> str:
     lines += [
         f"warning {place}, of {_named(study, note.settings)}: {note.text}"
         + (f" (numbers of {note.settings[0]})" if note.differs else "")
-        for place, note in enumerate(told, 1)
+        for place, note in enumerate(listed, 1)
     ]
-    more = len(notes(study)) - len(told)
+    more = len(notes(study)) - len(listed)
     if more:
         lines.append(
             f"{several(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
@@ -169,8 +168,8 @@ def _foot(study: Study) -> str:
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
 
 
-def omitted(study: Study) -> list[str]:
-    """Return what was left out and why, one line a reason."""
+def omitted(study: Measurements) -> list[str]:
+    """Return the settings that were left out, one line a reason."""
     reasons: dict[str, dict[str, list[str]]] = {}
     for label, why in study.left_out.items():
         family, _, fineness = label.rpartition(" ")
@@ -185,21 +184,21 @@ def omitted(study: Study) -> list[str]:
     ]
 
 
-def _told(study: Study) -> list[Note]:
-    """Return the warnings that are told in full: all that are a reason, first."""
+def _listed(study: Measurements) -> list[Note]:
+    """Return the warnings that are listed in full: all that explain a deviation, first."""
     why = [text for texts in reasons(study).values() for text in texts]
     found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
-    return found[: max(_NOTES, sum(note.says_one_of(why) for note in found))]
+    return found[: max(_MAX_NOTES, sum(note.says_one_of(why) for note in found))]
 
 
-def _numbers(texts: Sequence[str], told: Sequence[Note]) -> str:
-    """Return under which numbers warnings are told."""
-    places = [str(place) for place, note in enumerate(told, 1) if note.says_one_of(texts)]
+def _numbers(texts: Sequence[str], listed: Sequence[Note]) -> str:
+    """Return the numbers of warnings in the list."""
+    places = [str(place) for place, note in enumerate(listed, 1) if note.says_one_of(texts)]
     return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
 
 
-def _named(study: Study, labels: Sequence[str]) -> str:
-    """Return settings family by family: all of it, from one to another, or one by one."""
+def _named(study: Measurements, labels: Sequence[str]) -> str:
+    """Return settings family by family: from one to another, or one by one."""
     families: dict[str, list[str]] = {}
     for point in study.points:
         families.setdefault(point.setting.family, []).append(point.setting.label)
@@ -239,7 +238,7 @@ def _seconds(value: float) -> str:
     return f"{value * 1e3:.3g} ms" if value < 1.0 else f"{value:.3g} s"
 
 
-def report(study: Study) -> dict[str, Any]:
+def to_dict(study: Measurements) -> dict[str, Any]:
     """Return a study as one plain object, with what follows from its points."""
     shown = study.model_dump(mode="json")
     shown["least"] = study.least

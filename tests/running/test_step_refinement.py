@@ -16,9 +16,9 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, SimulationError
 from statechart.observation.difference import modes_apart
 from statechart.observation.observer import Observer
-from statechart.running.halving import SHORTER, halve
 from statechart.running.result import Result
 from statechart.running.runner import Runner, run
+from statechart.running.step_refinement import SHORTER, refine
 
 BLOCK = """\
 kind: scene
@@ -127,12 +127,12 @@ def test_steps_begin_as_given_and_shorten_until_the_estimate_is_below() -> None:
         result = Runner(text, engine="impulse", step=step).run()
         return result.observer, result.trace
 
-    answer = halve(once, 1e-3, first=0.01, end=2.0)
+    answer = refine(once, 1e-3, first=0.01, end=2.0)
     assert steps == pytest.approx([0.01 * SHORTER**k for k in range(len(steps))])
     assert answer.cost.runs == len(steps) > 4
     assert answer.trace.step == steps[-1]
-    assert answer.estimate is not None
-    assert 1e-4 < answer.estimate <= 1e-3
+    assert answer.error is not None
+    assert 1e-4 < answer.error <= 1e-3
     again = Runner(text, engine="impulse", step=0.01, accuracy=1e-3).run()
     assert again.trace.step == answer.trace.step
     assert runner.run().error_estimate is None
@@ -223,9 +223,9 @@ def test_an_interrupted_search_ends_with_the_run_at_hand() -> None:
         ended = Outcome.INTERRUPTED if step < 0.006 else Outcome.HORIZON
         return result.observer, replace(result.trace, step=step, outcome=ended)
 
-    answer = halve(once, 1e-9, first=0.01, end=2.0)
+    answer = refine(once, 1e-9, first=0.01, end=2.0)
     assert answer.trace.outcome is Outcome.INTERRUPTED
-    assert answer.estimate == math.inf
+    assert answer.error == math.inf
     assert answer.warnings == ("interrupted before its error was estimated",)
 
 
@@ -238,8 +238,8 @@ def test_a_step_that_never_does_ends_with_its_reason() -> None:
             result.trace, step=step, outcome=Outcome.STEP_TOO_LARGE, message="never"
         )
 
-    answer = halve(once, 1e-3, first=0.01, end=2.0)
-    assert answer.estimate is None
+    answer = refine(once, 1e-3, first=0.01, end=2.0)
+    assert answer.error is None
     assert answer.cost.runs < 50
 
 

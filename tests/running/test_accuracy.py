@@ -25,7 +25,7 @@ from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 from statechart.observation.difference import compare, paired, parted
 from statechart.observation.observer import Observer
-from statechart.running.estimate import Once, tighten, within
+from statechart.running.accuracy import Once, tighten, within
 from statechart.running.runner import Runner, run
 
 THROWN = """\
@@ -110,8 +110,8 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
         return result.observer, result.trace
 
     answer = tighten(once, 1e-4, first=1e-3, floor=1e-13)  # type: ignore[arg-type]
-    assert answer.estimate is not None
-    assert answer.estimate <= 1e-4
+    assert answer.error is not None
+    assert answer.error <= 1e-4
     assert answer.cost.runs == len(tolerances) > 2
     *tightened, before, last = tolerances
     assert tightened == pytest.approx([1e-3 / 20**k for k in range(len(tightened))], rel=1e-12)
@@ -142,9 +142,9 @@ def test_within_a_budget_runs_tighten_as_long_as_there_is_time() -> None:
     # A run is not begun unless half as much again as the last one took is left.
     assert (few.cost.runs, many.cost.runs) == (2, 4)
     assert few.cost.seconds <= 2.9
-    assert few.estimate is not None
-    assert many.estimate is not None
-    assert many.estimate < few.estimate / 100
+    assert few.error is not None
+    assert many.error is not None
+    assert many.error < few.error / 100
     assert many.warnings == ()
 
 
@@ -157,7 +157,7 @@ def test_the_tightest_run_ends_a_budget_early() -> None:
 def test_one_run_in_time_has_no_estimate_and_says_so() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     answer = within(once, 1.5, floor=1e-13, clock=clock)
-    assert answer.estimate is None
+    assert answer.error is None
     assert "one run only" in answer.warnings[0]
 
 
@@ -400,14 +400,14 @@ def test_a_chart_that_rests_is_compared_by_its_events() -> None:
 def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
     runner = Runner("newtons_cradle", engine="scipy", accuracy=1e-6)
     tolerances: list[float] = []
-    once = runner._answers._once
+    once = runner._planner._once
 
     def watched(setting: Setting, *args: Any, **options: Any) -> tuple[Observer, Trace]:
         assert setting.tolerance is not None
         tolerances.append(setting.tolerance)
         return once(setting, *args, **options)
 
-    runner._answers._once = watched  # type: ignore[method-assign]
+    runner._planner._once = watched  # type: ignore[method-assign]
     result = runner.run()
     assert tolerances[:2] == pytest.approx([1e-7, 1e-7 / 400])
     assert result.trace.tolerance == pytest.approx(1e-7 / 400)

@@ -1,4 +1,4 @@
-"""What a run costs that is the first of its process, as those of the command line are."""
+"""Start-up cost: time of a run that is the first of its process, as on the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import asdict
-from types import TracebackType
 from typing import IO
 
 from statechart.compiling import working_time
@@ -25,40 +24,28 @@ _COPIES = sys.platform == "linux"
 _SERVE = f"from {__name__} import serve; serve()"
 
 
-class Fresh:
-    """Processes that know a model and have not run it, to time a first run in each.
+class FreshProcess:
+    """Processes that know a model and have not run it to an end, to time a first run in each.
 
-    What a first run takes is to load an engine, to build the modes that it enters, and to run. What
-    numba and heyoka keep on disk is there, where the setting was run before. Starting Python and
-    composing the model, which cost the same whatever the setting, are no part of it.
-
-    Parameters
-    ----------
-    model : Declaration
-        What is run.
-    until : float
-        End of the runs.
+    A first run loads an engine, builds the modes that it enters, and runs. The caches of numba and
+    heyoka are there, where the setting was run before. Starting Python and composing the model,
+    which cost the same whatever the setting, are not counted.
     """
 
     def __init__(self, model: Declaration, until: float) -> None:
         self._asked = model, until
         self._process: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> Fresh:
+    def __enter__(self) -> FreshProcess:
         """Start no process yet."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End what was started."""
+    def __exit__(self, *_: object) -> None:
+        """End the process."""
         self.close()
 
     def seconds(self, setting: Setting) -> float | None:
-        """Return what a first run takes; None where no process can be had to tell."""
+        """Return the seconds of a first run; None where no process can be started."""
         try:
             process = self._process = self._process or self._started()
             source, sink = _pipes(process)
@@ -86,7 +73,7 @@ class Fresh:
             process.wait()
 
     def _started(self) -> subprocess.Popen[bytes]:
-        # It is not to hear of signals that are meant for this one, nor to import what lies about.
+        # Neither signals of this process reach it, nor modules of the working directory.
         process = subprocess.Popen(
             [sys.executable, "-P", "-c", _SERVE],
             stdin=subprocess.PIPE,
@@ -105,12 +92,12 @@ def _pipes(process: subprocess.Popen[bytes]) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def serve() -> None:
-    """Read a model and settings from stdin, write what the first run of each takes to stdout."""
-    told = os.dup(sys.stdout.fileno())
-    # What libraries print is no answer.
+    """Read a model and settings from stdin, write the seconds of their first runs to stdout."""
+    output = os.dup(sys.stdout.fileno())
+    # Libraries print to nowhere.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     model, until = pickle.load(sys.stdin.buffer)
-    # SymPy remembers what composing found out, as where the run follows in the same process.
+    # SymPy keeps results of composing, as where the run follows in the same process.
     kind(model.kind).automaton(model)
     while True:
         try:
@@ -118,15 +105,15 @@ def serve() -> None:
         except EOFError:
             return
         if not _COPIES:
-            os.write(told, _answer(model, until, setting))
+            os.write(output, _answer(model, until, setting))
             return
         copy = os.fork()
         if copy == 0:
-            os.write(told, _answer(model, until, setting))
+            os.write(output, _answer(model, until, setting))
             os._exit(0)
         _, status = os.waitpid(copy, 0)
         if status != 0:
-            os.write(told, b"nan\n")
+            os.write(output, b"nan\n")
 
 
 def _answer(model: Declaration, until: float, setting: Setting) -> bytes:

@@ -1,4 +1,4 @@
-"""What a model answers without a run: its modes, and their equations."""
+"""Inspection of a model without a run: its modes and their equations of motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Modes:
     Attributes
     ----------
     listed : mapping
-        What `statechart modes --json` prints.
+        The object that `statechart modes --json` prints.
     """
 
     listed: Mapping[str, Any]
@@ -35,22 +35,22 @@ class Modes:
     __repr__ = __str__
 
     def __len__(self) -> int:
-        """Return how many there are, as users count: without directions of sliding."""
+        """Return the number of modes, directions of sliding not told apart."""
         declared: int = self.listed["modes_declared"]
         return declared
 
     @property
     def possible(self) -> tuple[Mapping[str, str], ...]:
-        """Those that are kinematically possible, region to state."""
-        return tuple(self._judged["feasible"])
+        """The modes that are kinematically possible, region to state."""
+        return tuple(self._feasibility["feasible"])
 
     @property
     def refused(self) -> tuple[tuple[Mapping[str, str], str], ...]:
-        """Those that are not, and why."""
-        return tuple((one["mode"], one["reason"]) for one in self._judged["infeasible"])
+        """The other modes, and why they are not possible."""
+        return tuple((one["mode"], one["reason"]) for one in self._feasibility["infeasible"])
 
     @property
-    def _judged(self) -> Mapping[str, Any]:
+    def _feasibility(self) -> Mapping[str, Any]:
         found = self.listed["feasibility"]
         none: Mapping[str, Any] = {"feasible": (), "infeasible": ()}
         return none if found is None else found["without_direction"]
@@ -76,7 +76,7 @@ def modes(model: Declaration | str | Path, parameters: Mapping[str, float] | Non
     from statechart.reporting.modes import listing
 
     runner = Runner(model)
-    # Where no mode agrees with the start, modes are listed all the more.
+    # Modes are listed where no mode agrees with the start, too.
     with suppress(SimulationError):
         runner.start(parameters)
     setup, automaton = runner.setup(parameters), runner.automaton
@@ -124,8 +124,8 @@ def equations(
       base.H = -base.V*mu
     <BLANKLINE>
     """
-    from statechart.reporting.equations import told
+    from statechart.reporting.equations import format_equations
 
     runner = Runner(model)
     form = "latex" if latex else "text"
-    return told(runner.automaton, runner.setup(parameters), mode, form)
+    return format_equations(runner.automaton, runner.setup(parameters), mode, form)

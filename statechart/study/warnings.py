@@ -1,4 +1,4 @@
-"""What runs of a study warn of, and which of that is why a family deviates from the reference."""
+"""Warnings of the runs of a study, and those that explain why a family deviates."""
 
 from __future__ import annotations
 
@@ -6,26 +6,15 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from statechart.study.point import Point
-from statechart.study.record import Study, falls
+from statechart.study.measurements import Measurements, Point, falls
 
-# Of two warnings that differ in numbers only, one is told.
+# Warnings that differ in numbers only are one.
 _NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[+-]?\d+)?\b")
 
 
 @dataclass(frozen=True)
 class Note:
-    """A warning, with the settings whose runs have it.
-
-    Attributes
-    ----------
-    text : str
-        As the first of them says it.
-    settings : tuple of str
-        Their labels.
-    differs : bool
-        Whether the numbers in it are others in others.
-    """
+    """A warning, the labels of the settings whose runs have it, and whether its numbers differ."""
 
     text: str
     settings: tuple[str, ...]
@@ -36,27 +25,27 @@ class Note:
         return _alike(self.text) in map(_alike, texts)
 
 
-def notes(study: Study) -> tuple[Note, ...]:
-    """Return what the runs of all points warn of, each text once."""
+def notes(study: Measurements) -> tuple[Note, ...]:
+    """Return the warnings of the runs of all points, each text once."""
     found: dict[str, list[tuple[str, Point]]] = {}
     for point in study.points:
         for text in beyond(point.warnings, ()):
             found.setdefault(_alike(text), []).append((text, point))
     return tuple(
         Note(
-            told[0][0],
-            tuple(point.setting.label for _, point in told),
-            len({text for text, _ in told}) > 1,
+            alike[0][0],
+            tuple(point.setting.label for _, point in alike),
+            len({text for text, _ in alike}) > 1,
         )
-        for told in found.values()
+        for alike in found.values()
     )
 
 
-def reasons(study: Study) -> dict[str, tuple[str, ...]]:
-    """Return the families that deviate from the reference, and say why -> what they warn of.
+def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
+    """Return the families that deviate from the reference -> the warnings that explain it.
 
     A family deviates where the finest of its runs takes other modes, or where its error, or that of
-    an output, does not fall with the step. What the reference warns of, too, is no reason.
+    an output, does not fall with the step. A warning of the reference, too, is no reason.
     """
     families: dict[str, list[Point]] = {}
     for point in study.points:
@@ -64,24 +53,24 @@ def reasons(study: Study) -> dict[str, tuple[str, ...]]:
     found = {}
     for family, points in families.items():
         finest = min(points, key=lambda point: point.setting.fineness)
-        told = beyond(finest.warnings, study.warnings.get(study.reference, ()))
-        if told and _deviates(study, points, finest):
-            found[family] = told
+        own = beyond(finest.warnings, study.warnings.get(study.reference, ()))
+        if own and _deviates(study, points, finest):
+            found[family] = own
     return found
 
 
 def beyond(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
     """Return the warnings that are not known, each once, but for numbers in them."""
-    heard = set(map(_alike, known))
+    seen = set(map(_alike, known))
     found = []
     for text in warnings:
-        if _alike(text) not in heard:
-            heard.add(_alike(text))
+        if _alike(text) not in seen:
+            seen.add(_alike(text))
             found.append(text)
     return tuple(found)
 
 
-def _deviates(study: Study, points: Sequence[Point], finest: Point) -> bool:
+def _deviates(study: Measurements, points: Sequence[Point], finest: Point) -> bool:
     if study.parted is not None:
         return False
     if not finest.same_modes:

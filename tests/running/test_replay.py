@@ -14,11 +14,10 @@ from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.request import Chosen
 from statechart.observation.difference import compare
-from statechart.running.confirmed import confirmed
+from statechart.running.accuracy import replay
 from statechart.running.result import Result
 from statechart.running.runner import Runner, run
-from statechart.study.file import save
-from statechart.study.record import Study
+from statechart.study.study import Study, save
 
 MODEL = OSCILLATOR.replace("time: 50", "time: 20")
 
@@ -98,11 +97,11 @@ def test_any_count_tells_another_run(measured: Study, what: str) -> None:
     def once(tolerance: float, off: bool) -> tuple[object, object]:
         return result.observer, result.trace
 
-    same = confirmed(once, chosen)  # type: ignore[arg-type]
+    same = replay(once, chosen)  # type: ignore[arg-type]
     assert same is not None
-    assert same.estimate == 1e-7
+    assert same.error == 1e-7
     other = "STOPPED" if what == "outcome" else getattr(chosen, what) + 1
-    assert confirmed(once, replace(chosen, **{what: other})) is None  # type: ignore[arg-type]
+    assert replay(once, replace(chosen, **{what: other})) is None  # type: ignore[arg-type]
 
 
 def test_the_command_line_says_that_it_is_the_measured_run(

@@ -1,4 +1,4 @@
-"""What is asked of a model becomes runs of it, and one of them the answer."""
+"""Runs for a requested accuracy or time budget, of which the best is delivered."""
 
 from __future__ import annotations
 
@@ -14,98 +14,83 @@ from statechart.engines.request import Plan
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.answer import UNTOLD, Answer, Cost
-from statechart.running.confirmed import confirmed
-from statechart.running.estimate import tighten, within
-from statechart.running.halving import SHARE, halve
-
-_ONCE = Cost(1, 0, 0, 0.0)
+from statechart.running.accuracy import WITHOUT_ERROR, Cost, RunEstimate, replay, tighten, within
+from statechart.running.step_refinement import FIRST_SHARE, refine
 
 
-class Answers:
+class RunPlanner:
     """Makes the runs that a plan asks for.
 
     Parameters
     ----------
     model : Declaration
-        What is run.
+        The model.
     observers : Observers
         Simulators of it at any setting.
     plan : Plan
-        How to go about it.
+        Setting, first tolerance, and the run of a study, if one is known.
     allowance : Allowance or None
-        The time that all runs of an answer share.
+        Time that all runs share.
 
     Attributes
     ----------
+    first : Setting
+        Setting that a run is tried with first.
     setting : Setting
-        That of the plan, with another engine where the one that was picked could not make the last
-        run.
+        That of the last run: with another engine where the first choice could not make it.
     reason : str
         Why an engine was taken that nobody asked for; else empty.
+    searching : bool
+        Whether the tolerance, or the step, is searched for.
     """
 
     def __init__(
-        self,
-        model: Declaration,
-        observers: Observers,
-        plan: Plan,
-        allowance: Allowance | None,
+        self, model: Declaration, observers: Observers, plan: Plan, allowance: Allowance | None
     ) -> None:
-        self._limit = model.settings.max_jumps
+        self._max_jumps = model.settings.max_jumps
         self._observers, self._plan, self._allowance = observers, plan, allowance
-        self.setting, self.reason = plan.setting, plan.reason
-        if not self.setting.stepped:
-            _, self.reason = choose(self.setting)
-        self._first = self.setting, self.reason
+        self.first = self.setting = plan.setting
+        self.reason = plan.reason if plan.setting.stepped else choose(plan.setting)[1]
+        self._first_reason = self.reason
+        self.searching = self.first.accuracy is not None or self.first.budget is not None
 
-    @property
-    def first(self) -> Setting:
-        """How a run is tried first."""
-        return self._first[0]
-
-    @property
-    def searching(self) -> bool:
-        """Whether the tolerance, or the step, is looked for."""
-        return self.setting.accuracy is not None or self.setting.budget is not None
-
-    def answer(self, overrides: Mapping[str, float], end: float) -> tuple[Answer, str]:
-        """Return the run asked for, and what it was chosen by."""
+    def run(self, overrides: Mapping[str, float], end: float) -> tuple[RunEstimate, str]:
+        """Return the run asked for, and how its first tolerance or step was chosen."""
         # What another run could not do says nothing of this one, which may enter other modes.
-        self.setting, self.reason = self._first
+        self.setting, self.reason = self.first, self._first_reason
         if not self.searching:
             observer, trace = self._once(self.setting, overrides, end)
-            if self._other_engine(trace):
+            if self._change_engine(trace):
                 observer, trace = self._once(self.setting, overrides, end)
-            return Answer(observer, trace, None, _ONCE), self._plan.basis
+            return RunEstimate(observer, trace, None, Cost(1, 0, 0, 0.0)), self._plan.basis
         if self._allowance is not None:
             self._allowance.begin()
-        answer, basis = self._found(overrides, end)
-        if self._other_engine(answer.trace):
-            vain = answer.cost
-            answer, basis = self._found(overrides, end, vain.seconds)
-            answer = replace(answer, cost=vain + answer.cost)
-        return answer, basis
+        found, basis = self._search(overrides, end)
+        if self._change_engine(found.trace):
+            vain = found.cost
+            found, basis = self._search(overrides, end, vain.seconds)
+            found = replace(found, cost=vain + found.cost)
+        return found, basis
 
-    def certified(self, answer: Answer, overrides: Mapping[str, float], end: float) -> Trace:
-        """Return the run of an answer with what is proved of its motion."""
-        trace, simulator = answer.trace, answer.observer.simulator
-        untold = trace.outcome in (*UNTOLD, Outcome.INTERRUPTED)
-        if untold or isinstance(simulator, SteppingSimulator):
+    def certified(self, found: RunEstimate, overrides: Mapping[str, float], end: float) -> Trace:
+        """Return the trace of a run with the proved bounds of its motion."""
+        trace, simulator = found.trace, found.observer.simulator
+        ended = trace.outcome in (*WITHOUT_ERROR, Outcome.INTERRUPTED)
+        if ended or isinstance(simulator, SteppingSimulator):
             return trace
         if self._allowance is not None:
             self._allowance.lift()
-        return simulator.certified(trace, overrides, until=end, max_jumps=self._limit)
+        return simulator.certified(trace, overrides, until=end, max_jumps=self._max_jumps)
 
     def _once(
         self, setting: Setting, overrides: Mapping[str, float], end: float, *, off: bool = False
     ) -> tuple[Observer, Trace]:
         observer = self._observers.at(setting, off=off)
         return observer, observer.simulator.run(
-            overrides, until=end, max_jumps=self._limit, throw=False
+            overrides, until=end, max_jumps=self._max_jumps, throw=False
         )
 
-    def _other_engine(self, trace: Trace) -> bool:
+    def _change_engine(self, trace: Trace) -> bool:
         """Take scipy where taylor was picked and cannot run the model; whether that is so.
 
         It cannot expand every flow, and there may be no time to compile the first.
@@ -118,22 +103,22 @@ class Answers:
         self.reason = f"engine scipy: {trace.message}"
         return True
 
-    def _found(
+    def _search(
         self, overrides: Mapping[str, float], end: float, spent: float = 0.0
-    ) -> tuple[Answer, str]:
-        """Look for the accuracy asked for, or the best in the time of which some is `spent`."""
+    ) -> tuple[RunEstimate, str]:
+        """Search for the accuracy, or the best in the time of which some is `spent`."""
         setting, plan, basis = self.setting, self._plan, self._plan.basis
 
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(replace(setting, tolerance=tolerance), overrides, end, off=off)
 
-        def at(step: float) -> tuple[Observer, Trace]:
+        def stepped(step: float) -> tuple[Observer, Trace]:
             return self._once(replace(setting, accuracy=None, step=step), overrides, end)
 
         if setting.stepped:
             assert setting.accuracy is not None
-            longest = setting.step or SHARE * end or 1.0
-            return halve(at, setting.accuracy, first=longest, end=end), basis
+            longest = setting.step or FIRST_SHARE * end or 1.0
+            return refine(stepped, setting.accuracy, first=longest, end=end), basis
         floor = self._observers.floor(setting)
         first = self._observers.first(setting) if plan.first is None else plan.first
         if self._allowance is not None:
@@ -141,8 +126,8 @@ class Answers:
             return within(once, allowed, spent=spent, first=first, floor=floor), basis
         assert setting.accuracy is not None
         if plan.chosen is not None:
-            answer = confirmed(once, plan.chosen)
-            if answer is not None:
-                return answer, f"{basis}, as that run"
+            found = replay(once, plan.chosen)
+            if found is not None:
+                return found, f"{basis}, as that run"
             basis += ", which runs otherwise here"
         return tighten(once, setting.accuracy, first=first, floor=floor), basis

@@ -1,4 +1,4 @@
-"""A block of cells: runs of a model one after another, and what is kept of each."""
+"""Runs of the cells of a sweep, in whatever process: together in compiled calls, or one by one."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import hashlib
 import math
 import pickle
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from importlib.metadata import version
 
 import numpy as np
@@ -26,40 +27,44 @@ from statechart.errors import (
     SimulationError,
 )
 from statechart.execution.ahead import T_HIGH
-from statechart.observation.batch_outputs import modes_of
+from statechart.execution.rows import Batch, RowRunner
+from statechart.formulas.formula import parse
+from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
-from statechart.sweeps.together import Together
 
 REFUSED = "DECLARATION_ERROR"
 """Outcome of a cell whose values the declaration does not allow."""
 FAULTY = "INTERNAL_ERROR"
 """Outcome of a cell that a defect of this package ended."""
-WORDS = {
+OUTCOMES = {
     **{outcome.name: outcome.value for outcome in Outcome},
     REFUSED: "The declaration does not allow these values, or no run can start there.",
     FAULTY: "An internal error ended the run; please report it.",
 }
 """Outcomes of a cell, in a sentence each."""
 
-# Letters of a sequence of modes; a longer one is told by its beginning, its length and a digest.
-_LONGEST = 240
-# Modes of a cycle that is looked for in it.
-_PERIOD = 12
-# What is compiled of models with other structures is kept of so many.
-_STRUCTURES = 8
-# So many texts of sequences are made once.
-_REMEMBERED = 4096
+# Letters of a sequence of modes; a longer one is cut, with its length and a digest.
+_MAX_LETTERS = 240
+# Modes of a cycle that is searched for in it.
+_MAX_PERIOD = 12
+# Structures of a model whose compiled programs are kept, and texts of sequences.
+_MAX_STRUCTURES, _MAX_TEXTS = 8, 4096
+# Cells of one compiled call.
+_MAX_BATCH = 256
+# Once so many have been tried together, they go on so if one in so many went through: a cell that
+# does saves four fifths of its time, and one that does not has cost less than one fifth.
+_TRIED, _WORTH = 64, 4
 # A runner makes one run at a time, whatever threads a worker has.
 _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass
-class Block:
-    """What some cells gave, cell by cell.
+class CellBlock:
+    """Results of some cells, cell by cell.
 
     Attributes
     ----------
@@ -72,11 +77,9 @@ class Block:
     certified : (n,) array
         Whether every guard of every step was decided.
     modes : (n,) array
-        Place among `sequences`; -1 where nothing ran.
-    sequences : tuple of str
-        Sequences of modes.
+        Place among `sequences`, texts of sequences of modes; -1 where nothing ran.
     t_end, seconds, error_estimate : (n,) array
-        When the run ended, what it took, and its estimated error where that was asked for.
+        When the run ended, the time it took, and its estimated error where that was asked for.
     """
 
     numbers: dict[str, Array]
@@ -90,7 +93,7 @@ class Block:
     seconds: Array
     error_estimate: Array
 
-    def take(self, places: NDArray[np.intp], other: Block, modes: Ints32) -> None:
+    def take(self, places: NDArray[np.intp], other: CellBlock, modes: Ints32) -> None:
         """Take the cells of another block to places of this one, their modes coded by `modes`."""
         for name, values in self.numbers.items():
             values[places] = other.numbers[name]
@@ -102,11 +105,11 @@ class Block:
         self.modes[places] = modes
 
     def end(self, k: int, outcome: str, message: str) -> None:
-        """Note why a cell ended."""
+        """Set why a cell ended."""
         self.outcome[k], self.message[k] = outcome, message
 
     @classmethod
-    def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> Block:
+    def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> CellBlock:
         """Return a block of cells that have not run: their outcome is the empty text."""
         return cls(
             {name: np.full(size, math.nan) for name in numbers},
@@ -122,16 +125,8 @@ class Block:
         )
 
 
-def run_block(task: Task, rows: Array) -> Block:
-    """Run cells, in whatever process this is.
-
-    Raises
-    ------
-    DeclarationError
-        If this process has another version of the package.
-    KeyboardInterrupt
-        If it is to end.
-    """
+def run_block(task: Task, rows: Array) -> CellBlock:
+    """Run cells, in whatever process this is."""
     here = _version()
     if task.version != here:
         raise DeclarationError(
@@ -149,12 +144,12 @@ def _version() -> str:
 
 @lru_cache(maxsize=2)
 def _cells(task: Task) -> _Cells:
-    """Return what runs the cells of a task: compiled once in a process, for all its blocks."""
+    """Return the runner of the cells of a task: compiled once in a process, for all its blocks."""
     return _Cells(task)
 
 
 class _Cells:
-    """Runs cells; what is kept between them is compiled programs alone."""
+    """Runs cells; compiled programs alone are kept between them."""
 
     def __init__(self, task: Task) -> None:
         model = pickle.loads(task.model)
@@ -165,9 +160,9 @@ class _Cells:
         self._numbers = tuple(name for name in task.outputs if name not in self._lists)
         self._structures: dict[tuple[float, ...], _Structure] = {}
 
-    def block(self, rows: Array) -> Block:
+    def block(self, rows: Array) -> CellBlock:
         """Run rows of values, those of one structure of the model one after another."""
-        found = Block.empty(len(rows), self._numbers, self._lists)
+        found = CellBlock.empty(len(rows), self._numbers, self._lists)
         structures = [tuple(values) for values in rows[:, self._whole].tolist()]
         groups: dict[tuple[float, ...], list[int]] = {}
         for k, key in enumerate(structures):
@@ -176,31 +171,30 @@ class _Cells:
         for key in sorted(groups):
             places = np.array(groups[key])
             while places.size:
-                alone = self._together(key, places, rows, found, codes)
-                for k in alone.tolist():
-                    self._alone(key, rows[k].tolist(), found, k, codes)
+                single = self._run_batch(key, places, rows, found, codes)
+                for k in single.tolist():
+                    self._run_single(key, rows[k].tolist(), found, k, codes)
                 places = places[np.flatnonzero(found.outcome[places] == "")]
         found.sequences = tuple(codes)
         return found
 
-    def _together(
+    def _run_batch(
         self,
         key: tuple[float, ...],
         places: NDArray[np.intp],
         rows: Array,
-        found: Block,
+        found: CellBlock,
         codes: dict[str, int],
     ) -> NDArray[np.intp]:
-        """Run what can be of the next rows in one compiled call; return the others of them."""
+        """Run some of the next rows in one compiled call; return those that did not go through."""
         structure = self._structures.get(key)
-        size = 1 if structure is None else structure.together.size
+        size = 1 if structure is None else structure.batches.size
         if structure is None or size == 1:
             return places[:size]
         places = places[:size]
         began = working_time()
         done: list[NDArray[np.intp]] = []
-        table = rows[places]
-        for batch, numbers, several in structure.together.run(table):
+        for batch, numbers, several in structure.batches.run(rows[places]):
             here = places[batch.rows]
             done.append(here)
             for name, values in numbers.items():
@@ -220,11 +214,11 @@ class _Cells:
             found.seconds[through] = (working_time() - began) / len(through)
         return places[found.outcome[places] == ""]
 
-    def _alone(
+    def _run_single(
         self,
         key: tuple[float, ...],
         row: list[float],
-        found: Block,
+        found: CellBlock,
         k: int,
         codes: dict[str, int],
     ) -> None:
@@ -234,7 +228,7 @@ class _Cells:
             structure = self._structure(key)
             values = dict(zip(self._task.names, row, strict=True))
             result = structure.runner.run(values, until=self._task.until, throw=False)
-            self._tell(structure, result, found, k, codes)
+            self._take(structure, result, found, k, codes)
         except SimulationError as error:
             found.end(k, error.outcome or FAULTY, error.message)
         except DeclarationError as error:
@@ -247,7 +241,7 @@ class _Cells:
         found.seconds[k] = working_time() - began
 
     def _structure(self, key: tuple[float, ...]) -> _Structure:
-        """Return what runs the model as it is with these numbers of copies."""
+        """Return the runner of the model with these numbers of copies of bodies."""
         found = self._structures.pop(key, None)
         if found is None:
             whole = {self._task.names[k]: value for k, value in zip(self._whole, key, strict=True)}
@@ -257,12 +251,12 @@ class _Cells:
                 raise DeclarationError(str(error)) from None
             found = _Structure(Runner(model, **asdict(self._task.setting)), self._task)
         self._structures[key] = found
-        if len(self._structures) > _STRUCTURES:
+        if len(self._structures) > _MAX_STRUCTURES:
             del self._structures[next(iter(self._structures))]
         return found
 
-    def _tell(
-        self, structure: _Structure, result: Result, block: Block, k: int, codes: dict[str, int]
+    def _take(
+        self, structure: _Structure, result: Result, block: CellBlock, k: int, codes: dict[str, int]
     ) -> None:
         trace = result.trace
         if trace.outcome is Outcome.INTERRUPTED:
@@ -284,16 +278,16 @@ class _Cells:
 
 
 class _Structure:
-    """A runner of the model with one structure, and what looks at its runs."""
+    """A runner of the model with one structure, and the evaluation of its runs."""
 
     def __init__(self, runner: Runner, task: Task) -> None:
         self.runner = runner
-        self.together = Together(runner, task)
+        self.batches = BatchedCells(runner, task)
         self._outputs: dict[Observer, Outputs] = {}
         self._texts: dict[tuple[Key, ...], str] = {}
 
     def outputs(self, observer: Observer, names: Sequence[str]) -> Outputs:
-        """Return what computes some of the outputs, made ready once."""
+        """Return the evaluation of some outputs, made once."""
         found = self._outputs.get(observer)
         if found is None:
             found = self._outputs[observer] = Outputs(observer, names)
@@ -303,7 +297,7 @@ class _Structure:
         """Return the modes of a run, in order, as text."""
         found = self._texts.get(modes)
         if found is None:
-            if len(self._texts) >= _REMEMBERED:
+            if len(self._texts) >= _MAX_TEXTS:
                 self._texts.clear()
             found = self._texts[modes] = self._text(modes)
         return found
@@ -311,19 +305,78 @@ class _Structure:
     def _text(self, modes: Sequence[Key]) -> str:
         words = [self._word(key) for key in modes]
         text = " > ".join(repeats(words))
-        if len(text) <= _LONGEST:
+        if len(text) <= _MAX_LETTERS:
             return text
         digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
-        begin = text[:_LONGEST].rpartition(" > ")[0] or words[0]
+        begin = text[:_MAX_LETTERS].rpartition(" > ")[0] or words[0]
         return f"{begin} > ... ({len(words)} modes, {digest})"
 
     def _word(self, key: Key) -> str:
         """Return the name of a mode: its regions that have states to tell apart."""
         regions = self.runner.automaton.told(key)
-        told = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
-        if len(told) < 2:
-            return told[0][1] if told else key[0]
-        return " ".join(f"{name}:{state}" for name, state in told)
+        states = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
+        if len(states) < 2:
+            return states[0][1] if states else key[0]
+        return " ".join(f"{name}:{state}" for name, state in states)
+
+
+class BatchedCells:
+    """Runs cells in compiled calls, as far as no instant of them needs more.
+
+    Parameters
+    ----------
+    runner : Runner
+        Runner of single cells.
+    task : Task
+        Request for each cell.
+
+    Attributes
+    ----------
+    through : int
+        Cells that have gone through.
+    """
+
+    def __init__(self, runner: Runner, task: Task) -> None:
+        self._runner, self._task = runner, task
+        self._tried, self.through = 0, 0
+
+    @cached_property
+    def _rows(self) -> tuple[RowRunner, BatchOutputs] | None:
+        found = self._runner.rows(self._task.names)
+        if found is None:
+            return None
+        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
+
+    @property
+    def size(self) -> int:
+        """Number of cells to take next; 1 where each is to be run alone."""
+        lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
+        if lost or self._rows is None or not self._rows[0].ready(1):
+            return 1
+        # The first of them enter modes that are not known yet.
+        return min(2 + self._tried, _MAX_BATCH)
+
+    def run(self, table: Array) -> Iterator[tuple[Batch, dict[str, Array], dict[str, list[Array]]]]:
+        """Run rows (m, p) of values; yield those that go through, with their outputs."""
+        assert self._rows is not None
+        rows, outputs = self._rows
+        until = self._ends(table)
+        self._tried += len(table)
+        for batch in rows.run(table, until, self._runner.model.settings.max_jumps):
+            self.through += len(batch.rows)
+            yield batch, *outputs.of(batch, partial(rows.jump, batch, table[batch.rows]))
+
+    def _ends(self, table: Array) -> Array:
+        """Return when runs (m,) end; not a number where that is refused."""
+        runner, names, until = self._runner, self._task.names, self._task.until
+        time = runner.model.stop.time
+        if until is not None or time is None or not parse(time).names:
+            return np.full(len(table), runner.end(until=until))
+        found = np.full(len(table), math.nan)
+        for k, row in enumerate(table.tolist()):
+            with suppress(DeclarationError):
+                found[k] = runner.end(dict(zip(names, row, strict=True)))
+        return found
 
 
 def repeats(words: Sequence[str]) -> list[str]:
@@ -332,7 +385,7 @@ def repeats(words: Sequence[str]) -> list[str]:
     k = 0
     while k < len(words):
         best = (1, 1)
-        for period in range(2, _PERIOD + 1):
+        for period in range(2, _MAX_PERIOD + 1):
             cycle, end = words[k : k + period], k + period
             while words[end : end + period] == cycle:
                 end += period
