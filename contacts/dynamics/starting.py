@@ -87,17 +87,8 @@ def check_start(
 ) -> None:
     """Refuse a contact that starts inside its surface, or free though it does not list that.
 
-    Parameters
-    ----------
-    surface : Surface
-        What is touched.
-    law : ContactLaw
-    moves : sequence of float
-        Gap, its rate and slip at the start, of a contact that is not off.
-    depth : float
-        A start may be inside by so much.
-    near, slow : float
-        Tolerances of gap and speed.
+    It moves by its gap, the rate of that and its slip. A start may be inside by `depth`; `near` and
+    `slow` are the tolerances of gap and speed.
 
     Raises
     ------

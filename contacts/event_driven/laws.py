@@ -30,8 +30,8 @@ from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
-from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
+from contacts.modes.feasibility import judged
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array

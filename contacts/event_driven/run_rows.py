@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.gate_kernels import conditions_at
+from contacts.dynamics.gates import conditions_at
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
 from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.snapshot import SCALARS

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.control_guards import given
+from contacts.dynamics.controller_state import ControllerState
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import ROUNDING, SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start, hovering
@@ -106,7 +106,7 @@ class SceneStepper(Stepper):
     def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
-        memory = Memory(self._mechanics)
+        memory = ControllerState(self._mechanics)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
