@@ -36,7 +36,7 @@ class Guard:
 
     place: int  # of its region among those that are watched
     name: str  # region and transition
-    relation: Relation  # as declared
+    relation: Relation
     transition: int  # place of its transition in the flattened region
 
 

@@ -65,7 +65,7 @@ class Shared(NamedTuple):
 class FlatRegion:
     """A region as the executor knows it."""
 
-    name: str  # of the region
+    name: str
     initial: str  # the configuration that it starts in
     begins: tuple[Updates, ...]  # updates of the states entered there
     # Configuration -> what is declared of the states active in it, outer ones first.

@@ -23,7 +23,7 @@ class Microstep(NamedTuple):
     """What is done when transitions are taken."""
 
     taken: tuple[int, ...]  # places of the arrows, in the order of their updates
-    exits: tuple[int, ...]  # Nodes, in the order in which they are left and entered
+    exits: tuple[int, ...]  # nodes, in the order in which they are left and entered
     entries: tuple[int, ...]
     active: Nodes  # what is active then
     memory: Memory  # what is remembered then

@@ -45,14 +45,14 @@ class Node:
     """A state, a region in a state, or a history."""
 
     name: str  # unique in the region; that of the region itself is ""
-    sort: Sort  # what it is
+    sort: Sort
     parent: int  # what holds it; of the region itself -1
     children: tuple[int, ...]  # what it holds, histories besides
     histories: tuple[int, ...]  # those of its states
     # What is entered with it where nothing else is said; of a history where nothing is remembered.
     # -1 where there is no choice.
     initial: int
-    declared: Holder  # as declared
+    declared: Holder
 
 
 @dataclass(frozen=True, eq=False)
