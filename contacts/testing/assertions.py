@@ -1,4 +1,4 @@
-"""What properties of scenes share: cones, the growth of energy, steps and what is between."""
+"""Assertions that properties of scenes share: friction cones, growth of energy, ends of steps."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
 # Points of a graph beside a disc at which its distance is looked at.
-_TRIED = 65
+GRAPH_SAMPLES = 65
 
 
 def assert_depths(
@@ -136,7 +136,7 @@ def _above(surfaces: SurfaceNumbers, s: int, outline: Array, radius: float) -> A
     if kind == PLATE:
         return _between(outline, radius, np.tile([[a, b], [c, d]], (len(outline), 1, 1)), 0.0)
     # No point of the graph that is tried is nearer than its nearest one.
-    tried = np.linspace(-radius, radius, _TRIED) if radius > 0.0 else np.zeros(1)
+    tried = np.linspace(-radius, radius, GRAPH_SAMPLES) if radius > 0.0 else np.zeros(1)
     x = outline[..., 0, None] + tried
     heights = tape_table(
         surfaces.code, surfaces.constants, surfaces.outputs, 0, x.reshape(-1, 1), surfaces.values,
@@ -249,7 +249,7 @@ def _impulses(subject: Subject, trace: Trace) -> None:
 
 
 def _pushed(subject: Subject) -> bool:
-    """Whether more than gravity and contacts acts on bodies."""
+    """Return whether more than gravity and contacts acts on bodies."""
     scene = _scene(subject)
     return bool(scene.forces or scene.joints)
 

@@ -1,4 +1,4 @@
-"""Whether two runs that should agree do, as far as their tolerances allow an answer.
+"""Comparison of two runs that should agree, as far as their tolerances allow an answer.
 
 Two computations of one motion differ by their errors, which the motion itself makes grow. How
 much is measured: the same run with parameters changed by a relative `NUDGE` shows how far a small
@@ -39,12 +39,12 @@ _SLOW = 1e-6
 
 
 class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
-    """Whether a property holds cannot be told from these runs, and why."""
+    """The runs do not decide whether a property holds, and why."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """How errors grow in a run.
+    """The growth of errors in a run.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ def _compare(
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
-    """Whether two runs have the same events and the same end to the last bit."""
+    """Return whether two runs have the same events and the same end to the last bit."""
 
     def numbers(sequence: EventSequence) -> object:
         events = [(event.what, event.numbers.tolist()) for event in sequence.events]

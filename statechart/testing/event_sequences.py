@@ -15,7 +15,7 @@ from statechart.observation.zeno_tails import without_summed
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """How to read a trace of a transformed model in the terms of the original.
+    """Factors that turn a trace of a transformed model into one of the original.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Event:
 
     @property
     def t(self) -> float:
-        """When."""
+        """Its time."""
         return float(self.numbers[0])
 
     @property
@@ -63,7 +63,7 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class EventSequence:
-    """What happened in a run, as numbers."""
+    """The events and the end of a run, as numbers."""
 
     events: tuple[Event, ...]  # in order
     mode: Key  # the last one

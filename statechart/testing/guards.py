@@ -1,4 +1,4 @@
-"""Whether guards and invariants hold between events, at times that no integrator used."""
+"""Checks of guards and invariants between events, at times that no integrator used."""
 
 from __future__ import annotations
 
