@@ -258,7 +258,7 @@ class Case:
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
-        """Runs with parameters changed by `NUDGE`, whole numbers apart, and conditions of events."""
+        """Runs with parameters (but counts) changed by `NUDGE`, and conditions of events."""
         values = self.subject.model.values(self.parameters)
         names = [
             name
