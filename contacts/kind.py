@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +12,7 @@ from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
+    from contacts.dynamics.setup import SceneNumbers
     from contacts.scene.modes import ContactSymbols
     from statechart.automaton.regions import Margin, Region
     from statechart.automaton.time_stepper import TimeStepper
@@ -24,6 +25,12 @@ def automaton(scene: Scene) -> Automaton:
         from contacts.collisions.bodies import bodies_automaton
 
         return bodies_automaton(scene)
+    return _composed(scene)[0]
+
+
+def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
+    """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
+    from contacts.dynamics.components import components
     from contacts.dynamics.control_guards import given, memory_rates
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
@@ -48,7 +55,7 @@ def automaton(scene: Scene) -> Automaton:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)
-    return Automaton(
+    made = Automaton(
         name=scene.name,
         declaration=scene,
         names=(*mechanics.variable_names, *mechanics.memory),
@@ -67,7 +74,9 @@ def automaton(scene: Scene) -> Automaton:
         controls=given(mechanics),
         coordinates=coordinates(mechanics),
         stepper=stepper,
+        components=cache(partial(components, scene, _composed)),
     )
+    return made, numbers
 
 
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:

@@ -62,10 +62,16 @@ def motion(
     gx, gy = mechanics.gravity
     rows: list[list[sp.Expr]] = [[] for _ in left]
 
-    def along(place: sp.Expr) -> tuple[list[sp.Expr], sp.Expr]:
+    numbers = {mechanics.q[i]: k for k, i in enumerate(left)}
+
+    def along(place: sp.Expr) -> tuple[dict[int, sp.Expr], sp.Expr]:
         """Return the gradient of a place, and its acceleration at constant rates."""
         here = _collected(place.xreplace(elimination.positions), mechanics.variables)
-        gradient = [sp.diff(here, mechanics.q[i]).xreplace(elimination.anchors) for i in left]
+        gradient = {
+            numbers[q]: sp.diff(here, q).xreplace(elimination.anchors)
+            for q in here.free_symbols
+            if q in numbers
+        }
         drift = mechanics.rate(mechanics.rate(here)).xreplace(at_rest)
         return gradient, drift.xreplace(elimination.anchors)
 
@@ -74,10 +80,16 @@ def motion(
         mass, inertia = mechanics.inertia(name, body)
         (gradient_x, drift_x), (gradient_y, drift_y) = along(x), along(y)
         gradient, drift = along(angle)
-        places = list(zip(gradient_x, gradient_y, strict=True))
-        for terms, place, turn in zip(rows, places, gradient, strict=True):
-            for k, (other, turned) in enumerate(zip(places, gradient, strict=True)):
-                entry = mass * inner(place, other) + inertia * turn * turned
+        moves = gradient_x.keys() | gradient_y.keys() | gradient.keys()
+        # Most coordinates of a scene of many bodies do not move this one.
+        by = [
+            (k, tuple(found.get(k, sp.S.Zero) for found in (gradient_x, gradient_y, gradient)))
+            for k in sorted(moves)
+        ]
+        for i, (along_x, along_y, turn) in by:
+            place, terms = (along_x, along_y), rows[i]
+            for k, (*other, turned) in by:
+                entry = mass * inner(place, (other[0], other[1])) + inertia * turn * turned
                 terms.append(entry * mechanics.a[left[k]])
             terms.append(mass * inner(place, (drift_x, drift_y)) + inertia * turn * drift)
             terms.append(-mass * (gx * place[0] + gy * place[1]))

@@ -31,6 +31,7 @@ from statechart.errors import Unsupported
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
+    from statechart.automaton.components import Component
     from statechart.documents.declaration import Declaration
     from statechart.formulas.condition import Active
     from statechart.formulas.tape import Tape
@@ -84,6 +85,8 @@ class Automaton:
         Where the equations are those of mechanics: what modes may be reduced by.
     own_step : callable or None
         Where nothing but steps can run the model: returns how long they should be, by its scales.
+    components : callable
+        Returns the parts that have nothing to do with each other; none where all belong together.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Automaton:
     stepper: Callable[[], TimeStepper] | None = None
     own_step: Callable[[], float] | None = None
     coordinates: Coordinates | None = None
+    components: Callable[[], tuple[Component, ...]] = tuple
 
     @property
     def laws_of_events(self) -> Laws:

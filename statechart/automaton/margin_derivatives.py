@@ -144,6 +144,9 @@ def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> s
         return sp.Add(
             *(rounding_scale(part, sizes) for part in parts), *map(abs, _numbers(expression))
         )
+    if expression.is_Mul and len(parts) == 1:
+        slope = abs(sp.Mul(*_numbers(expression)))
+        return sp.Add(abs(expression), slope * rounding_scale(parts[0], sizes))
     slots = {part: sp.Dummy(real=True) for part in parts}
     form = expression.func(*(slots.get(part, part) for part in expression.args))
     whole = {slot: part for part, slot in slots.items()}

@@ -109,6 +109,8 @@ class Nesting:
         As declared, of flat regions too.
     unreached : frozenset of str
         States and superstates that no chain of transitions enters from the start.
+    flows : mapping
+        State -> rates of variables that it declares.
     """
 
     names: tuple[str, ...] = ()
@@ -121,6 +123,7 @@ class Nesting:
     exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     edges: tuple[HierarchicalEdge, ...] = ()
     unreached: frozenset[str] = frozenset()
+    flows: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
 
     def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
         """Return the states that are active with one of the region, and those that hold them."""

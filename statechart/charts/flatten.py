@@ -219,13 +219,20 @@ class _Flattening:
         unreached = frozenset(names) - self._entered_names(initial, transitions)
         entries = {name: state.entry for name, state in states.items() if state.entry}
         exits = {name: state.exit for name, state in states.items() if state.exit}
-        found = Nesting(
-            names, entries=entries, exits=exits, edges=tuple(self._drawn()), unreached=unreached
+        # States of charts and of controllers have flows, other states none.
+        flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
+        flat = Nesting(
+            names,
+            entries=entries,
+            exits=exits,
+            edges=tuple(self._drawn()),
+            unreached=unreached,
+            flows=flows,
         )
         if self._tree.flat:
-            return found
+            return flat
         return replace(
-            found,
+            flat,
             configurations={
                 name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
                 for name, (active, _) in self._named.items()

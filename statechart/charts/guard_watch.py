@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -69,12 +69,11 @@ class GuardWatch:
             names += condition.names(guard.name)
             for atom in condition.atoms:
                 margin = atom.expression.xreplace(given)
-                first = time_derivative(margin, rates, time)
-                second = time_derivative(first, rates, time)
-                outputs += [margin, first, second]
-                outputs += [
-                    rounding_scale(expression, sizes) for expression in (margin, first, second)
-                ]
+                near = {v for v in margin.free_symbols if v in rates}
+                near |= {w for v in near for w in rates[v].free_symbols if w in rates}
+                moving = tuple((v, rates[v]) for v in rates if v in near)
+                outputs += _derivatives(margin, moving, time, tuple(sizes.items()))
+                first = outputs[-5]
                 timed.append(margin.free_symbols <= {time, *timers, *parameters})
                 still.append(first == 0)
                 closed.append(not atom.strict)
@@ -139,6 +138,22 @@ class GuardWatch:
                     "the tolerance of the run"
                 )
         return ""
+
+
+@lru_cache(4096)
+def _derivatives(
+    margin: sp.Expr,
+    rates: tuple[tuple[sp.Symbol, sp.Expr], ...],
+    time: sp.Symbol,
+    sizes: tuple[tuple[sp.Symbol, sp.Symbol], ...],
+) -> tuple[sp.Expr, ...]:
+    """Return a margin, its first and second derivative in time, and the sizes of their terms.
+
+    The same in all modes in which the variables that it depends on move alike.
+    """
+    first = time_derivative(margin, dict(rates), time)
+    found = margin, first, time_derivative(first, dict(rates), time)
+    return (*found, *(rounding_scale(expression, dict(sizes)) for expression in found))
 
 
 class Judgement:

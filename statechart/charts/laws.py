@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 import sympy as sp
@@ -26,6 +26,7 @@ from statechart.automaton.regions import Invariant, Region, State, active_in, st
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
+from statechart.charts.components import components
 from statechart.charts.firing import (
     Guard,
     Listening,
@@ -66,6 +67,7 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
+        components=cache(partial(components, chart, automaton)),
     )
 
 
@@ -102,21 +104,25 @@ class _Symbols:
 
 
 def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
-    def build(role: Role) -> State:
-        if role.state == HELD:
+    @cache
+    def state(state: str) -> State:
+        if state == HELD:
             return State()
         return State(
             tuple(
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
-                for variable, flow in _flows(flat, role.state).items()
+                for variable, flow in _flows(flat, state).items()
             ),
-            guard_margins(name, flat, role.state, symbols.known),
+            guard_margins(name, flat, state, symbols.known),
             tuple(
                 Invariant(f"{name}.{label}", text, symbols.known)
-                for content in _contents(flat, role.state)
+                for content in _contents(flat, state)
                 for label, text in content.invariants.items()
             ),
         )
+
+    def build(role: Role) -> State:
+        return state(role.state)
 
     return Region(
         name,
@@ -150,6 +156,7 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
+        self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
             tuple(symbols.variables.values()),
@@ -285,14 +292,11 @@ class ChartLaws:
             known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
-            for place, (state, (name, region)) in enumerate(
-                zip(moving_mode(roles), self._flat.items(), strict=True)
-            ):
-                if state == HELD:
-                    continue
-                for variable, text in _flows(region, state).items():
-                    rates[variables[variable]] = parse(text).to_sympy(known)
-                watched += guards(place, name, region.transitions, state)
+            for place, state in enumerate(moving_mode(roles)):
+                if state != HELD:
+                    guards_out, flows = self._leaving(place, state)
+                    watched += guards_out
+                    rates |= flows
             self._watches[roles] = GuardWatch(
                 watched,
                 known,
@@ -303,6 +307,20 @@ class ChartLaws:
                 timers=self._symbols.timers,
             )
         return self._watches[roles]
+
+    def _leaving(self, place: int, state: str) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
+        """Return the guards out of a state of a region, and the rates of variables in it."""
+        found = self._of_states.get((place, state))
+        if found is None:
+            name, region = self._regions[place], self._flat[self._regions[place]]
+            known, variables = self._symbols.known, self._symbols.variables
+            flows = {
+                variables[variable]: parse(text).to_sympy(known)
+                for variable, text in _flows(region, state).items()
+            }
+            found = guards(place, name, region.transitions, state), flows
+            self._of_states[place, state] = found
+        return found
 
     def _updated(
         self,

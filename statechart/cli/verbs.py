@@ -259,7 +259,7 @@ def modes(arguments: argparse.Namespace) -> int:
 
 def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
-    from statechart.diagram.machine import lost
+    from statechart.diagram.scxml import lost
     from statechart.diagram.write import SUFFIXES, write
     from statechart.running.drawing import drawn
 

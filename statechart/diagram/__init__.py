@@ -1,9 +1,8 @@
 """Statecharts as pictures and as text.
 
-`build` makes a `model` of a diagram, of an automaton and perhaps a run; a `region` is a chart of
-its own. `mermaid` and `scxml` render it as text, `graphml` the graph that it shows, `machine` the
-regions as what others' tools run. `dot` puts charts, each with its `layout`, on a page with their
-`legend`; `write` makes files.
+`build` makes the `model` of a diagram from an automaton and perhaps a run, and `region` the chart
+of one region. `mermaid` and `scxml` render it as text. `dot` puts charts, each with its `layout`,
+on a page with their `legend`; `write` makes files of all formats.
 """
 
 from statechart.diagram.dot import dot

@@ -1,4 +1,4 @@
-"""From an automaton, and the run it made, to a diagram."""
+"""Diagram of an automaton, and of a run of it."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from itertools import groupby
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.product import Product, drawn_region, explored
-from statechart.automaton.product import visited as passed
+from statechart.automaton.product import visited as modes_on_path
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Key, Trace
-from statechart.diagram.layout.ring import MOST_STEPS
+from statechart.diagram.layout.ring import MAX_STEPS
 from statechart.diagram.model import Chart, Diagram, Link, Node
-from statechart.diagram.region import alike, cut, mode_label, region_chart
+from statechart.diagram.region import abbreviate, group_alike, mode_label, region_chart
 from statechart.tabular import several
 
-# Two contacts that may be off have so many modes as users count; more cells fit on no slide.
-_MOST_CELLS = 16
-# Of a run that went through more modes the first steps are drawn.
-_MOST_VISITED = 12
-# Regions of an arrow that are named.
-_NAMED = 2
+# Two contacts that may be off have 16 modes; more cells fit on no slide.
+_MAX_CELLS = 16
+# Of a run through more modes only the first steps are drawn.
+_MAX_VISITED = 12
+# An arrow names at most so many regions.
+_MAX_NAMED = 2
 
 
 def needs_run(automaton: Automaton) -> bool:
-    """Return whether the product is too large to draw, so that what a run visited is."""
+    """Return whether the product is too large to draw, so that a run selects its modes."""
     moving = _moving(automaton)
-    return len(moving) > 2 or (len(moving) == 2 and automaton.modes_declared > _MOST_CELLS)
+    return len(moving) > 2 or (len(moving) == 2 and automaton.modes_declared > _MAX_CELLS)
 
 
 def build(
@@ -49,7 +49,7 @@ def build(
     Parameters
     ----------
     automaton : Automaton
-        What to draw.
+        The automaton to draw.
     start : Key
         The mode that it starts in.
     trace : Trace, optional
@@ -87,8 +87,8 @@ def build(
 
 def _moving(automaton: Automaton) -> list[Region]:
     """Return the regions that have a choice; all, if none has."""
-    several = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1]
-    return several or list(automaton.regions)
+    changing = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1]
+    return changing or list(automaton.regions)
 
 
 def _is_composed(region: Region) -> bool:
@@ -101,44 +101,43 @@ def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
     charts = []
     states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
     moving = _moving(automaton)
-    for regions in alike(moving):
+    for regions in group_alike(moving):
         region = regions[0]
-        title = ", ".join(cut([r.name for r in regions]))
+        title = ", ".join(abbreviate([r.name for r in regions]))
         if any(other.edges != region.edges for other in regions):
             title += f"; numbers of {region.name}"
+        prefix = "" if len(moving) == 1 else f"{region.name}:"
+        start_state = states.get(region.name)
         charts.append(
-            region_chart(
-                automaton,
-                region,
-                prefix="" if len(moving) == 1 else f"{region.name}:",
-                title=title,
-                start=states.get(region.name),
-            )
+            region_chart(automaton, region, prefix=prefix, title=title, start=start_state)
         )
     return tuple(charts)
 
 
 def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
-    """Return what gives the nodes of regions' own charts that are active in a mode."""
+    """Return a function from a mode to the active nodes of regions' own charts."""
     moving = _moving(automaton)
-    groups = [[region.name for region in regions] for regions in alike(moving)]
+    owners = {
+        region.name: "" if len(moving) == 1 else f"{regions[0].name}:"
+        for regions in group_alike(moving)
+        for region in regions
+    }
     nesting = {region.name: region.nesting.configurations for region in moving}
 
     def active(key: Key) -> tuple[str, ...]:
         states = dict(zip(automaton.region_names, key, strict=True))
-        found: dict[str, None] = {}
-        for names in groups:
-            prefix = "" if len(moving) == 1 else f"{names[0]}:"
-            for name in names:
-                for state in nesting[name].get(states[name], (states[name],)):
-                    found[prefix + state] = None
-        return tuple(found)
+        found = (
+            prefix + state
+            for name, prefix in owners.items()
+            for state in nesting[name].get(states[name], (states[name],))
+        )
+        return tuple(dict.fromkeys(found))
 
     return active
 
 
 def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
-    """Return a chart with why states are impossible."""
+    """Return a chart with the reasons why states are impossible."""
     nodes = (
         replace(node, infeasible=reasons.get(node.name) or node.infeasible) for node in chart.nodes
     )
@@ -146,13 +145,12 @@ def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
 
 
 def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
-    """Return the product of the regions that have a choice of states, of which there are two."""
+    """Return the product of the two regions that have a choice of states."""
     regions = automaton.regions
     initial = tuple(r.declared(state) for r, state in zip(regions, start, strict=True))
-    names = [region.name for region in regions]
     moving = {region.name for region in _moving(automaton)}
-    shown = [k for k, name in enumerate(names) if name in moving]
-    colours = [automaton.colours[name] for name in names]
+    shown = [k for k, region in enumerate(regions) if region.name in moving]
+    colours = [automaton.colours[region.name] for region in regions]
     nodes = tuple(
         Node(
             _name(key),
@@ -163,60 +161,50 @@ def _grid(automaton: Automaton, start: Key, modes: Product) -> Chart:
         )
         for key, data in modes.modes.items()
     )
-    plain = [drawn_region(region, directions=False, unreached=True) for region in regions]
-    first, second = (
-        _of(
-            regions[k],
-            region_chart(
-                automaton, plain[k], prefix=f"{regions[k].name}:", start=initial[k], title=names[k]
-            ),
-        )
-        for k in shown
-    )
-    return Chart(nodes, _links(modes), axes=(first, second))
-
-
-def _of(region: Region, chart: Chart) -> Chart:
-    """Return a chart for a grid: frames say of which region they are, no link stays in a frame.
-
-    A link to a frame around its source leads to the other states in it, one by one.
-    """
-    leaves = [node.name for node in chart.leaves]
-    nodes = (
-        node if node.name in leaves else replace(node, label=f"{region.name} {node.label}")
-        for node in chart.nodes
-    )
-    links: list[Link] = []
-    for link in chart.links:
-        if link.target in chart.around(link.source):
-            held = (leaf for leaf in leaves if link.target in chart.around(leaf))
-            links += [replace(link, target=leaf) for leaf in held if leaf != link.source]
-        else:
-            links.append(link)
-    return replace(chart, nodes=tuple(nodes), links=tuple(links))
-
-
-def _links(modes: Product) -> tuple[Link, ...]:
-    return tuple(
+    links = tuple(
         Link(
             _name(source), _name(target), data["event"], data["guard"], data["reset"],
             region=data["region"],
         )
         for source, target, data in modes.edges()
     )  # fmt: skip
+    first, second = (_axis(automaton, regions[k], initial[k]) for k in shown)
+    return Chart(nodes, links, axes=(first, second))
+
+
+def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
+    """Return the chart of a region for a grid: frames say whose they are, no link stays in one.
+
+    A link to a frame around its source leads to the other states in it, one by one.
+    """
+    plain = drawn_region(region, directions=False, unreached=True)
+    name = region.name
+    chart = region_chart(automaton, plain, prefix=f"{name}:", start=start, title=name)
+    leaves = [node.name for node in chart.leaves]
+    nodes = (
+        node if node.name in leaves else replace(node, label=f"{name} {node.label}")
+        for node in chart.nodes
+    )
+    links: list[Link] = []
+    for link in chart.links:
+        target = chart.entered(link.target)
+        if target in chart.around(link.source):
+            inner = (leaf for leaf in leaves if target in chart.around(leaf))
+            links += [replace(link, target=leaf) for leaf in inner if leaf != link.source]
+        else:
+            links.append(replace(link, target=target))
+    return replace(chart, nodes=tuple(nodes), links=tuple(links))
 
 
 def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tuple[str, ...]]:
     """Return the modes that a run visited, named by what is not at its default; and notes."""
     if trace.step is None:
-        path = passed(automaton, trace)
+        path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
     else:
         path, links = _stepped(automaton, trace)
-    told = path
-    if len(set(path)) > _MOST_VISITED:
-        told = path[:MOST_STEPS]
-    shown = list(dict.fromkeys(told))
+    drawn_path = path if len(set(path)) <= _MAX_VISITED else path[:MAX_STEPS]
+    shown = list(dict.fromkeys(drawn_path))
     visits = Counter(path)
     regions = list(zip(automaton.regions, zip(*visits, strict=True), strict=True))
     changing = [k for k, (_, states) in enumerate(regions) if len(set(states)) > 1]
@@ -225,38 +213,34 @@ def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tup
     nodes = []
     for key in shown:
         label, lines = mode_label([(automaton.regions[k], key[k]) for k in changing])
-        nodes.append(
-            Node(
-                _name(key),
-                label,
-                initial=key == path[0],
-                visits=visits[key],
-                colours=tuple(automaton.colours[r.name][state] for r, state in lines),
-            )
-        )
+        colours = tuple(automaton.colours[region.name][state] for region, state in lines)
+        initial = key == path[0]
+        nodes.append(Node(_name(key), label, initial=initial, visits=visits[key], colours=colours))
     notes = list(_notes(automaton))
-    if len(told) < len(path):
+    if len(drawn_path) < len(path):
         notes.append(
             f"{several(len(visits), 'mode')} in {several(len(path), 'step')}, of which the first "
-            f"{len(told)} are drawn"
+            f"{len(drawn_path)} are drawn"
         )
     resting: dict[str, list[str]] = {}
     for k, (region, states) in enumerate(regions):
         if k not in changing and len(region.states) > 1:
             resting.setdefault(states[0], []).append(region.name)
-    notes += [f"always {state}: {', '.join(cut(names))}" for state, names in resting.items()]
+    notes += [f"always {state}: {', '.join(abbreviate(names))}" for state, names in resting.items()]
     drawn = {_name(key) for key in shown}
     seen = tuple(link for link in links if {link.source, link.target} <= drawn)
-    return Chart(tuple(nodes), seen, "modes of the run", tuple(map(_name, told))), tuple(notes)
+    return Chart(tuple(nodes), seen, "modes of the run", tuple(map(_name, drawn_path))), tuple(
+        notes
+    )
 
 
 def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[Link]]:
     """Return the modes that steps led to, and the links between them.
 
-    What changes in a step changes at once: the order in which its jumps are written tells nothing.
+    All changes of a step happen at once: the order in which its jumps are written means nothing.
     """
     path = [trace.start_mode]
-    made: dict[tuple[Key, Key], Counter[str]] = {}
+    counts: dict[tuple[Key, Key], Counter[str]] = {}
     whose: dict[tuple[Key, Key, str], dict[str, None]] = {}
     for _, jumps in groupby(trace.jumps, key=lambda jump: jump.t):
         together = [jump for jump in jumps if jump.region]
@@ -264,7 +248,9 @@ def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[
             continue
         ends = path[-1], together[-1].target
         path.append(ends[1])
-        made.setdefault(ends, Counter()).update(dict.fromkeys([jump.cause for jump in together], 1))
+        counts.setdefault(ends, Counter()).update(
+            dict.fromkeys([jump.cause for jump in together], 1)
+        )
         for jump in together:
             whose.setdefault((*ends, jump.cause), {})[jump.region] = None
     single = len(_moving(automaton)) == 1
@@ -273,7 +259,7 @@ def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[
             _name(ends[0]), _name(ends[1]), cause, "", "", count,
             "" if single else _several([*whose[*ends, cause]]),
         )
-        for ends, causes in made.items()
+        for ends, causes in counts.items()
         for cause, count in causes.items()
     ]  # fmt: skip
     return tuple(path), links
@@ -281,7 +267,7 @@ def _stepped(automaton: Automaton, trace: Trace) -> tuple[tuple[Key, ...], list[
 
 def _several(names: Sequence[str]) -> str:
     """Return names for an arrow: of more than two the first, and how many others."""
-    if len(names) <= _NAMED:
+    if len(names) <= _MAX_NAMED:
         return " and ".join(names)
     return f"{names[0]} and {len(names) - 1} more"
 
@@ -297,7 +283,7 @@ def _taken(automaton: Automaton, modes: Product) -> list[Link]:
     return [
         Link(
             _name(source), _name(target), event, guard, reset, counts.total(),
-            "" if single else ", ".join(cut([*counts])),
+            "" if single else ", ".join(abbreviate([*counts])),
         )
         for (source, target, event, guard, reset), counts in made.items()
     ]  # fmt: skip

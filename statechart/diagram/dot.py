@@ -5,13 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from statechart.diagram.layout.block import Block, Box, Point
+from statechart.diagram.layout.block import Block, beside, stacked, written
 from statechart.diagram.layout.flow import flow
+from statechart.diagram.layout.graphviz_program import FONT, INCH
 from statechart.diagram.layout.grid import grid
-from statechart.diagram.layout.markup import FONT, SMALL, TITLE, Style, plain, table, text
-from statechart.diagram.layout.measure import measured
+from statechart.diagram.layout.markup import SMALL, TITLE, Style, plain, table, text
 from statechart.diagram.layout.ring import ring
-from statechart.diagram.legend import Guards, Legend, legend, number
+from statechart.diagram.legend import Guards, Legend, legend, superscript
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.palette import FRAME, PAPER, RUN
 
@@ -20,7 +20,7 @@ from statechart.palette import FRAME, PAPER, RUN
 _WIDTH, _WIDE = 740.0, 800.0
 # Characters a line of what is below the title, and of a cell of the legend.
 _LINE, _CELL = 110, 44
-_GAP = 18.0
+_GAP, _TITLE_GAP = 18.0, 4.0
 # 2000 pixels at 144 a inch, which no picture is larger than.
 _LARGEST = "13.88,13.88"
 
@@ -29,7 +29,7 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
     """Render a diagram as DOT source.
 
     Links between the same two states share one arrow. All places are fixed, so that programs of
-    Graphviz draw what was laid out (layout ``nop2``).
+    Graphviz draw what was laid out (layout ``nop2``, as ``neato -n2``).
 
     Raises
     ------
@@ -45,8 +45,8 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
         if chart.nodes
     ]
     heading = [_heading(diagram)] if diagram.title else []
-    rows = [*_rows(heading), *_rows(charts), *_rows(_tables(below), _WIDE)]
-    return _source(_stacked(rows, _GAP), diagram.title)
+    rows = [*heading, *_rows(charts, _WIDTH), *_rows(_tables(below), _WIDE)]
+    return _source(stacked(rows, _GAP), diagram.title)
 
 
 def _laid(chart: Chart, style: Style, prefix: str) -> Block:
@@ -63,46 +63,39 @@ def _heading(diagram: Diagram) -> Block:
         for line in textwrap.wrap(note, _LINE) or [""]
     ]
     rows += [text(route, colour=RUN) for route in diagram.routes]
-    return _written("_title", table(rows))
+    return written("_title", table(rows))
 
 
 def _titled(block: Block, title: str, name: str) -> Block:
     if not title:
         return block
-    above = _written(name, table([text(title, bold=True, colour=FRAME)]))
-    return _stacked([above, block], 4.0)
+    above = written(name, table([text(title, bold=True, colour=FRAME)]))
+    return stacked([above, block], _TITLE_GAP)
 
 
-def _tables(said: Legend) -> list[Block]:
+def _tables(below: Legend) -> list[Block]:
     """Return the legend: events, and beside them states and reasons."""
-    events = []
-    if said.events:
-        columns = [
-            ("event", [event.event for event in said.events]),
-            ("from → to", [event.route for event in said.events]),
-            ("when", [event.guard for event in said.events]),
-            ("does", [event.reset for event in said.events]),
-        ]
-        kept = [(head, cells) for head, cells in columns if any(cells)]
-        rows = list(zip(*(cells for _, cells in kept), strict=True))
-        events.append(_table("_events", [head for head, _ in kept], rows))
-    others = []
-    if said.states:
-        others.append(_table("_states", ["state", "while"], said.states))
-    if said.reasons:
-        rows = [(f"{number(k)} {reason}",) for k, reason in enumerate(said.reasons, 1)]
-        others.append(_table("_reasons", ["not possible where the run starts"], rows))
-    return [*events, *([_stacked(others, _GAP, centred=False)] if others else [])]
+    events = _table("_events", ("event", "from → to", "when", "does"), below.events)
+    reasons = [(f"{superscript(k)} {reason}",) for k, reason in enumerate(below.reasons, 1)]
+    others = [
+        *_table("_states", ("state", "while", "does"), below.states),
+        *_table("_reasons", ("not possible where the run starts",), reasons),
+    ]
+    return [*events, *([stacked(others, _GAP, centred=False)] if others else [])]
 
 
-def _table(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Block:
-    lines = [[text(word, size=SMALL, italic=True, colour=FRAME) for word in head]]
-    lines += [[text(_wrapped(cell), size=SMALL) for cell in row] for row in rows]
+def _table(name: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
+    """Return a table without its empty columns, if it has any rows."""
+    kept = [column for column in range(len(heads)) if any(row[column] for row in rows)]
+    if not kept:
+        return []
+    lines = [[text(heads[k], size=SMALL, italic=True, colour=FRAME) for k in kept]]
+    lines += [[text(_wrapped(row[k]), size=SMALL) for k in kept] for row in rows]
     # Graphviz knows no space between columns alone.
     lines = [
         [part for cell in row for part in (cell, text("   ", size=SMALL))][:-1] for row in lines
     ]
-    return _written(name, table(lines, padding=2, align="LEFT"))
+    return [written(name, table(lines, padding=2, align="LEFT"))]
 
 
 def _wrapped(words: str) -> str:
@@ -110,13 +103,7 @@ def _wrapped(words: str) -> str:
     return "\n".join(line for part in lines for line in part)
 
 
-def _written(name: str, label: str) -> Block:
-    look = {"shape": "plain", "label": label}
-    size = measured({name: look})[name]
-    return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
-
-
-def _rows(blocks: Iterable[Block], wide: float = _WIDTH) -> list[Block]:
+def _rows(blocks: Iterable[Block], wide: float) -> list[Block]:
     """Put blocks beside each other, as many as a page is wide; return the rows."""
     rows: list[list[Block]] = []
     for block in blocks:
@@ -124,35 +111,7 @@ def _rows(blocks: Iterable[Block], wide: float = _WIDTH) -> list[Block]:
         if not rows or width > wide:
             rows.append([])
         rows[-1].append(block)
-    return [_beside(row) for row in rows]
-
-
-def _beside(blocks: Sequence[Block]) -> Block:
-    """Put blocks side by side, their tops at one height."""
-    height = max(block.size[1] for block in blocks)
-    placed, x = [], 0.0
-    for block in blocks:
-        placed.append(block.moved((x, height - block.size[1])))
-        x += block.size[0] + _GAP
-    return _joined((x - _GAP, height), placed)
-
-
-def _stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Block:
-    """Put blocks below each other."""
-    width = max(block.size[0] for block in blocks)
-    placed, y = [], 0.0
-    for block in reversed(blocks):
-        placed.append(block.moved(((width - block.size[0]) / 2 if centred else 0.0, y)))
-        y += block.size[1] + gap
-    return _joined((width, y - gap), placed[::-1])
-
-
-def _joined(size: Point, blocks: Sequence[Block]) -> Block:
-    return Block(
-        size,
-        tuple(box for block in blocks for box in block.boxes),
-        tuple(arrow for block in blocks for arrow in block.arrows),
-    )
+    return [beside(row, _GAP) for row in rows]
 
 
 def _source(page: Block, title: str) -> str:
@@ -171,7 +130,7 @@ def _source(page: Block, title: str) -> str:
         node_attr={"fontname": FONT, "fixedsize": "true"},
     )
     for box in page.boxes:
-        width, height = (f"{side / 72:.4f}" for side in box.size)
+        width, height = (f"{side / INCH:.4f}" for side in box.size)
         place = f"{box.centre[0]:.2f},{box.centre[1]:.2f}"
         look = {**box.look, "width": width, "height": height}
         if look["shape"] == "plain":

@@ -1,37 +1,29 @@
-"""What the arrows and boxes of a diagram stand for, each thing said once."""
+"""The table below a diagram: events, conditions and actions of states, reasons, each once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from statechart.diagram.model import Chart, Diagram, Link, Node
+from statechart.diagram.model import Diagram, Link, Node
 
 Guards = Literal["legend", "inline"]
-"""Where guards, resets and conditions stand: once below the picture, or at every arrow and box."""
+"""Guards, resets and conditions stand once below the picture, or at every arrow and box."""
 
 GUARDS: tuple[Guards, ...] = ("legend", "inline")
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 """Before how often something happened."""
 
-# Digits of footnotes.
 _SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+# A box holds actions of so many lines and characters; longer ones stand in the legend.
+_MAX_LINES, _MAX_CHARACTERS = 3, 24
 
 
-@dataclass(frozen=True)
-class Meaning:
+class Meaning(NamedTuple):
     """When an event happens and what it does.
 
-    Attributes
-    ----------
-    event : str
-        Its name, as on arrows.
-    route : str
-        Which of its arrows is meant, where that makes a difference; else empty.
-    guard, reset : str
-        As of a `Link`.
+    `route` says which of its arrows is meant where there are several meanings; else it is empty.
     """
 
     event: str
@@ -40,83 +32,70 @@ class Meaning:
     reset: str
 
 
-@dataclass(frozen=True)
-class Legend:
-    """A diagram's table: events, conditions of states, reasons in the order of their numbers."""
+class Legend(NamedTuple):
+    """The rows of the table: events, (state, conditions, actions), reasons by their numbers."""
 
     events: tuple[Meaning, ...]
-    states: tuple[tuple[str, str], ...]
+    states: tuple[tuple[str, str, str], ...]
     reasons: tuple[str, ...]
 
 
 def legend(diagram: Diagram, guards: Guards = "legend") -> Legend:
     """Return the table below a diagram; reasons alone where `guards` stand at their arrows."""
-    said = (node.infeasible for node in diagram.nodes)
-    reasons = tuple(dict.fromkeys(reason for reason in said if reason is not None))
+    reasons = tuple(dict.fromkeys(n.infeasible for n in diagram.nodes if n.infeasible is not None))
     if guards == "inline":
         return Legend((), (), reasons)
     pieces = diagram.explained or diagram.pieces
-    named = {node.name: node.label for piece in pieces for node in piece.nodes}
+    labels = {node.name: _flat(node.label) for piece in pieces for node in piece.nodes}
     shown = {link.cause for piece in diagram.pieces for link in piece.links}
-    routes: dict[tuple[str, str, str], list[Link]] = {}
+    routes: dict[tuple[str, str, str], list[str]] = {}
     for piece in pieces:
         for link in piece.links:
             if (link.guard or link.reset) and link.cause in shown:
-                routes.setdefault((link.cause, link.guard, link.reset), []).append(link)
-    often = [cause for cause, _, _ in routes]
+                ends = f"{labels[link.source]} → {labels[link.target]}"
+                routes.setdefault((link.cause, link.guard, link.reset), []).append(ends)
+    causes = [cause for cause, _, _ in routes]
     # Labels of regions' own charts; the name of a mode is the states of its regions.
     states = {word for node in diagram.nodes for word in (node.label, *node.name.split())}
+    rows = (
+        (_flat(n.label), ", ".join(n.invariants), "" if fits(n) else "\n".join(n.actions))
+        for piece in pieces
+        for n in piece.nodes
+        if n.label in states
+    )
     return Legend(
         tuple(
-            Meaning(cause, _route(links, named) if often.count(cause) > 1 else "", guard, reset)
-            for (cause, guard, reset), links in routes.items()
+            Meaning(cause, ", ".join(dict.fromkeys(ends)) if causes.count(cause) > 1 else "", *does)
+            for (cause, *does), ends in routes.items()
         ),
-        tuple(
-            dict.fromkeys(
-                _condition(node)
-                for piece in pieces
-                for node in piece.nodes
-                if node.invariants and node.label in states
-            )
-        ),
+        tuple(dict.fromkeys(row for row in rows if row[1] or row[2])),
         reasons,
     )
 
 
+def fits(node: Node) -> bool:
+    """Return whether a box has room for the actions of a state."""
+    lines = node.actions
+    return len(lines) <= _MAX_LINES and all(len(line) <= _MAX_CHARACTERS for line in lines)
+
+
 def mark(node: Node, reasons: tuple[str, ...]) -> str:
-    """Return the number under which the legend says why a state is impossible; a superscript."""
-    return "" if node.infeasible is None else number(reasons.index(node.infeasible) + 1)
+    """Return the superscript under which the legend says why a state is impossible."""
+    return "" if node.infeasible is None else superscript(reasons.index(node.infeasible) + 1)
 
 
-def number(count: int) -> str:
+def superscript(count: int) -> str:
     """Return a number as a superscript."""
     return str(count).translate(_SUPERSCRIPTS)
 
 
 def events(links: Iterable[Link]) -> str:
     """Return the names of events on one arrow, with how often a run took each."""
-    told: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for link in links:
-        told[link.event] = told.get(link.event, 0) + (link.visits or 0)
-    return ", ".join(f"{event} {TIMES}{count}" if count else event for event, count in told.items())
-
-
-def _route(links: list[Link], named: dict[str, str]) -> str:
-    ends = (f"{_flat(named[x.source])} → {_flat(named[x.target])}" for x in links)
-    return ", ".join(dict.fromkeys(ends))
-
-
-def _condition(node: Node) -> tuple[str, str]:
-    return _flat(node.label), ", ".join(node.invariants)
+        counts[link.event] = counts.get(link.event, 0) + (link.visits or 0)
+    return ", ".join(f"{event} {TIMES}{n}" if n else event for event, n in counts.items())
 
 
 def _flat(label: str) -> str:
-    return ", ".join(label.split("\n"))
-
-
-def drawn_once(chart: Chart) -> dict[tuple[str, str], list[Link]]:
-    """Return the links of a chart by their ends: those of the same two states share an arrow."""
-    found: dict[tuple[str, str], list[Link]] = {}
-    for link in chart.links:
-        found.setdefault((link.source, link.target), []).append(link)
-    return found
+    return label.replace("\n", ", ")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from statechart.diagram.layout.markup import nested
-from statechart.diagram.legend import TIMES, Guards, Legend, events, legend
+from statechart.diagram.legend import TIMES, Guards, Legend, events, fits, legend
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
 from statechart.palette import CLOSED, FAINT, FRAME, INK
 
@@ -23,12 +22,8 @@ _BLANK = "#160;"  # the grammar has no empty label
 def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
     """Render a diagram as Mermaid text; a product of two regions as these, beside each other."""
     states = identifiers(diagram)
-    lines = [
-        "---",
-        f"title: {json.dumps(printable(diagram.title).replace(chr(10), ' '), ensure_ascii=False)}",
-        "---",
-        "stateDiagram-v2",
-    ]
+    title = json.dumps(printable(diagram.title).replace("\n", " "), ensure_ascii=False)
+    lines = ["---", f"title: {title}", "---", "stateDiagram-v2"]
     pieces = diagram.pieces
     for k, piece in enumerate(pieces, 1):
         if len(pieces) > 1 and not piece.frames:
@@ -36,9 +31,9 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
             lines += [*_indent(_indent(_chart(piece, states, guards))), "    }"]
         else:
             # Mermaid fails at an arrow to a box in a box that nothing outside is linked to.
-            shown = _told_apart(piece) if len(pieces) > 1 else piece
+            shown = _titled(piece) if len(pieces) > 1 else piece
             lines += _indent(_chart(shown, states, guards))
-    notes = [*diagram.notes, *diagram.routes, *_told(legend(diagram, guards))]
+    notes = [*diagram.notes, *diagram.routes, *_rows(legend(diagram, guards))]
     if notes:
         # A note would stand beside a state and push the others apart.
         name = _fresh("legend", states)
@@ -57,8 +52,8 @@ def _fresh(name: str, states: dict[str, str]) -> str:
     return name
 
 
-def _told_apart(chart: Chart) -> Chart:
-    """Return a chart whose outermost states say which chart they are of."""
+def _titled(chart: Chart) -> Chart:
+    """Return a chart with its title before the labels of its outermost states."""
     nodes = (
         replace(node, label=f"{chart.title} {node.label}")
         if node.inside is None and not node.label.startswith(chart.title)
@@ -72,8 +67,8 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
     lines = _inside(None, chart, states, guards)
     arrows: dict[tuple[str, str], list[Link]] = {}
     for link in chart.links:
-        source, target = link.source, link.target
-        if nested(chart, link) and source != target:
+        source, target = link.source, chart.entered(link.target)
+        if chart.nested(replace(link, target=target)) and source != target:
             # Mermaid refuses an arrow between a state and one around it.
             link = replace(link, cause=f"{link.cause} → {chart.node(target).label}")
             target = source
@@ -86,22 +81,26 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
 
 
 def _inside(outer: str | None, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
-    """Return the states right inside another, and where the chart starts among them."""
-    lines = [line for node in chart.within(outer) for line in _state(node, chart, states, guards)]
-    if chart.initial is not None:
-        active = (chart.initial.name, *chart.around(chart.initial.name))
-        started = next((n.name for n in chart.within(outer) if n.name in active), None)
-        lines += [f"[*] --> {states[started]}"] if started else []
-    return lines
+    """Return the states right inside another, and where it starts among them."""
+    inner = chart.within(outer)
+    parts = [_state(node, chart, states, guards) for node in inner]
+    if outer is not None and chart.node(outer).parallel:
+        return [line for part in parts for line in ("--", *part)][1:]
+    first = () if chart.initial is None else (chart.initial.name, *chart.around(chart.initial.name))
+    starts = [n for n in inner if n.name in first] or [n for n in inner if n.default]
+    lines = [line for part in parts for line in part]
+    return [*lines, *(f"[*] --> {states[node.name]}" for node in starts)]
 
 
 def _state(node: Node, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
     identifier = states[node.name]
     label = _escape(node.label) + (f" {TIMES}{node.visits}" if node.visits else "")
+    details = list(map(_escape, node.invariants if guards == "inline" else ()))
+    details += map(_escape, node.actions if guards == "inline" or fits(node) else ())
     if chart.within(node.name):
+        label = "<br/>".join([label, *details])
         block = _indent(_inside(node.name, chart, states, guards))
         return [f'state "{label}" as {identifier} {{', *block, "}"]
-    details = [_escape(line) for line in node.invariants] if guards == "inline" else []
     if node.infeasible is not None:
         details.append(f"infeasible#58; {_escape(node.infeasible)}")
     return [
@@ -120,13 +119,14 @@ def _label(links: list[Link], guards: Guards) -> str:
     return f" : {'<br/>'.join(map(_escape, parts))}" if parts else ""
 
 
-def _told(said: Legend) -> list[str]:
+def _rows(table: Legend) -> list[str]:
     """Return the lines of a legend."""
     lines = []
-    for event in said.events:
+    for event in table.events:
         head = f"{event.event}, {event.route}:" if event.route else f"{event.event}:"
         lines.append(" / ".join(filter(None, [f"{head} {event.guard}", event.reset])))
-    return [*lines, *(f"{state} while {words}" for state, words in said.states)]
+    lines += [f"{state} while {words}" for state, words, _ in table.states if words]
+    return [*lines, *(f"{state}: {words}" for state, _, words in table.states if words)]
 
 
 def _classes(nodes: Sequence[Node], states: dict[str, str]) -> list[str]:
@@ -144,12 +144,12 @@ def _classes(nodes: Sequence[Node], states: dict[str, str]) -> list[str]:
     return lines
 
 
-def _indent(lines: list[str]) -> list[str]:
+def _indent(lines: Iterable[str]) -> list[str]:
     return [f"    {line}" for line in lines]
 
 
 def _escape(text: str) -> str:
-    """Text on one line, every character of it literal."""
+    """Return text on one line, every character of it literal."""
     encoded = _SPECIAL.sub(
         lambda match: f"#{ord(match[0][0])};{match[0][1:]}", printable(text).strip()
     )

@@ -1,18 +1,17 @@
-"""The one value every renderer of a chart reads: states and labelled links, no drawing."""
+"""The value that every renderer of a statechart reads: states and labelled links, no drawing."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from statechart.automaton.regions import Region
 from statechart.errors import StatechartError
 
 if TYPE_CHECKING:
     import networkx as nx
-
-    from statechart.diagram.machine import Machine
 
 # Words that Mermaid's lexer takes for its own wherever a state's id could stand (its
 # `stateDiagram.jison`), in any case; DOT and SCXML reserve none that matters here.
@@ -20,7 +19,7 @@ _RESERVED = {
     "acctitle", "accdescr", "as", "class", "classdef", "click", "default", "direction", "end",
     "hide", "note", "scale", "state", "statediagram", "style",
 }  # fmt: skip
-# The path of a run is told on one line, of so many characters at most.
+# The path of a run takes one line of at most so many characters.
 _LONGEST_ROUTE = 110
 
 
@@ -28,24 +27,12 @@ _LONGEST_ROUTE = 110
 class Node:
     """A state (mode) of a chart.
 
-    Parameters
-    ----------
-    name : str
-        The state's own name, unique in the diagram, such as ``tip:slide+``.
-    label : str
-        What the reader sees.
-    inside : str or None
-        Name of the state that encloses this one, if any (``tip:slide`` of ``tip:slide+``).
-    invariants : tuple of str
-        Conditions that hold while the state is active.
-    initial, final : bool
-        Whether the chart starts here; whether it ends here.
-    visits : int or None
-        How often a run entered the state; None if no run is shown.
-    infeasible : str or None
-        Why no motion can be in this state; None if some can.
-    colours : tuple of str
-        Of every line of the label, or of all of them together; none where it has no own colour.
+    Its `name` is unique in the diagram, such as ``tip:slide+``, and `inside` the name of the state
+    that encloses it (``tip:slide``). The chart starts in the one `initial` state; `default` is the
+    state in which the enclosing one begins. The states inside a `parallel` one are its regions.
+    `invariants` hold while the state is active; `actions` are its ``entry /``, ``exit /`` and
+    rates. `visits` counts how often a run entered it (None: no run is shown), `infeasible` is why
+    no motion can be in it. `colours` belong to the lines of the label, a single one to the box.
     """
 
     name: str
@@ -57,24 +44,17 @@ class Node:
     visits: int | None = None
     infeasible: str | None = None
     colours: tuple[str, ...] = ()
+    default: bool = False
+    parallel: bool = False
+    actions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A transition between two states.
+    """A transition between two nodes: its cause, such as ``touchdown``, its guard and reset.
 
-    Parameters
-    ----------
-    source, target : str
-        Names of nodes.
-    cause : str
-        The kind of event, such as ``touchdown``.
-    guard, reset : str
-        The condition it fires on, what it assigns; empty where there is none.
-    visits : int or None
-        How often a run took it; None if no run is shown.
-    region : str
-        Whose transition it is, where the chart is of several regions.
+    `visits` counts how often a run took it; `region` says whose transition it is, where the chart
+    is of several regions.
     """
 
     source: str
@@ -87,7 +67,7 @@ class Link:
 
     @property
     def event(self) -> str:
-        """Whose event, and which."""
+        """The cause, after the region where there is one."""
         return f"{self.region} {self.cause}".strip()
 
 
@@ -95,19 +75,9 @@ class Link:
 class Chart:
     """States and the links between them, drawn as one piece.
 
-    Parameters
-    ----------
-    nodes : tuple of Node
-        States, in the order they are to be listed.
-    links : tuple of Link
-        Transitions; several between the same two states are allowed.
-    title : str
-        What it shows; empty where the diagram is this chart alone.
-    path : tuple of str
-        Names of nodes in the order a run took them.
-    axes : tuple of two Charts or None
-        Of a product of two regions, their charts: nodes are those of the product of the states
-        that hold no others, row by row. A row goes through the states of the second.
+    `path` lists nodes in the order a run took them. The chart of a product of two regions has
+    their charts as `axes`; its nodes are then all pairs of innermost states, row by row, and a row
+    goes through the states of the second region.
     """
 
     nodes: tuple[Node, ...]
@@ -124,15 +94,15 @@ class Chart:
     @property
     def route(self) -> str:
         """The path in words, cut to one line; empty without a path."""
-        labels = {node.name: ", ".join(node.label.split("\n")) for node in self.nodes}
-        told, length = list[str](), 0
+        labels = {node.name: node.label.replace("\n", ", ") for node in self.nodes}
+        shown, length = list[str](), 0
         for name in self.path:
             length += len(labels[name]) + len(" → ")
-            if told and length > _LONGEST_ROUTE:
+            if shown and length > _LONGEST_ROUTE:
                 break
-            told.append(labels[name])
-        rest = len(self.path) - len(told)
-        return " → ".join([*told, f"… ({rest} more)"] if rest else told)
+            shown.append(labels[name])
+        rest = len(self.path) - len(shown)
+        return " → ".join([*shown, f"… ({rest} more)"] if rest else shown)
 
     @property
     def leaves(self) -> tuple[Node, ...]:
@@ -162,10 +132,46 @@ class Chart:
             found.append(outer)
         return tuple(found)
 
+    def entered(self, name: str) -> str:
+        """Return the innermost state that a state begins with."""
+        while begins := [node.name for node in self.within(name) if node.default]:
+            name = begins[0]
+        return name
+
+    def nested(self, link: Link) -> bool:
+        """Return whether a link stays in a state: no arrow between two boxes can show it."""
+        source, target = link.source, link.target
+        return source == target or source in self.around(target) or target in self.around(source)
+
+    @property
+    def bundles(self) -> dict[tuple[str, str], list[Link]]:
+        """The links by their ends: those of the same two states share an arrow."""
+        found: dict[tuple[str, str], list[Link]] = {}
+        for link in self.links:
+            found.setdefault((link.source, link.target), []).append(link)
+        return found
+
+    @property
+    def arrows(self) -> dict[tuple[str, str], list[Link]]:
+        """The links between two boxes, by their ends."""
+        return {e: links for e, links in self.bundles.items() if not self.nested(links[0])}
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """The regions of an automaton at a start, for the format that others' tools run (SCXML).
+
+    `start` is the state of each region; `values` are parameters, variables and ``time``.
+    """
+
+    regions: tuple[Region, ...]
+    start: tuple[str, ...]
+    values: Mapping[str, float]
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Diagram:
-    """What is drawn of a statechart, ready to be rendered; it shows itself in notebooks.
+    """A statechart, or a part of it, ready to be rendered; it shows itself in notebooks.
 
     Parameters
     ----------
@@ -180,7 +186,7 @@ class Diagram:
     machine : Machine or None
         The regions that it was made of, for the format that runs.
     explained : tuple of Chart
-        Whose events, guards and conditions the legend tells, where not those shown.
+        Charts whose events, guards and conditions the legend lists, where not those shown.
 
     Raises
     ------
@@ -196,6 +202,9 @@ class Diagram:
     machine: Machine | None = field(default=None, compare=False)
     explained: tuple[Chart, ...] = ()
 
+    svg: ClassVar[Callable[[Any], str]]
+    """Return the diagram as SVG: `statechart.diagram.write`, above this module, provides it."""
+
     def __repr__(self) -> str:
         states, links = len(self.nodes), len(self.links)
         return (
@@ -206,8 +215,8 @@ class Diagram:
     def __post_init__(self) -> None:
         names = [node.name for node in self.nodes]
         if len(set(names)) < len(names):
-            twice = sorted({name for name in names if names.count(name) > 1})
-            raise StatechartError(f"diagram {self.title!r} has two states called {twice[0]!r}")
+            twice = min(name for name in names if names.count(name) > 1)
+            raise StatechartError(f"diagram {self.title!r} has two states called {twice!r}")
         for chart in (*self.charts, *self.pieces):
             self._check(chart)
 
@@ -254,13 +263,10 @@ class Diagram:
         return tuple(chart.route for chart in self.charts if len(chart.path) > 1)
 
     def _repr_svg_(self) -> str:
-        from statechart.diagram.dot import dot
-        from statechart.diagram.layout.graphviz_program import render
-
-        return render(dot(self), "svg").decode()
+        return self.svg()
 
     def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
-        return {"image/svg+xml": self._repr_svg_(), "text/plain": repr(self.title)}
+        return {"image/svg+xml": self.svg(), "text/plain": repr(self.title)}
 
 
 def identifiers(diagram: Diagram) -> dict[str, str]:
@@ -269,8 +275,8 @@ def identifiers(diagram: Diagram) -> dict[str, str]:
     return named(dict.fromkeys(node.name for node in (*diagram.nodes, *pieces)), set())
 
 
-def signs_spelled(name: str) -> str:
-    """Return a name of a state with its sign, that of sliding, in letters."""
+def spell_signs(name: str) -> str:
+    """Return the name of a state with its sign, that of sliding, in letters."""
     return name.replace("+", "_plus").replace("-", "_minus")
 
 
@@ -278,7 +284,7 @@ def named(names: Iterable[str], taken: set[str]) -> dict[str, str]:
     """Return name -> identifier as `identifiers` gives them."""
 
     def claim(name: str) -> str:
-        stem = re.sub(r"\W+", "_", signs_spelled(name), flags=re.ASCII).strip("_")
+        stem = re.sub(r"\W+", "_", spell_signs(name), flags=re.ASCII).strip("_")
         if not stem or stem[0].isdigit() or stem.lower() in _RESERVED:
             stem = f"s_{stem}"
         identifier, count = stem, 1

@@ -1,9 +1,9 @@
-"""A region as its own chart, states in states; how modes and regions are named on a picture."""
+"""Statechart of one region with states in states, and the names of modes and regions."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.hierarchy import hierarchical_edges
@@ -12,8 +12,8 @@ from statechart.automaton.regions import Margin, Region
 from statechart.automaton.trace import Role
 from statechart.diagram.model import Chart, Link, Node
 
-# Of more regions alike than this not all are named; a mode is named by so many lines.
-_MOST_NAMES, _MOST_LINES = 8, 4
+# Longer lists of names of regions are cut; a mode is named by at most so many lines.
+_MAX_NAMES, _MAX_LINES = 8, 4
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
@@ -27,31 +27,26 @@ def region_chart(
 ) -> Chart:
     """Return the chart of a region, with as few arrows as its superstates allow.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        That the region is of.
-    region : Region
-        Perhaps without the directions of sliding.
-    prefix : str
-        What the names of its states begin with.
-    title : str
-        Of the chart.
-    start : str, optional
-        The state that it starts in.
+    The region may be without its directions of sliding. `prefix` begins the names of its nodes;
+    `start` is the state that it starts in.
     """
+    nesting = region.nesting
     leaves = region.innermost
     edges = hierarchical_edges(region)
     linked = {end for edge in edges for end in (edge.source, edge.target)}
-    holding = {n: _held(region, leaves, n) for n in _superstates(region) if n not in leaves}
+    inner = {n: [s for s in leaves if n in _around(region, s)] for n in _superstates(region)}
     # A frame round a single direction of sliding would repeat what its label says.
     frames = {
         name
-        for name, held in holding.items()
-        if region.nesting.names or len(held) > 1 or name in linked - {*held}
+        for name, held in inner.items()
+        if name not in leaves and (nesting.names or len(held) > 1 or name in linked - {*held})
     }
     colours = automaton.colours[region.name]
-    begun = region.nesting.configurations.get(start or "", (start,))[0]
+    begins = {*nesting.initial.values()}
+    first = nesting.configurations.get(start or "", (start,))[0]
+    initial = nesting.initial.get("")
+    if initial is None or first not in _begun(region, initial):
+        initial = first
 
     def node(name: str) -> Node:
         inside = next((outer for outer in _around(region, name) if outer in frames), None)
@@ -61,40 +56,42 @@ def region_chart(
             name,
             None if inside is None else prefix + inside,
             _conditions(automaton, region, name) if leaf else (),
-            initial=name == begun,
-            infeasible=UNREACHED if name in region.nesting.unreached else None,
+            initial=name == initial,
+            infeasible=UNREACHED if name in nesting.unreached else None,
             colours=(colours[name],) if leaf else (),
+            default=name in begins and name != nesting.initial[""],
+            parallel=name in nesting.parallel,
+            actions=_actions(region, name),
         )
 
-    def remembered(name: str) -> Node:
+    def history(name: str) -> Node:
         """Return a history as Harel draws it."""
-        history = region.nesting.histories[name]
-        inside = prefix + history.parent if history.parent in frames else None
-        refused = UNREACHED if history.parent in region.nesting.unreached else None
-        label = "H*" if history.depth == "deep" else "H"
+        declared = nesting.histories[name]
+        inside = prefix + declared.parent if declared.parent in frames else None
+        refused = UNREACHED if declared.parent in nesting.unreached else None
+        label = "H*" if declared.depth == "deep" else "H"
         return Node(prefix + name, label, inside, infeasible=refused)
 
     # What holds a state comes before it, outer first.
     names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
-    histories = (remembered(name) for name in region.nesting.histories)
     links = (
-        Link(
-            prefix + e.source,
-            prefix + _begun(region, e.target),
-            e.cause,
-            e.guard,
-            _reset(region, e),
-        )
+        Link(prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e))
         for e in edges
     )
-    return Chart((*map(node, dict.fromkeys(names)), *histories), tuple(links), title)
+    nodes = (*map(node, dict.fromkeys(names)), *map(history, nesting.histories))
+    return Chart(nodes, tuple(links), title)
 
 
-def _begun(region: Region, name: str) -> str:
-    """Return the state that a state begins with where its declaration says so; else itself."""
-    while name in region.nesting.initial:
-        name = region.nesting.initial[name]
-    return name
+def _begun(region: Region, name: str) -> set[str]:
+    """Return the state with those that it begins with, where all of a parallel one do."""
+    nesting, found = region.nesting, {name}
+    if name in nesting.parallel:
+        inner = [state for state, outer in region.superstates.items() if outer == name]
+    else:
+        inner = [nesting.initial[name]] if name in nesting.initial else []
+    for state in inner:
+        found |= _begun(region, state)
+    return found
 
 
 def _around(region: Region, name: str) -> list[str]:
@@ -105,12 +102,7 @@ def _around(region: Region, name: str) -> list[str]:
     return found
 
 
-def _held(region: Region, leaves: Iterable[str], name: str) -> list[str]:
-    """Return the innermost states in a state."""
-    return [leaf for leaf in leaves if name in _around(region, leaf)]
-
-
-def alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
+def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
     """Return regions together whose charts are the same but for numbers."""
     found: dict[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], list[Region]] = {}
     for region in regions:
@@ -125,29 +117,31 @@ def alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
 def mode_label(
     states: Sequence[tuple[Region, str]],
 ) -> tuple[str, tuple[tuple[Region, str], ...]]:
-    """Return a mode's name, by what is not at its default, and whose state every line of it is."""
-    told = [(region, state) for region, state in states if state != region.default]
-    if not told:
+    """Return the name of a mode, its states that are no default, and the state of every line."""
+    shown = [(region, state) for region, state in states if state != region.default]
+    if not shown:
         default = states[0][0].default
         return f"all {default}" if len(states) > 1 else default, (states[0],)
     if len(states) == 1:
-        return told[0][1], tuple(told)
-    if len(told) <= _MOST_LINES:
-        return "\n".join(f"{region.name} {state}" for region, state in told), tuple(told)
-    together: dict[str, list[tuple[Region, str]]] = {}
-    for region, state in told:
-        together.setdefault(state, []).append((region, state))
+        return shown[0][1], tuple(shown)
+    if len(shown) <= _MAX_LINES:
+        return "\n".join(f"{region.name} {state}" for region, state in shown), tuple(shown)
+    groups: dict[str, list[tuple[Region, str]]] = {}
+    for region, state in shown:
+        groups.setdefault(state, []).append((region, state))
     lines = []
-    for state, of in together.items():  # many names make boxes of which few are beside each other
-        alike = sum(state in region.states for region, _ in states)
-        alone = len(of) == 1
-        lines.append(f"{of[0][0].name} {state}" if alone else f"{state}: {len(of)} of {alike}")
-    return "\n".join(lines), tuple(of[0] for of in together.values())
+    for state, members in groups.items():
+        total = sum(state in region.states for region, _ in states)
+        alone = len(members) == 1
+        lines.append(
+            f"{members[0][0].name} {state}" if alone else f"{state}: {len(members)} of {total}"
+        )
+    return "\n".join(lines), tuple(members[0] for members in groups.values())
 
 
-def cut(names: list[str]) -> list[str]:
+def abbreviate(names: list[str]) -> list[str]:
     """Return names for a line of text: of many the first ones, and how many there are."""
-    if len(names) <= _MOST_NAMES:
+    if len(names) <= _MAX_NAMES:
         return names
     return [*names[:3], f"... {names[-1]} ({len(names)} in all)"]
 
@@ -166,31 +160,39 @@ def _reset(region: Region, edge: HierarchicalEdge) -> str:
     if len(by_reset) == 1:
         return edge.reset
     return "\n".join(
-        f"to {' or '.join(_together(region, targets))}: {reset or 'nothing'}"
+        f"to {' or '.join(_joined(region, targets))}: {reset or 'nothing'}"
         for reset, targets in by_reset.items()
     )
 
 
-def _together(region: Region, states: list[str]) -> list[str]:
+def _joined(region: Region, states: list[str]) -> list[str]:
     """Return states, those that are all of a superstate by its name."""
     for name in _superstates(region):
         members = region.within(name)
         if len(members) > 1 and set(members) <= set(states):
-            return [name, *_together(region, [s for s in states if s not in members])]
+            return [name, *_joined(region, [s for s in states if s not in members])]
     return states
+
+
+def _actions(region: Region, state: str) -> tuple[str, ...]:
+    """Return the lines of UML's compartment of internal activities, with rates for ``do /``."""
+    nesting = region.nesting
+
+    def updates(word: str, blocks: Mapping[str, Mapping[str, str | int | float]]) -> Iterator[str]:
+        if block := blocks.get(state):
+            yield f"{word} / " + ", ".join(f"{name} := {text}" for name, text in block.items())
+
+    rates = (f"{name}' = {text}" for name, text in nesting.flows.get(state, {}).items())
+    return (*updates("entry", nesting.entries), *updates("exit", nesting.exits), *rates)
 
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
     """Return what holds while a state is active; of one without direction, what holds in both."""
     if automaton.laws is None or region.nesting.edges or region.nesting.configurations:
         return ()
-    leaves = [state] if state not in region.superstates.values() else _directions(region, state)
-    told = [_condition(automaton, region, leaf) for leaf in leaves]
-    return tuple(words for words in told[0] if all(words in others for others in told))
-
-
-def _directions(region: Region, state: str) -> list[str]:
-    return [leaf for leaf, outer in region.superstates.items() if outer == state]
+    inner = [leaf for leaf, outer in region.superstates.items() if outer == state] or [state]
+    found = [_condition(automaton, region, leaf) for leaf in inner]
+    return tuple(words for words in found[0] if all(words in others for others in found))
 
 
 def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:

@@ -1,50 +1,92 @@
-"""A diagram as SCXML (W3C State Chart XML, Recommendation of 1 September 2015)."""
+"""A diagram as SCXML (W3C State Chart XML, Recommendation of 1 September 2015).
+
+A diagram of a model becomes a machine that others' tools run. SCXML has states, events, conditions
+and assignments, and no motion: the host sends the events, ``REGION.CAUSE``, with ``.STATE`` behind
+it where the entered state depends on an impact, and sets the variables before. The machine itself
+raises the events that its other transitions wait for: ``REGION.STATE`` when a state is entered, and
+``REGION.CAUSE`` of a transition that such an event fires.
+"""
 
 from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
 
-from statechart.diagram.machine import NOTES, SCXML, Written, lost
-from statechart.diagram.model import Chart, Diagram, Node, identifiers, printable
+from statechart.automaton.hierarchy import hierarchical_edges
+from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
+from statechart.automaton.regions import Region
+from statechart.diagram.model import (
+    Chart,
+    Diagram,
+    Machine,
+    Node,
+    identifiers,
+    named,
+    printable,
+    spell_signs,
+)
+from statechart.errors import FormulaError
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.relation import (
+    Comparison,
+    Junction,
+    Member,
+    Negation,
+    Relation,
+    Term,
+    parse_relation,
+)
+from statechart.formulas.tree import Call, Constant, nodes
+from statechart.formulas.tree import Node as FormulaNode
+
+SCXML = "http://www.w3.org/2005/07/scxml"
+"""Namespace of the elements."""
+
+NOTES = "urn:contact-statecharts:diagram"
+"""Namespace of the attributes that SCXML has no place for."""
 
 
 def scxml(diagram: Diagram) -> str:
     """Render a diagram as an SCXML document.
 
-    One that was made of a model becomes a machine that runs (`statechart.diagram.machine`), with
-    comments on what SCXML cannot say. Of others guards go to ``cond`` as the formulas they are;
-    resets, which are no SCXML expressions, and all else go to attributes of the namespace `NOTES`,
-    as its schema allows.
+    A diagram of a model becomes a machine that runs, with comments on what SCXML cannot say. In
+    others guards go to ``cond`` as the formulas they are; resets, which are no SCXML expressions,
+    and all else go to attributes of the namespace `NOTES`, as its schema allows.
     """
     if diagram.machine is not None:
-        root = Written(diagram.machine).root
-        _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
+        root = _MachineWriter(diagram.machine).root
         for place, sentence in enumerate(lost(diagram.machine)):
             # Two hyphens would end a comment.
             words = f" not said: {printable(sentence).replace('--', '- -')} "
             root.insert(place, ET.Comment(words))
-        return _text(root)
-    states = identifiers(diagram)
-    root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
-    initial = next((chart.initial for chart in diagram.charts if chart.initial), None)
-    if initial is not None:
-        root.set("initial", states[initial.name])
+    else:
+        root = _document()
+        states = identifiers(diagram)
+        initial = next((chart.initial for chart in diagram.charts if chart.initial), None)
+        if initial is not None:
+            root.set("initial", states[initial.name])
+        for chart in diagram.charts:
+            parent = root
+            if len(diagram.charts) > 1:
+                parent = ET.SubElement(root, "state")
+                _annotate(parent, label=chart.title)
+            _annotate(parent, path=" ".join(states[name] for name in chart.path))
+            for node in chart.within(None):
+                _state(parent, node, chart, states)
     _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
-    for chart in diagram.charts:
-        parent = root
-        if len(diagram.charts) > 1:
-            parent = ET.SubElement(root, "state")
-            _annotate(parent, label=chart.title)
-        _annotate(parent, path=" ".join(states[name] for name in chart.path))
-        for node in chart.within(None):
-            _state(parent, node, chart, states)
-    return _text(root)
-
-
-def _text(root: ET.Element) -> str:
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def lost(machine: Machine) -> tuple[str, ...]:
+    """Return what of a machine SCXML cannot say, in sentences."""
+    losses = _MachineWriter(machine).lost
+    return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
+
+
+def _document() -> ET.Element:
+    return ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
 
 
 def _state(parent: ET.Element, node: Node, chart: Chart, states: dict[str, str]) -> None:
@@ -77,3 +119,192 @@ def _annotate(element: ET.Element, **values: str | int | None) -> None:
     for key, value in values.items():
         if value not in (None, ""):
             element.set(f"diagram:{key}", printable(str(value)))
+
+
+class _MachineWriter:
+    """Writes a machine into `root`; `lost` maps what SCXML cannot say to its transitions."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.lost: dict[str, list[str]] = {}
+        self.root = _document()
+        self._data = dict.fromkeys([n for n in machine.values if n.isidentifier()])
+        self._used: dict[str, None] = {}
+        self._awaited = {
+            event for region in machine.regions for e in region.nesting.edges for event in e.events
+        }
+        taken: set[str] = {name.lower() for name in self._data}
+        single = len(machine.regions) == 1
+        data = ET.SubElement(self.root, "datamodel")
+        parent = self.root
+        if not single:
+            (together,) = named(["all_regions"], taken).values()
+            self.root.set("initial", together)
+            parent = ET.SubElement(self.root, "parallel", {"id": together})
+        self._ids: dict[str, dict[str, str]] = {}
+        tops = [self._named(region, taken, single=single) for region in machine.regions]
+        for region, start, top in zip(machine.regions, machine.start, tops, strict=True):
+            self._region(parent, region, start, top)
+        for name in self._used:
+            value = machine.values.get(name, 0.0)
+            ET.SubElement(data, "data", {"id": name, "expr": repr(float(value))})
+        if not self._used:
+            self.root.remove(data)
+
+    def _named(self, region: Region, taken: set[str], *, single: bool) -> str:
+        """Choose identifiers for the states of a region; return its own, "" of a single one."""
+        prefix = "" if single else f"{region.name} "
+        names = (*self._states(region), *region.nesting.histories)
+        found = named((f"{prefix}{name}" for name in names), taken)
+        self._ids[region.name] = {name.removeprefix(prefix): found[name] for name in found}
+        return "" if single else named([region.name], taken)[region.name]
+
+    @staticmethod
+    def _states(region: Region) -> tuple[str, ...]:
+        superstates = region.superstates
+        return region.nesting.names or tuple(
+            dict.fromkeys([*region.states, *superstates, *superstates.values()])
+        )
+
+    def _region(self, parent: ET.Element, region: Region, start: str, identifier: str) -> None:
+        nesting, ids = region.nesting, self._ids[region.name]
+        initial = nesting.initial.get("", start)
+        top = parent
+        if not identifier:
+            self.root.set("initial", ids[initial])
+        else:
+            top = ET.SubElement(parent, "state", {"id": identifier, "initial": ids[initial]})
+        leaving: dict[str, list[HierarchicalEdge]] = {}
+        for edge in nesting.edges or hierarchical_edges(region):
+            leaving.setdefault(edge.source, []).append(edge)
+        for name in self._states(region):
+            if name not in region.superstates:
+                self._state(top, region, name, leaving)
+
+    def _state(
+        self,
+        parent: ET.Element,
+        region: Region,
+        name: str,
+        leaving: Mapping[str, list[HierarchicalEdge]],
+    ) -> None:
+        nesting, ids = region.nesting, self._ids[region.name]
+        inside = [inner for inner in ids if region.superstates.get(inner) == name]
+        parallel = name in nesting.parallel
+        element = ET.SubElement(parent, "parallel" if parallel else "state", {"id": ids[name]})
+        element.set("diagram:name", printable(name))
+        if name in nesting.unreached:
+            element.set("diagram:infeasible", UNREACHED)
+        if inside and not parallel:
+            element.set("initial", ids[nesting.initial.get(name, inside[0])])
+        for tag, blocks in (("onentry", nesting.entries), ("onexit", nesting.exits)):
+            self._assign(element, tag, blocks.get(name, {}), f"{region.name}.{name} ({tag})")
+        if (event := f"{region.name}.{name}") in self._awaited:
+            entry = element.find("onentry")
+            entry = ET.SubElement(element, "onentry") if entry is None else entry
+            ET.SubElement(entry, "raise", {"event": spell_signs(event)})
+        for edge in leaving.get(name, ()):
+            self._edge(element, region, edge, leaving[name])
+        for history, declared in nesting.histories.items():
+            if declared.parent == name:
+                memory = {"id": ids[history], "type": declared.depth}
+                kept = ET.SubElement(element, "history", memory)
+                ET.SubElement(kept, "transition", {"target": ids[declared.initial]})
+        for inner in inside:
+            self._state(element, region, inner, leaving)
+
+    def _edge(
+        self,
+        parent: ET.Element,
+        region: Region,
+        edge: HierarchicalEdge,
+        leaving: Iterable[HierarchicalEdge],
+    ) -> None:
+        ids, what = self._ids[region.name], f"{region.name}.{edge.cause}"
+        several = len(edge.choices) > 1 or sum(e.cause == edge.cause for e in leaving) > 1
+        for choice in edge.choices:
+            event = f"{what}.{ids[choice.target]}" if several else what
+            element = ET.SubElement(parent, "transition", {"event": event})
+            if edge.events:
+                element.set("event", " ".join(map(spell_signs, edge.events)))
+            elif (condition := self._relation(edge.guard)) is not None:
+                element.set("cond", condition)
+            else:
+                element.set("diagram:guard", printable(edge.guard))
+                self._lose("guards, whose events who runs it has to send", what)
+            if not edge.internal:
+                element.set("target", ids[choice.target])
+            if edge.events and what in self._awaited:
+                ET.SubElement(element, "raise", {"event": spell_signs(what)})
+            if edge.updates:
+                self._assign(element, None, edge.updates, what)
+            elif choice.reset:
+                element.set("diagram:reset", printable(choice.reset))
+                self._lose("what is reset of the motion", what)
+
+    def _assign(
+        self,
+        parent: ET.Element,
+        tag: str | None,
+        updates: Mapping[str, str | int | float],
+        what: str,
+    ) -> None:
+        """Write updates, which all see the values before them."""
+        if not updates:
+            return
+        if not all(name in self._data and self._formula(text) for name, text in updates.items()):
+            self._lose("updates with names or functions that are no data", what)
+            return
+        element = parent if tag is None else ET.SubElement(parent, tag)
+        later: list[tuple[str, str]] = []
+        for name, text in updates.items():
+            location = name
+            others = (parse(other).names for n, other in updates.items() if n != name)
+            if any(name in used for used in others):
+                location = f"new_{name}"
+                self._used[location] = None
+                later.append((name, location))
+            self._used[name] = None
+            ET.SubElement(element, "assign", {"location": location, "expr": str(text)})
+        for name, location in later:
+            ET.SubElement(element, "assign", {"location": name, "expr": location})
+
+    def _relation(self, text: str) -> str | None:
+        """Return a guard as a condition, whose names become data; None if it cannot be one."""
+        try:
+            relation = parse_relation(text)
+        except FormulaError:
+            return None
+        roots = [formula.root for formula in relation.formulas]
+        exist = all(m.state in self._ids.get(m.region, {}) for m in relation.members)
+        return self._text(relation.root) if exist and self._known(relation, roots) else None
+
+    def _text(self, term: Term) -> str:
+        """Return a term of a relation in the words of ECMAScript."""
+        match term:
+            case Comparison():
+                return term.text
+            case Member():
+                return f"In('{self._ids[term.region][term.state]}')"
+            case Negation():
+                return f"!({self._text(term.part)})"
+        parts = (
+            f"({self._text(part)})" if isinstance(part, Junction) else self._text(part)
+            for part in term.parts
+        )
+        return (" && " if term.word == "and" else " || ").join(parts)
+
+    def _formula(self, text: str | int | float) -> bool:
+        formula = parse(text)
+        return self._known(formula, (formula.root,))
+
+    def _known(self, written: Formula | Relation, roots: Iterable[FormulaNode]) -> bool:
+        plain = not any(isinstance(node, Call | Constant) for root in roots for node in nodes(root))
+        if not (plain and written.names <= self._data.keys()):
+            return False
+        self._used |= dict.fromkeys(sorted(written.names))
+        return True
+
+    def _lose(self, what: str, whose: str) -> None:
+        found = self.lost.setdefault(what, [])
+        if whose not in found:
+            found.append(whose)

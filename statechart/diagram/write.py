@@ -1,25 +1,21 @@
-"""A diagram into a file, in the format that its suffix names."""
+"""A diagram as a file, in the format that its suffix names, or as SVG text."""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 from statechart.diagram.dot import dot
-from statechart.diagram.graphml import graphml
 from statechart.diagram.layout.graphviz_program import render
 from statechart.diagram.legend import Guards
 from statechart.diagram.mermaid import mermaid
-from statechart.diagram.model import Diagram
+from statechart.diagram.model import Diagram, printable
 from statechart.diagram.scxml import scxml
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 
-_LABELLED = {".dot": dot, ".mmd": mermaid}
-_TEXTS = {".scxml": scxml, ".graphml": graphml}
-_PICTURES = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
-
-SUFFIXES = (*_PICTURES, *_LABELLED, *_TEXTS)
-"""What `write` can write."""
+SUFFIXES = (".svg", ".png", ".pdf", ".dot", ".mmd", ".scxml", ".graphml")
+"""Formats of `write`."""
 
 
 def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
@@ -37,13 +33,50 @@ def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
         )
     if not path.parent.is_dir():
         raise StatechartError(f"cannot write {str(path)!r}: there is no folder {path.parent}")
-    if suffix in _TEXTS:
-        data = _TEXTS[suffix](diagram).encode()
-    elif suffix in _LABELLED:
-        data = _LABELLED[suffix](diagram, guards).encode()
-    else:
-        data = render(dot(diagram, guards), _PICTURES[suffix])
     try:
-        write_atomic(path, data)
+        write_atomic(path, _data(diagram, suffix, guards))
     except OSError as error:
         raise StatechartError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+
+
+def _data(diagram: Diagram, suffix: str, guards: Guards) -> bytes:
+    match suffix:
+        case ".dot":
+            return dot(diagram, guards).encode()
+        case ".mmd":
+            return mermaid(diagram, guards).encode()
+        case ".scxml":
+            return scxml(diagram).encode()
+        case ".graphml":
+            return graphml(diagram).encode()
+    return render(dot(diagram, guards), suffix.removeprefix("."))
+
+
+def svg(diagram: Diagram) -> str:
+    """Return a diagram as SVG."""
+    return _data(diagram, ".svg", "legend").decode()
+
+
+Diagram.svg = svg
+
+
+def graphml(diagram: Diagram) -> str:
+    """Return a diagram's graph as GraphML (Brandes et al. 2002), by networkx's own writer.
+
+    Raises
+    ------
+    StatechartError
+        If the diagram was not made of an automaton.
+    """
+    import networkx as nx
+
+    shown = diagram.graph
+    if shown is None:
+        raise StatechartError(f"diagram {diagram.title!r} shows no graph of an automaton")
+    labels = shown.nodes(data="label")
+    graph = nx.relabel_nodes(shown, {key: printable(label) for key, label in labels})
+    for data in (graph.graph, *graph.nodes.values(), *graph.edges.values()):
+        data.update({k: printable(v) for k, v in data.items() if isinstance(v, str)})
+    file = io.BytesIO()
+    nx.write_graphml_xml(graph, file)
+    return file.getvalue().decode()

@@ -85,6 +85,20 @@ class Converter:
             found = self.known[expression] = made(expression)
         return found
 
+    def rate(self, expression: sp.Expr) -> Any:
+        """Return a rate; a number that it is shifted by becomes a parameter of heyoka's.
+
+        Modes whose rates differ in such numbers alone (a heater that is on or off) are one program.
+        """
+        while expression in self._definitions and expression not in self.known:
+            expression = self._definitions[expression]
+        if self._folds and expression.is_Add and self._moves(expression):
+            number, rest = expression.as_coeff_Add()
+            if number != 0:
+                self.constants.append(number)
+                return self(rest) + hy.par[len(self.constants)]
+        return self(expression)
+
     def _moves(self, node: sp.Expr) -> bool:
         """Whether a formula is more than a number of the run."""
         found = self._moving.get(node)

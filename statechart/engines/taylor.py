@@ -113,9 +113,11 @@ class Taylor(Engine):
         self.tolerance = max(tolerance, float(np.finfo(self._number).eps))
         self.allowed = max(_SLOPE, _ORDERS * self.tolerance)
         self.max_step = max_step
+        # Rates, with numbers of a run as parameters -> what was compiled of them.
+        self._programs: dict[tuple[Any, ...], tuple[Any, Step | None]] = {}
 
     def compile(self, automaton: Automaton, mode: Mode, rates: Tape) -> _Stepper:
-        """Compile the rates; identical modes come from heyoka's cache on disk."""
+        """Compile the rates, once for all modes in which they are the same but for parameters."""
         # Whoever only asks for a tolerance need not wait for them.
         import heyoka as hy
 
@@ -124,25 +126,27 @@ class Taylor(Engine):
         extended = self._number is not float
         convert = Converter(automaton, dict(mode.definitions), folds=not extended)
         states = [hy.expression(f"v{i}") for i in range(len(automaton.variables))]
-        system = [
-            (variable, convert(rate)) for variable, rate in zip(states, mode.rates, strict=True)
-        ]
-        with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
-            integrator = hy.taylor_adaptive(
-                system,
-                [self._number(0)] * len(states),
-                tol=self._number(self.tolerance),
-                fp_type=self._number,
-                # Loops in the compiled code cost small modes up to half of their speed; without
-                # them the compiler needs half a minute for a mode of two thousand operations. Of
-                # long doubles it takes several times as long.
-                compact_mode=extended or _many(mode, rates),
-            )
+        form = tuple(convert.rate(rate) for rate in mode.rates)
+        found = self._programs.get(form)
+        if found is None:
+            # Loops in the compiled code cost small modes up to half of their speed; without them
+            # the compiler needs half a minute for a mode of two thousand operations. Of long
+            # doubles it takes several times as long.
+            compact = extended or _many(mode, rates)
+            with whole(f"the equations of a mode ({several(len(states), 'variable')})"):
+                integrator = hy.taylor_adaptive(
+                    list(zip(states, form, strict=True)),
+                    [self._number(0)] * len(states),
+                    tol=self._number(self.tolerance),
+                    fp_type=self._number,
+                    compact_mode=compact,
+                )
+            found = self._programs[form] = integrator, None if extended else Step.of(integrator)
+        integrator, compiled = found
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
         state, pars, series = integrator.state, integrator.pars, integrator.tc
-        compiled = None if extended else Step.of(integrator)
         address = 0 if compiled is None else compiled.address
         symbols = (*automaton.variables, *automaton.parameters)
         words = (*automaton.names, *automaton.parameter_names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ from statechart.automaton.coordinate_reconstruction import ModeReconstruction, m
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
 from statechart.automaton.modes import build_mode, captured
 from statechart.automaton.regions import Mode, whole_margins
-from statechart.automaton.trace import Key, Roles
+from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.standing import StandingStops
 from statechart.formulas.tape import Tape
@@ -88,6 +89,13 @@ class SolvedModes:
         self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
+        self._parts: dict[Automaton, SolvedModes] = {}
+        self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
+        self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
+
+    def part(self, automaton: Automaton) -> SolvedModes:
+        """Return the modes of a component."""
+        return self._parts.setdefault(automaton, SolvedModes(automaton))
 
     def taped(self, roles: Roles, zeros: frozenset[int]) -> TapedMode:
         """Return the mode of `roles` on tape, for zero parameters at the places `zeros`."""
@@ -129,15 +137,27 @@ class SolvedModes:
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the places of the parameters that the equations of `roles` mention."""
-        automaton = self.automaton
-        parts = list(automaton.equations) + list(automaton.rates)
-        if automaton.coordinates is not None and automaton.coordinates.mass_unit is not None:
-            parts.append(automaton.coordinates.mass_unit)
-        for region, role in zip(automaton.regions, roles, strict=True):
-            state = region.build(role)
-            parts += (*state.equations, *state.values.values())
-        used: set[sp.Symbol] = set().union(*(part.free_symbols for part in parts))
-        return frozenset(i for i, symbol in enumerate(automaton.parameters) if symbol in used)
+        return self._always.union(*(self._in_state(*pair) for pair in enumerate(roles)))
+
+    @cached_property
+    def _always(self) -> frozenset[int]:
+        automaton, coordinates = self.automaton, self.automaton.coordinates
+        unit = None if coordinates is None else coordinates.mass_unit
+        further = () if unit is None else (unit,)
+        return self._places((*automaton.equations, *automaton.rates, *further))
+
+    def _in_state(self, region: int, role: Role) -> frozenset[int]:
+        """Return the places of the parameters that one region's equations mention."""
+        found = self._mentioned.get((region, role))
+        if found is None:
+            state = self.automaton.regions[region].build(role)
+            found = self._places((*state.equations, *state.values.values()))
+            self._mentioned[region, role] = found
+        return found
+
+    def _places(self, expressions: Iterable[sp.Expr]) -> frozenset[int]:
+        used: set[sp.Symbol] = set().union(*(e.free_symbols for e in expressions))
+        return frozenset(self._place[symbol] for symbol in used if symbol in self._place)
 
 
 class CompiledModes:
@@ -155,7 +175,7 @@ class CompiledModes:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
         self.standing = solved.standing
         self.engine = engine
-        self._solved = solved
+        self.solved = solved
         self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}
         self._built: set[Key] = set()
 
@@ -163,7 +183,7 @@ class CompiledModes:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
         found = self._compiled.get((roles, zeros))
         if found is None:
-            taped = self._solved.taped(roles, zeros)
+            taped = self.solved.taped(roles, zeros)
             mode = taped.mode
             found = next((made for made in self._compiled.values() if made.mode is mode), None)
             if found is None:

@@ -9,14 +9,17 @@ from functools import partial
 import numpy as np
 
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.components import Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
 from statechart.automaton.trace_store import Kind, TraceRecorder, trace_buffer
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
+from statechart.errors import DeclarationProblem
 from statechart.execution.ahead import Ahead
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
+from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution
 from statechart.execution.loops import Modes
 from statechart.execution.outcome import error_of
@@ -74,6 +77,8 @@ class Simulator:
         self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
         self._loops: dict[frozenset[int], Modes] = {}
         self._rows: dict[tuple[str, ...], RowRunner] = {}
+        self._of_components: dict[Automaton, Simulator] = {}
+        self._places: list[Places] | None = None
 
     def run(
         self,
@@ -92,7 +97,9 @@ class Simulator:
         SimulationError
             With the trace so far, where the run cannot go on and `throw` is set.
         """
-        trace = self._run(parameters or {}, until, max_jumps)
+        trace = self._by_components(parameters or {}, until, max_jumps)
+        if trace is None:
+            trace = self._run(parameters or {}, until, max_jumps)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         return trace
@@ -106,7 +113,7 @@ class Simulator:
         values = np.fromiter(parameters.values(), float, len(names))
         batch = rows.alone(values, until, max_jumps)
         if batch is None or batch.found.ends.item(HOW) == HANDED:
-            return self._execution(parameters, until, max_jumps, batch).run()
+            return self._execution(self._setup(parameters), until, max_jumps, batch).run()
         return trace_of_row(self, batch, _Once(partial(self._setup, dict(parameters))))
 
     def certified(
@@ -120,7 +127,7 @@ class Simulator:
         """Make a run again, and prove of every step how far it is off."""
         from statechart.execution.certificate import Certificate
 
-        made = self._execution(parameters or {}, until, max_jumps)
+        made = self._execution(self._setup(parameters or {}), until, max_jumps)
         laws = self.automaton.laws_of_events
         made.ahead = None
         made.certificate = Certificate(trace, made.setup, laws, self.engine)
@@ -138,9 +145,53 @@ class Simulator:
 
         No other run may be made meanwhile.
         """
-        made = self._execution(parameters, until, max_jumps)
+        made = self._execution(self._setup(parameters), until, max_jumps)
         made.ahead = None
         return streamed(made, parameters, sampling)
+
+    def _by_components(
+        self, parameters: Mapping[str, float], until: float, max_jumps: int
+    ) -> Trace | None:
+        """Run the components of the automaton one by one; None where it has none."""
+        components = self.automaton.components()
+        if not components:
+            return None
+        if self._places is None:
+            self._places = [Places(component, self.automaton) for component in components]
+        setup, end = self._setup(parameters), until
+        parts = []
+        made: dict[tuple[Automaton, bytes, bytes], Trace] = {}
+        for component, places in zip(components, self._places, strict=True):
+            own = component.restricted(setup, places)
+            # Of components that start alike one is run.
+            alike = component.automaton, own.initial.tobytes(), own.values.tobytes()
+            trace = made.get(alike)
+            if trace is None or trace.t_end > end:
+                try:
+                    trace = self._alone(component.automaton)._from(own, end, max_jumps)
+                except DeclarationProblem:
+                    # The whole says so in the names that the model declares.
+                    return None
+                made[alike] = trace
+            parts.append((component, places, trace))
+            if trace.outcome is not Outcome.HORIZON:
+                end = trace.t_end
+        merged = MergedRun(self.automaton, setup, parts, max_jumps)
+        built = sum(simulator.modes_built for simulator in self._of_components.values())
+        return merged.trace(self.engine.title, self.engine.tolerance, built)
+
+    def _alone(self, automaton: Automaton) -> Simulator:
+        """Return what runs a component."""
+        found = self._of_components.get(automaton)
+        if found is None:
+            found = Simulator(automaton, self.engine, solved=self.modes.solved.part(automaton))
+            self._of_components[automaton] = found
+        return found
+
+    def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
+        """Run with the numbers of a run."""
+        modes = partial(self.modes.mode, zeros=setup.zeros)
+        return self._execution(replace(setup, modes=modes), until, max_jumps).run()
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         """Return the numbers of a run."""
@@ -149,12 +200,11 @@ class Simulator:
 
     def _execution(
         self,
-        parameters: Mapping[str, float],
+        setup: Setup,
         until: float,
         max_jumps: int,
         batch: Batch | None = None,
     ) -> Execution:
-        setup = self._setup(parameters)
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []

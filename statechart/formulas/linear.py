@@ -9,6 +9,7 @@ singularities left are those of the mode itself, such as the Painleve boundary.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import lru_cache
 
 import sympy as sp
 from sympy.utilities.iterables import connected_components
@@ -48,11 +49,52 @@ def solve_linear(
     paired: int = 0,
     before: Collection[sp.Symbol] = (),
 ) -> tuple[Definition, ...]:
-    """Solve `equations` (each = 0, linear in `unknowns`).
+    """Solve `equations` (each = 0, linear in `unknowns`), one connected component at a time.
+
+    The first `paired` equations and unknowns belong together, one by one.
 
     Returns definitions in order of evaluation; each uses the unknowns and auxiliary symbols
     defined before it. Raises `Singular` if the structure of the equations leaves an unknown free.
     """
+    found: list[Definition] = []
+    missing: list[sp.Symbol] = []
+    for component in _connected(equations, unknowns):
+        pairs = sum(place < paired for place in component)
+        try:
+            found += _solved(
+                tuple(equations[i] for i in component if i < len(equations)),
+                tuple(unknowns[i] for i in component if i < len(unknowns)),
+                pairs,
+                frozenset(before),
+            )
+        except Singular as error:
+            missing += error.unknowns
+    if missing:
+        raise Singular(missing)
+    return tuple(found)
+
+
+def _connected(equations: Sequence[sp.Expr], unknowns: Sequence[sp.Symbol]) -> list[list[int]]:
+    """Return the places of equations and unknowns that belong together; pairs are not parted."""
+    place = {unknown: i for i, unknown in enumerate(unknowns)}
+    edges = [
+        (row, place[unknown])
+        for row, equation in enumerate(equations)
+        for unknown in equation.free_symbols
+        if unknown in place
+    ]
+    vertices = range(max(len(equations), len(unknowns)))
+    return sorted(map(sorted, connected_components((vertices, edges))))
+
+
+@lru_cache(4096)
+def _solved(
+    equations: tuple[sp.Expr, ...],
+    unknowns: tuple[sp.Symbol, ...],
+    paired: int,
+    before: frozenset[sp.Symbol],
+) -> tuple[Definition, ...]:
+    """Solve the equations of one component, the same in all modes in which it stands."""
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
     first, rows, last = _reduced(given, unknowns, before, paired)

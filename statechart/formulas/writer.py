@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import sympy as sp
@@ -51,7 +52,7 @@ _RECIPROCAL: dict[type[sp.Basic], str] = {
     sp.sech: "cosh",
 }
 # What is smaller, or larger than its inverse, may overflow in a product with an exponential.
-_SMALL = sp.Float("1e-60")
+_SMALL = 1e-60
 # Every processor rounds these alike, and most constants need no others: to load the kernel takes
 # as long as to compose a scene.
 _ROUNDED_ALIKE: dict[int, Callable[[float, float], float]] = {
@@ -153,14 +154,11 @@ class _Writer:
         )
 
     def _sum(self, node: sp.Expr) -> int:
-        plus: list[sp.Expr] = []
-        minus: list[sp.Expr] = []
-        for term in node.args:
-            (minus if term.could_extract_minus_sign() and _negative(term) else plus).append(term)
+        plus, minus = _signed(node)
         if not plus:
-            return self._emit("neg", self._fold("add", [self.register(-t) for t in minus]))
+            return self._emit("neg", self._fold("add", [self.register(term) for term in minus]))
         total = self._fold("add", [self.register(term) for term in plus])
-        return self._fold("sub", [total, *(self.register(-term) for term in minus)])
+        return self._fold("sub", [total, *(self.register(term) for term in minus)])
 
     def _product(self, node: sp.Expr) -> int:
         number, factors = node.as_coeff_mul()
@@ -285,6 +283,22 @@ class _Writer:
         )
 
 
+@lru_cache(1 << 14)
+def _signed(node: sp.Expr) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    """Return the terms of a sum that are added, and those that are subtracted, without their sign.
+
+    To tell them apart takes longest of all; modes share most of their sums.
+    """
+    plus: list[sp.Expr] = []
+    minus: list[sp.Expr] = []
+    for term in node.args:
+        if term.could_extract_minus_sign() and _negative(term):
+            minus.append(-term)
+        else:
+            plus.append(term)
+    return plus, minus
+
+
 def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
     """Return factors with ``x**n / x``, as SymPy derives ``x**n``, written as ``x**(n - 1)``.
 
@@ -309,13 +323,18 @@ def exponential_joined(
     With the factors left comes the exponent of the exponential that the number was joined to, or
     None.
     """
-    numbers = [n for n in factors if n.is_Float and n and not _SMALL < abs(n) < 1 / _SMALL]
     exponentials = [factor for factor in factors if isinstance(factor, sp.exp)]
-    if not numbers or not exponentials:
+    numbers = [f for f in factors if exponentials and f.is_Float and f and _is_extreme(f)]
+    if not numbers:
         return factors, None
     number, first = numbers[0], exponentials[0]
     left = [factor for factor in factors if factor is not number and factor is not first]
     return [*left, sp.sign(number)], first.args[0] + sp.log(abs(number))
+
+
+def _is_extreme(number: sp.Float) -> bool:
+    size = abs(number)
+    return not _SMALL < size < 1 / _SMALL
 
 
 def _negative(term: sp.Expr) -> bool:

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.setting import Setting
+from statechart.observation.batch_outputs import OutputValue as Output
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, Scales
-from statechart.observation.outputs import OutputValue as Output
 
 UNTOLD = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)
 """How runs end that say nothing of their error."""

@@ -10,8 +10,7 @@ from statechart.automaton.product import explored, feasibility
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.legend import GUARDS, Guards
-from statechart.diagram.machine import Machine
-from statechart.diagram.model import Diagram
+from statechart.diagram.model import Diagram, Machine
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.hints import checked

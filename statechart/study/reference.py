@@ -18,11 +18,11 @@ from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import shifted, widened
 from statechart.loading.kind import offered
+from statechart.observation.batch_outputs import OutputValue as Output
 from statechart.observation.difference import compare, distance, paired, parted
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs, Scales
-from statechart.observation.outputs import OutputValue as Output
 from statechart.running.estimate import BRIEF
 from statechart.study.point import RESOLVED, Errors, Third
 from statechart.study.record import Study

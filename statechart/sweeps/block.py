@@ -26,9 +26,9 @@ from statechart.errors import (
     SimulationError,
 )
 from statechart.execution.ahead import T_HIGH
+from statechart.observation.batch_outputs import modes_of
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.observation.rows import modes_of
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists

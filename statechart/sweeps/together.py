@@ -13,8 +13,8 @@ from statechart.arrays import Array
 from statechart.errors import DeclarationError
 from statechart.execution.rows import Batch, RowRunner
 from statechart.formulas.formula import parse
+from statechart.observation.batch_outputs import BatchOutputs
 from statechart.observation.outputs import Outputs
-from statechart.observation.rows import RowOutputs
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task
 
@@ -46,11 +46,11 @@ class Together:
         self._tried, self.through = 0, 0
 
     @cached_property
-    def _rows(self) -> tuple[RowRunner, RowOutputs] | None:
+    def _rows(self) -> tuple[RowRunner, BatchOutputs] | None:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None
-        return found[1], RowOutputs(Outputs(found[0], self._task.outputs))
+        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
 
     @property
     def size(self) -> int:

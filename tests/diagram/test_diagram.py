@@ -15,12 +15,10 @@ from PIL import Image
 from strategies import examples
 
 from statechart.diagram.dot import dot
-from statechart.diagram.layout.markup import nested
 from statechart.diagram.legend import GUARDS, TIMES, legend
-from statechart.diagram.machine import NOTES, SCXML
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
-from statechart.diagram.scxml import scxml
+from statechart.diagram.scxml import NOTES, SCXML, scxml
 from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
 
@@ -140,7 +138,7 @@ def check_dot(diagram: Diagram) -> None:
     drawn = [edge for edge in graph.edges() if not edge[0].startswith("_")]
     (chart,) = diagram.charts
     # A link that stays in a state is a line of its label.
-    apart = [link for link in diagram.links if not nested(chart, link)]
+    apart = [link for link in diagram.links if not chart.nested(link)]
     meant = {(states[link.source], states[link.target]) for link in apart}
     assert set(drawn) == meant
     assert len(drawn) == len(meant)
@@ -181,7 +179,7 @@ def check_mermaid(diagram: Diagram) -> None:
     declared = re.findall(r'^ *state ".*" as (\w+)', text, re.MULTILINE)
     assert len({name.lower() for name in declared}) == len(declared)
     (chart,) = diagram.charts
-    pairs = {(x.source, x.source if nested(chart, x) else x.target) for x in diagram.links}
+    pairs = {(x.source, x.source if chart.nested(x) else x.target) for x in diagram.links}
     assert len(re.findall(r"^ +\w+ --> \w", text, re.MULTILINE)) == len(pairs)
 
 

@@ -10,7 +10,8 @@ from runs import automaton, run
 from statechart.automaton.product import feasibility
 from statechart.diagram.build import build, needs_run
 from statechart.diagram.dot import dot
-from statechart.diagram.legend import legend
+from statechart.diagram.legend import GUARDS, legend
+from statechart.diagram.mermaid import mermaid
 from statechart.diagram.region import mode_label
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
@@ -169,8 +170,8 @@ def test_of_a_run_alone_the_legend_tells_the_states_that_it_was_in() -> None:
     trace = runner.run().trace
     whole = legend(build(runner.automaton, trace.start_mode))
     alone = legend(build(runner.automaton, trace.start_mode, trace, visited=True))
-    assert [state for state, _ in whole.states] == ["free", "slide+", "slide-", "pin"]
-    assert [state for state, _ in alone.states] == ["slide+", "slide-", "pin"]
+    assert [row[0] for row in whole.states] == ["free", "slide+", "slide-", "pin"]
+    assert [row[0] for row in alone.states] == ["slide+", "slide-", "pin"]
 
 
 def test_modes_are_named_by_what_is_not_at_its_default() -> None:
@@ -265,13 +266,13 @@ stop: {time: 1}
 def test_nested_states_of_a_controller_are_drawn_as_declared_with_their_history() -> None:
     runner = Runner(read_text(RESUMED))
     (chart,) = build(runner.automaton, runner.start()[0]).charts
-    shown = {node.label: (node.inside, node.initial) for node in chart.nodes}
+    shown = {node.label: (node.inside, node.initial, node.default) for node in chart.nodes}
     assert shown == {
-        "work": (None, False),
-        "first": ("work", True),
-        "second": ("work", False),
-        "pause": (None, False),
-        "H": ("work", False),
+        "work": (None, True, False),
+        "first": ("work", False, True),
+        "second": ("work", False, False),
+        "pause": (None, False, False),
+        "H": ("work", False, False),
     }
     ends = [(link.source, link.cause, link.target) for link in chart.links]
     assert sorted(ends) == [
@@ -307,3 +308,83 @@ def test_arrows_of_a_grid_are_all_transitions_of_its_modes(name: str) -> None:
     meant = {(link.source, link.event, link.target) for link in chart.links}
     apart = {link for link in meant if link[0] != link[2]}
     assert {link for link in drawn if link[0] != link[2]} == apart
+
+
+REVIEW = """
+kind: chart
+name: review
+variables: {ok: 0, x: 0}
+regions:
+  plan:
+    initial: written
+    states:
+      written: {flows: {x: 1}}
+      review:
+        entry: {ok: 0}
+        exit: {x: x + ok}
+        regions:
+          one: {initial: w1, states: {w1: {}, ok1: {entry: {ok: ok + 1}}},
+                transitions: [{name: a1, from: w1, to: ok1, after: 2}]}
+          two: {initial: w2, states: {w2: {}, ok2: {flows: {x: -1.25*x + 0.625*ok + 0.12345}}},
+                transitions: [{name: a2, from: w2, to: ok2, after: 3}]}
+      approved: {}
+    transitions:
+      - {name: submit, from: written, to: review, after: 1}
+      - {name: done, from: review, to: approved, guard: ok >= 1}
+stop: {time: 9}
+"""
+
+
+def test_regions_have_a_start_each_and_a_dashed_line_between_them() -> None:
+    runner = Runner(read_text(REVIEW))
+    diagram = build(runner.automaton, runner.start()[0])
+    (chart,) = diagram.charts
+    assert [node.name for node in chart.nodes if node.initial] == ["written"]
+    assert [node.name for node in chart.nodes if node.default] == ["w1", "w2"]
+    assert chart.node("review").parallel
+    lines = dot(diagram).splitlines()
+    heads = [line.split("->")[1].split()[0] for line in lines if "start" in line and "->" in line]
+    assert sorted(heads) == ["w1", "w2", "written"]
+    (divider,) = [line for line in lines if "dashed" in line and "->" in line]
+    assert "arrowhead=none" in divider
+    (one, two) = [
+        [float(part) for part in line.split('pos="')[1].split('"')[0].split(",")]
+        for line in lines
+        for name in ("one", "two")
+        if line.strip().startswith(f"{name} [")
+    ]
+    places = [
+        [float(part) for part in point.split(",")]
+        for point in divider.split('pos="')[1].split('"')[0].split()
+    ]
+    (axis,) = [k for k in (0, 1) if len({place[k] for place in places}) == 1]
+    assert min(one[axis], two[axis]) < places[0][axis] < max(one[axis], two[axis])
+
+
+def test_entry_exit_and_rates_stand_in_the_state_or_where_long_in_the_legend() -> None:
+    runner = Runner(read_text(REVIEW))
+    diagram = build(runner.automaton, runner.start()[0])
+    actions = {node.name: node.actions for node in diagram.nodes if node.actions}
+    assert actions == {
+        "written": ("x' = 1",),
+        "review": ("entry / ok := 0", "exit / x := x + ok"),
+        "ok1": ("entry / ok := ok + 1",),
+        "ok2": ("x' = -1.25*x + 0.625*ok + 0.12345",),
+    }
+    assert legend(diagram).states == (("ok2", "", *actions["ok2"]),)
+    assert legend(diagram, "inline").states == ()
+    for guards in GUARDS:
+        for text in ("entry / ok := 0", "x&#x27; = 1", "0.12345"):
+            assert dot(diagram, guards).count(text) == 1
+
+
+def test_mermaid_separates_regions_and_begins_each() -> None:
+    runner = Runner(read_text(REVIEW))
+    lines = [
+        line.strip() for line in mermaid(build(runner.automaton, runner.start()[0])).split("\n")
+    ]
+    assert lines.count("--") == 1
+    assert [line for line in lines if line.startswith("[*]")] == [
+        "[*] --> w1", "[*] --> w2", "[*] --> written",
+    ]  # fmt: skip
+    assert lines.index("[*] --> w1") < lines.index("--") < lines.index("[*] --> w2")

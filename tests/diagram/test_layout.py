@@ -14,6 +14,7 @@ from statechart.diagram.dot import dot
 from statechart.diagram.layout.graphviz_program import render
 from statechart.diagram.legend import Guards
 from statechart.diagram.model import Diagram
+from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
 
@@ -122,6 +123,49 @@ def test_a_slide_of_a_thousand_pixels_shows_it_legibly(name: str) -> None:
     ]
     # Letters of 9 pixels are read on a slide.
     assert min(sizes) * 1000 / width > 9
+
+
+LOOPS = """
+kind: chart
+name: loops
+variables: {x: 0}
+regions:
+  nav:
+    initial: c
+    states: {a: {}, b: {}, c: {}, d: {}, e: {}, f: {}, g: {}, bad: {}, good: {}}
+    transitions:
+      - {name: t0, from: a, to: bad, after: 1}
+      - {name: t1, from: a, to: d, after: 2}
+      - {name: t2, from: a, to: b, after: 3}
+      - {name: t3, from: b, to: c, after: 4}
+      - {name: t4, from: b, to: a, after: 5}
+      - {name: t5, from: c, to: d, after: 6}
+      - {name: t6, from: c, to: b, after: 7}
+      - {name: t7, from: c, to: good, after: 8}
+      - {name: t8, from: d, to: a, after: 9}
+      - {name: t9, from: d, to: e, after: 10}
+      - {name: t10, from: d, to: f, after: 11}
+      - {name: t11, from: d, to: c, after: 12}
+      - {name: t12, from: e, to: d, after: 13}
+      - {name: t13, from: e, to: g, after: 14}
+      - {name: t14, from: e, to: bad, after: 15}
+      - {name: t15, from: f, to: g, after: 16}
+      - {name: t16, from: f, to: d, after: 17}
+      - {name: t17, from: f, to: good, after: 18}
+      - {name: t18, from: g, to: f, after: 19}
+      - {name: t19, from: g, to: e, after: 20}
+stop: {time: 1}
+"""
+
+
+def test_no_arrow_leaves_the_room_of_its_chart() -> None:
+    laid = json.loads(render(dot(drawn(Runner(read_text(LOOPS)))[0]), "json"))
+    heading, table = (
+        border(item) for item in laid["objects"] if item["name"] in ("_title", "_events")
+    )
+    heights = [y for edge in laid["edges"] for _, y in line(edge)]
+    assert table.high < min(heights)
+    assert max(heights) < heading.low
 
 
 def test_a_clash_is_seen() -> None:

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from statechart.cli.main import main
-from statechart.diagram.machine import NOTES, SCXML, lost
-from statechart.diagram.scxml import scxml
+from statechart.diagram.scxml import NOTES, SCXML, lost, scxml
 from statechart.documents.yaml_reader import read_text
 from statechart.running.drawing import drawn
 from statechart.running.runner import Runner
@@ -146,3 +145,35 @@ stop: {time: 3}
     root = ET.fromstring(scxml(drawn(Runner(read_text(text)))[0]))
     conditions = [element.get("cond") for element in root.iter() if element.get("cond")]
     assert conditions == ["x <= 0.5", "x <= 0 && !(n > 1 || In('gate_shut'))"]
+
+
+RAISED = """
+kind: chart
+name: raised
+variables: {x: 0}
+regions:
+  job:
+    initial: boot
+    states: {boot: {}, work: {states: {slow: {}, fast: {}}, initial: slow}, done: {}}
+    transitions:
+      - {name: begin, from: boot, to: work, guard: x >= 1}
+      - {name: end, from: work, to: done, on: watch.seen}
+  watch:
+    initial: idle
+    states: {idle: {}, busy: {}}
+    transitions: [{name: seen, from: idle, to: busy, on: job.work}]
+stop: {time: 1}
+"""
+
+
+def test_the_machine_raises_the_events_that_its_transitions_wait_for(tmp_path: Path) -> None:
+    io = pytest.importorskip("statemachine.io")
+    written = tmp_path / "raised.scxml"
+    written.write_text(scxml(drawn(Runner(read_text(RAISED)))[0]), encoding="utf-8")
+    raised = [(e.get("event")) for e in ET.parse(written).iter(f"{{{SCXML}}}raise")]
+    assert raised == ["job.work", "watch.seen"]
+    machine = io.load(written)()
+    machine.model.x = 1
+    machine.send("job.begin")
+    active = {state.id for state in machine.configuration}
+    assert {"job_done", "watch_busy"} <= active

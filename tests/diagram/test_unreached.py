@@ -9,12 +9,11 @@ import pytest
 
 from statechart.automaton.nesting import UNREACHED
 from statechart.diagram.dot import dot
-from statechart.diagram.graphml import graphml
 from statechart.diagram.layout.graphviz_program import render
-from statechart.diagram.machine import NOTES
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Diagram
-from statechart.diagram.scxml import scxml
+from statechart.diagram.scxml import NOTES, scxml
+from statechart.diagram.write import graphml
 from statechart.documents.yaml_reader import read_text
 from statechart.palette import FAINT
 from statechart.running.drawing import drawn

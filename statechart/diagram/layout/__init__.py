@@ -1,6 +1,6 @@
-"""Where the parts of a chart stand, so that no line runs through words.
+"""Layout of the parts of a chart, so that no line runs through words.
 
-A chart is a `flow` of boxes in boxes, the product of two a `grid` (an `axis` each way, `rooms` for
-words), a run a `ring`, with a dot at the `start`. Each is a `block`; `markup` says how its boxes
-look, `measure` how large they are, and `graphviz_program` draws.
+A chart is a `flow` of boxes in boxes, which Graphviz places as clusters; the product of two is a
+`grid`, and the path of a run a `ring`, whose places Graphviz is given (``neato -n2``). Each is a
+`block`; `markup` says how its boxes look, and `graphviz_program` draws and measures.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot
@@ -11,6 +11,8 @@ from math import hypot
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.markup import START, arrow
 
 Look = Mapping[str, str]
 """Attributes of DOT that say how something is drawn, and not where."""
@@ -22,25 +24,15 @@ _POINT = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?),(-?[\d.]+(?:e[+-]?\d+)?)")
 _ENDS = re.compile(r"[es],\S+")
 # Length of an arrow's head, which its line stops short of (Graphviz: 10 pt times arrowsize).
 _HEAD = 7.0
-# Points a curve that are looked at; how far into a box a line may reach by rounding, in points.
+# Points a curve that are looked at; how far into a box a line may reach by round-off, in points.
 _SAMPLES, _TOUCH = 40, 0.6
+# The dot of a start: its width, its distance, and the radius of a state's corner, in points.
+_DOT, _OFF, _ROUND = 9.4, 13.0, 2.5
 
 
 @dataclass(frozen=True)
 class Box:
-    """Something at a place: a state, what encloses states, or text.
-
-    Attributes
-    ----------
-    name : str
-        Identifier in DOT; that of text begins with an underscore.
-    centre : (float, float)
-        Where it is.
-    size : (float, float)
-        Width and height.
-    look : mapping
-        Attributes.
-    """
+    """A state, what encloses states, or text; `name` in DOT, that of text with an underscore."""
 
     name: str
     centre: Point
@@ -50,17 +42,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Arrow:
-    """A line from a box to another.
-
-    Attributes
-    ----------
-    source, target : str
-        Names of boxes.
-    course : str
-        Bezier curves as Graphviz writes them (its type splineType).
-    look : mapping
-        Attributes.
-    """
+    """A line between boxes; `course` are Bezier curves as Graphviz writes them (splineType)."""
 
     source: str
     target: str
@@ -76,28 +58,83 @@ class Block:
     boxes: tuple[Box, ...] = ()
     arrows: tuple[Arrow, ...] = ()
 
-    def moved(self, by: Point) -> Block:
+    def moved(self, x: float, y: float) -> Block:
         """Return the same elsewhere."""
         return Block(
             self.size,
-            tuple(
-                replace(b, centre=(b.centre[0] + by[0], b.centre[1] + by[1])) for b in self.boxes
-            ),
-            tuple(replace(a, course=moved(a.course, by)) for a in self.arrows),
+            tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
+            tuple(replace(a, course=_moved(a.course, x, y)) for a in self.arrows),
         )
 
 
-def bounded(boxes: tuple[Box, ...], arrows: tuple[Arrow, ...]) -> Block:
-    """Return a block just as large as what is in it."""
-    low = [min(b.centre[k] - b.size[k] / 2 for b in boxes) for k in (0, 1)]
-    high = [max(b.centre[k] + b.size[k] / 2 for b in boxes) for k in (0, 1)]
-    size = high[0] - low[0], high[1] - low[1]
-    return Block(size, boxes, arrows).moved((-low[0], -low[1]))
+def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> Block:
+    """Return a block just as large as its boxes and arrows."""
+    centres, sizes = (np.array([pick(b) for b in boxes]) for pick in (_centre, _size))
+    corners = [centres - sizes / 2, centres + sizes / 2]
+    places = np.concatenate([*corners, *(samples(one.course) for one in arrows)])
+    (left, low), (right, high) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    return Block((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
 
-def moved(course: str, by: Point) -> str:
-    """Return curves elsewhere."""
-    return _POINT.sub(lambda m: f"{float(m[1]) + by[0]:.2f},{float(m[2]) + by[1]:.2f}", course)
+def _centre(box: Box) -> Point:
+    return box.centre
+
+
+def _size(box: Box) -> Point:
+    return box.size
+
+
+def _moved(course: str, x: float, y: float) -> str:
+    return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", course)
+
+
+def written(name: str, label: str) -> Block:
+    """Return a text as a block of its own."""
+    look = {"shape": "plain", "label": label}
+    size = measured({name: look})[name]
+    return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
+
+
+def beside(blocks: Sequence[Block], gap: float) -> Block:
+    """Put blocks side by side, their tops at one height."""
+    height = max(block.size[1] for block in blocks)
+    placed, x = [], 0.0
+    for block in blocks:
+        placed.append(block.moved(x, height - block.size[1]))
+        x += block.size[0] + gap
+    return _joined((x - gap, height), placed)
+
+
+def stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Block:
+    """Put blocks below each other."""
+    width = max(block.size[0] for block in blocks)
+    placed, y = [], 0.0
+    for block in reversed(blocks):
+        placed.append(block.moved((width - block.size[0]) / 2 if centred else 0.0, y))
+        y += block.size[1] + gap
+    return _joined((width, y - gap), placed[::-1])
+
+
+def _joined(size: Point, blocks: Sequence[Block]) -> Block:
+    boxes = (box for block in blocks for box in block.boxes)
+    return Block(size, (*boxes,), tuple(a for block in blocks for a in block.arrows))
+
+
+def with_start(block: Block, state: str, name: str) -> Block:
+    """Return a block with a start at the corner of a state where it is least in the way."""
+    (box,) = (box for box in block.boxes if box.name == state)
+
+    def at(across: int, up: int) -> Block:
+        tip = (
+            box.centre[0] + across * (box.size[0] / 2 - _ROUND),
+            box.centre[1] + up * (box.size[1] / 2 - _ROUND),
+        )
+        dot = tip[0] + across * _OFF, tip[1] + up * _OFF
+        begin = Arrow(name, state, polyline([dot, tip]), arrow(()))
+        return bounded((*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin))
+
+    corners = (at(across, up) for across, up in ((-1, 1), (1, 1), (-1, -1), (1, -1)))
+    return min(corners, key=lambda one: (covered(one), crossings(one)))
 
 
 def polyline(points: Iterable[Point], *, head: bool = True) -> str:
@@ -121,17 +158,17 @@ def covered(block: Block) -> int:
     centres = np.array([box.centre for box in solid]).reshape(-1, 2)
     reach = np.array([box.size for box in solid]).reshape(-1, 2) / 2 - _TOUCH
     found = 0
-    for arrow in block.arrows:
-        off = np.abs(samples(arrow.course)[:, None] - centres)
+    for one in block.arrows:
+        off = np.abs(samples(one.course)[:, None] - centres)
         through = np.all(off < reach, axis=2).any(axis=0)
-        ends = (arrow.source, arrow.target)
+        ends = (one.source, one.target)
         found += sum(box.name not in ends for box, on in zip(solid, through, strict=True) if on)
     return found
 
 
 def crossings(block: Block) -> int:
     """Return how often arrows cross each other."""
-    pieces = [samples(arrow.course)[:: _SAMPLES // 8] for arrow in block.arrows]
+    pieces = [samples(one.course)[:: _SAMPLES // 8] for one in block.arrows]
     if not pieces:
         return 0
     start = np.concatenate([places[:-1] for places in pieces])

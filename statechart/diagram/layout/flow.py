@@ -1,39 +1,37 @@
 """A chart as boxes in boxes, laid out by Graphviz' ``dot`` (Gansner et al. 1993).
 
 The words on an arrow are a node of their own between its ends, so that dot makes room for them and
-leads no other line through them.
+leads no other line through them. So is the dot from which the first arrow of a chart, or of a state
+that holds others, comes. Regions side by side have a dashed line between them (UML 2.5, 14.2.4).
 """
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 from statechart.diagram.layout.block import (
     Arrow,
     Block,
     Box,
     Look,
-    Point,
     bounded,
     covered,
     crossings,
+    polyline,
 )
-from statechart.diagram.layout.graphviz_program import render
+from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
 from statechart.diagram.layout.markup import (
-    FONT,
     FRAMES,
+    START,
     Style,
     arrow,
     arrow_look,
-    frame_look,
-    nested,
     state_look,
+    title_look,
 )
-from statechart.diagram.layout.start import begun
-from statechart.diagram.legend import drawn_once
-from statechart.diagram.model import Chart, Link
-from statechart.palette import FAINT
+from statechart.diagram.model import Chart, Node
+from statechart.palette import FAINT, FRAME
 
 if TYPE_CHECKING:
     import graphviz
@@ -41,15 +39,15 @@ if TYPE_CHECKING:
 # Width and height that a chart may take of a slide.
 _ROOM = (740.0, 430.0)
 # Ways to go from rank to rank, and space between neighbours in inches.
-_WAYS = [(way, gap) for way in ("TB", "LR") for gap in (0.25, 0.5)]
-_INCH = 72.0
+_WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
+_REGION = {"shape": "box", "style": "invis", "label": ""}
+_DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
 
 def flow(chart: Chart, style: Style, prefix: str) -> Block:
     """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
-    looks = _looks(chart, style, prefix)
-    laid = (_read(chart, style, prefix, looks, *way) for way in _WAYS)
-    return min(laid, key=_badness)
+    drawn = _Flow(chart, style, prefix)
+    return min((drawn.block(way, gap) for way, gap in _WAYS), key=_badness)
 
 
 def _badness(block: Block) -> tuple[float, ...]:
@@ -59,124 +57,162 @@ def _badness(block: Block) -> tuple[float, ...]:
     return covered(block), round(4 * shrink), crossings(block), height
 
 
-def _looks(chart: Chart, style: Style, prefix: str) -> dict[str, Look]:
-    """Return how boxes look, by identifier: states, the names of frames, words on arrows."""
-    leaves = {node.name for node in chart.leaves}
-    found: dict[str, Look] = {}
-    for node in chart.nodes:
-        if node.name in leaves:
-            found[style.names[node.name]] = state_look(node, chart, style)
-        else:
-            found[f"{prefix}in_{style.names[node.name]}"] = frame_look(node, chart, style)
-    for k, links in enumerate(_arrows(chart).values()):
-        look = arrow_look(links, style)
-        if look is not None:
-            found[f"{prefix}{k}"] = look
-    return found
+class _Flow:
+    """A chart in DOT: `looks` of its boxes by identifier, those of text with an underscore."""
 
+    def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
+        self.chart, self.names, self.prefix = chart, style.names, prefix
+        leaves = {node.name for node in chart.leaves}
+        self.looks: dict[str, Look] = {}
+        self.starts: dict[str, Node] = {}
+        for k, node in enumerate(chart.nodes):
+            if node.name in leaves:
+                self.looks[self.names[node.name]] = state_look(node, chart, style)
+            else:
+                self.looks[self.title(node)] = title_look(node, chart, style)
+            if node.initial or node.default:
+                self.starts[f"{prefix}start{k}"] = node
+        self.words: dict[str | None, list[str]] = {}
+        self.edges: dict[str, tuple[str, str, Look]] = {}
+        for k, ((source, target), links) in enumerate(chart.arrows.items()):
+            self.edges[str(k)] = source, target, arrow(links)
+            look = arrow_look(links, style)
+            if look is not None:
+                self.looks[f"{prefix}{k}"] = look
+                around = chart.around(target)
+                common = next((name for name in chart.around(source) if name in around), None)
+                self.words.setdefault(common, []).append(f"{prefix}{k}")
 
-def _arrows(chart: Chart) -> dict[tuple[str, str], list[Link]]:
-    return {e: links for e, links in drawn_once(chart).items() if not nested(chart, links[0])}
+    def title(self, node: Node) -> str:
+        """Return the identifier of the name of a state that holds others."""
+        return f"{self.prefix}in_{self.names[node.name]}"
 
+    def source(self, way: str, gap: str) -> str:
+        """Return the chart as DOT; words and starts are nodes."""
+        import graphviz
 
-def _source(
-    chart: Chart, style: Style, prefix: str, looks: dict[str, Look], way: str, gap: float
-) -> str:
-    import graphviz
+        graph = graphviz.Digraph(
+            graph_attr={
+                "rankdir": way, "nodesep": gap, "ranksep": "0.22", "compound": "true",
+                "fontname": FONT,
+            },
+            node_attr={"fontname": FONT},
+            edge_attr={"arrowsize": "0.7"},
+        )  # fmt: skip
+        self._fill(graph, None)
+        for k, (source, target, _) in self.edges.items():
+            tail, head = self._end(source, "tail"), self._end(target, "head")
+            if (words := f"{self.prefix}{k}") in self.looks:
+                graph.edge(head_name=words, arrowhead="none", id=f"{k} to", **tail)
+                graph.edge(tail_name=words, id=f"{k} on", **head)
+            else:
+                graph.edge(id=f"{k} to", **tail, **head)
+        for name, node in self.starts.items():
+            graph.edge(name, id=f"{name} to", weight="4", **self._end(node.name, "head"))
+        return str(graph.source)
 
-    graph = graphviz.Digraph(
-        graph_attr={
-            "rankdir": way,
-            "nodesep": str(gap),
-            "ranksep": "0.22",
-            "compound": "true",
-            "fontname": FONT,
-        },
-        node_attr={"fontname": FONT},
-    )
-    held: dict[str | None, list[str]] = {}
-    for k, (source, target) in enumerate(_arrows(chart)):
-        if f"{prefix}{k}" in looks:
-            held.setdefault(_common(chart, source, target), []).append(f"{prefix}{k}")
-
-    def fill(part: graphviz.Digraph, inside: str | None) -> None:
-        for node in chart.within(inside):
-            name = style.names[node.name]
-            if name in looks:
-                part.node(name, **looks[name])
+    def _fill(self, part: graphviz.Digraph, inside: str | None) -> None:
+        for name, node in self.starts.items():
+            begins = any(n.default for n in self.chart.within(node.inside))
+            if inside == (None if node.initial and begins else node.inside):
+                part.node(name, **START)
+        for node in self.chart.within(inside):
+            name = self.names[node.name]
+            if name in self.looks:
+                part.node(name, **self.looks[name])
                 continue
             with part.subgraph(name=f"cluster_{name}") as frame:
-                label = looks[f"{prefix}in_{name}"]["label"]
+                label = self.looks[self.title(node)]["label"]
                 frame.attr(label=label, labeljust="l", labelloc="t", margin="14")
-                fill(frame, node.name)
-        for name in held.get(inside, []):
-            part.node(name, **looks[name])
+                self._fill(frame, node.name)
+        for name in self.words.get(inside, []):
+            part.node(name, **self.looks[name])
 
-    fill(graph, None)
-    for k, (source, target) in enumerate(_arrows(chart)):
-        tail, head = _end(chart, style, source, "tail"), _end(chart, style, target, "head")
-        if (label := f"{prefix}{k}") in looks:
-            graph.edge(head_name=label, arrowhead="none", id=f"{k} to", **tail)
-            graph.edge(tail_name=label, arrowsize="0.7", id=f"{k} on", **head)
-        else:
-            graph.edge(**tail, **head, arrowsize="0.7", id=f"{k} to")
-    return str(graph.source)
+    def _end(self, name: str, end: str) -> dict[str, str]:
+        """Return an end of an edge; a frame cuts off an edge to a state in it."""
+        leaf = name
+        while inner := self.chart.within(leaf):
+            leaf = inner[0].name
+        found = {f"{end}_name": self.names[leaf]}
+        if leaf != name:
+            found[f"l{end}"] = f"cluster_{self.names[name]}"
+        return found
+
+    def block(self, way: str, gap: str) -> Block:
+        """Return the chart as dot lays it out."""
+        laid = laid_out(self.source(way, gap))
+        items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
+        frames = sorted(
+            (self._frame(node, items) for node in self.chart.frames),
+            key=lambda box: -box.size[0] * box.size[1],
+        )
+        boxes = [
+            Box(name, _point(item["pos"]), size_of(item), self.looks.get(name, START))
+            for name, item in items.items()
+            if "bb" not in item
+        ]
+        for node in self.chart.frames:
+            item, name = items[self.names[node.name]], self.title(node)
+            boxes.append(Box(name, _point(item["lp"]), size_of(item, "l"), self.looks[name]))
+        courses = {edge["id"]: edge["pos"] for edge in laid.get("edges", [])}
+        arrows = [
+            Arrow(
+                self.names[source],
+                self.names[target],
+                ";".join(courses[half] for half in (f"{k} to", f"{k} on") if half in courses),
+                look,
+            )
+            for k, (source, target, look) in self.edges.items()
+        ]
+        arrows += [
+            Arrow(name, self.names[node.name], courses[f"{name} to"], arrow(()))
+            for name, node in self.starts.items()
+        ]
+        places = {box.name: box for box in frames}
+        for node in self.chart.frames:
+            if node.parallel:
+                arrows += self._dividers(node, places)
+        return bounded((*frames, *boxes), arrows)
+
+    def _frame(self, node: Node, items: dict[str, Any]) -> Box:
+        name = self.names[node.name]
+        x0, y0, x1, y1 = map(float, items[name]["bb"].split(","))
+        look: Look = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
+        if node.inside is not None and self.chart.node(node.inside).parallel:
+            look = _REGION
+        return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look)
+
+    def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
+        """Return the dashed lines between the regions of a state, which dot puts in a row."""
+        frame = places[self.names[node.name]]
+        regions = [
+            places[name]
+            for n in self.chart.within(node.name)
+            if (name := self.names[n.name]) in places
+        ]
+        apart = [abs(a.centre[k] - b.centre[k]) for k in (0, 1) for a, b in pairwise(regions)]
+        axis = int(
+            max(apart[len(apart) // 2 :], default=0) > max(apart[: len(apart) // 2], default=0)
+        )
+        regions.sort(key=lambda box: box.centre[axis])
+        found = []
+        for one, other in pairwise(regions):
+            middle = (
+                one.centre[axis] + one.size[axis] / 2 + other.centre[axis] - other.size[axis] / 2
+            ) / 2
+            ends = [frame.centre[1 - axis] + side * frame.size[1 - axis] / 2 for side in (-1, 1)]
+            line = [(middle, end) if axis == 0 else (end, middle) for end in ends]
+            found.append(
+                Arrow(
+                    f"{self.prefix}in_{one.name}",
+                    f"{self.prefix}in_{other.name}",
+                    polyline(line, head=False),
+                    _DIVIDER,
+                )
+            )
+        return found
 
 
-def _end(chart: Chart, style: Style, name: str, end: str) -> dict[str, str]:
-    """Return what an edge says of an end; a frame is cut off at by an edge to a state in it."""
-    leaf, found = name, {}
-    while inner := chart.within(leaf):
-        leaf = inner[0].name
-    found[f"{end}_name"] = style.names[leaf]
-    if leaf != name:
-        found[f"l{end}"] = f"cluster_{style.names[name]}"
-    return found
-
-
-def _common(chart: Chart, one: str, other: str) -> str | None:
-    """Return the innermost state that encloses both."""
-    around = chart.around(other)
-    return next((name for name in chart.around(one) if name in around), None)
-
-
-def _read(
-    chart: Chart, style: Style, prefix: str, looks: dict[str, Look], way: str, gap: float
-) -> Block:
-    """Return what dot made of a chart."""
-    laid = json.loads(render(_source(chart, style, prefix, looks, way, gap), "json"))
-    left, low, right, high = map(float, laid["bb"].split(","))
-    refused = {style.names[node.name] for node in chart.frames if node.infeasible is not None}
-    frames, boxes = [], []
-    for item in laid["objects"]:
-        name = item["name"]
-        if "bb" in item:
-            name = name.removeprefix("cluster_")
-            x0, y0, x1, y1 = map(float, item["bb"].split(","))
-            look = {**FRAMES, "color": FAINT} if name in refused else FRAMES
-            frames.append(Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look))
-            title, size = f"{prefix}in_{name}", (item["lwidth"], item["lheight"])
-            boxes.append(Box(title, _point(item["lp"]), _inches(*size), looks[title]))
-        else:
-            size = _inches(item["width"], item["height"])
-            boxes.append(Box(name, _point(item["pos"]), size, looks[name]))
-    frames.sort(key=lambda box: -box.size[0] * box.size[1])
-    courses = {edge["id"]: edge["pos"] for edge in laid.get("edges", [])}
-    arrows = []
-    for k, ((source, target), links) in enumerate(_arrows(chart).items()):
-        course = ";".join(courses[half] for half in (f"{k} to", f"{k} on") if half in courses)
-        ends = style.names[source], style.names[target]
-        arrows.append(Arrow(*ends, course, arrow(links)))
-    block = Block((right - left, high - low), (*frames, *boxes), tuple(arrows))
-    if chart.initial is None:
-        return bounded(block.boxes, block.arrows)
-    return begun(block, style.names[chart.initial.name], f"{prefix}start")
-
-
-def _inches(width: str, height: str) -> Point:
-    return _INCH * float(width), _INCH * float(height)
-
-
-def _point(place: str) -> Point:
+def _point(place: str) -> tuple[float, float]:
     x, y = map(float, place.split(","))
     return x, y

@@ -1,17 +1,26 @@
-"""Graphviz in this process: source in, a picture or a layout out."""
+"""Graphviz in this process: source in; a picture, a layout or the sizes of boxes out."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 from statechart.errors import StatechartError
+
+# DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
+# Verdana has its metrics, so the text of an svg fits where a browser has only that.
+FONT = "DejaVu Sans,Verdana,sans-serif"
+
+INCH = 72.0
+"""Points, in which places are given; widths and heights are in inches."""
 
 
 def render(source: str, form: str) -> bytes:
@@ -35,6 +44,27 @@ def render(source: str, form: str) -> bytes:
             remarks = said.read().decode(errors="replace").strip()
             raise StatechartError(f"Graphviz made no {form}: {error} {remarks}".strip()) from error
     return bytes(data)
+
+
+def laid_out(source: str) -> dict[str, Any]:
+    """Return what Graphviz says of a graph after its layout, as the object of its JSON."""
+    found: dict[str, Any] = json.loads(render(source, "json"))
+    return found
+
+
+def measured(looks: Mapping[str, Mapping[str, str]]) -> dict[str, tuple[float, float]]:
+    """Return the width and height in points of boxes, all by one call of Graphviz."""
+    import graphviz
+
+    graph = graphviz.Digraph(node_attr={"fontname": FONT})
+    for name, look in looks.items():
+        graph.node(name, **look)
+    return {item["name"]: size_of(item) for item in laid_out(str(graph.source))["objects"]}
+
+
+def size_of(item: Mapping[str, str], prefix: str = "") -> tuple[float, float]:
+    """Return width and height of an object in points, with `prefix` "l" those of its label."""
+    return INCH * float(item[f"{prefix}width"]), INCH * float(item[f"{prefix}height"])
 
 
 @contextmanager

@@ -2,218 +2,331 @@
 
 An arrow changes one region, so that arrows along a row are the second region's chart, and those
 down a column the first's: every row has the same, and so has every column. Frames around states
-are bands through the whole grid. Words stand in rooms of their own, which no line crosses.
+are bands through the whole grid. Words have a place of their own, which no line crosses.
+
+Axis 0 goes along, axis 1 down; `u` is a place on an axis and `v` one across it, both from the upper
+left corner. An arrow between neighbours is a straight line; one that skips states has a lane beside
+them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from itertools import islice, permutations, product
+from typing import NamedTuple
 
-from statechart.diagram.layout.axis import Axis, Bond, axis
-from statechart.diagram.layout.block import Arrow, Block, Box, Look, Point, bounded, polyline
-from statechart.diagram.layout.markup import Style, arrow, arrow_look, frame_look, state_look
-from statechart.diagram.layout.measure import measured
-from statechart.diagram.layout.rooms import AIR, MARGIN, Rooms, rooms
-from statechart.diagram.layout.start import begun
-from statechart.diagram.model import Chart, Node
+from statechart.diagram.layout.block import (
+    Arrow,
+    Block,
+    Box,
+    Look,
+    Point,
+    bounded,
+    polyline,
+    with_start,
+)
+from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.markup import Style, arrow, arrow_look, state_look, title_look
+from statechart.diagram.model import Chart, Link, Node
 from statechart.palette import FAINT, FRAME
 
 _BAND = {"shape": "box", "style": "rounded,dashed", "label": ""}
+# At most so many orders of states are tried.
+_MAX_ORDERS = 5040
+# Points: between a state and the frame around it; beside words; between two lines; an arrow's
+# head with some of its line.
+_MARGIN, _AIR, _LINE, _HEAD = 9.0, 4.0, 14.0, 12.0
+# Of lanes down and along: from the line to its words, and around both.
+_LANES = ((_AIR, 3 * _AIR), (1.0, _AIR))
+
+Span = tuple[int, int]
+"""First and last place of a state, or of a frame around states."""
+
+
+class _Bond(NamedTuple):
+    """An arrow between states or frames on an axis."""
+
+    tail: Span
+    head: Span
+    links: tuple[Link, ...]
+
+    @property
+    def onward(self) -> bool:
+        return self.tail[1] < self.head[0]
+
+    @property
+    def gap(self) -> Span:
+        """The last place before what it crosses, and the first behind."""
+        return (self.tail[1], self.head[0]) if self.onward else (self.head[1], self.tail[0])
+
+    @property
+    def skips(self) -> bool:
+        return self.gap[1] - self.gap[0] > 1
+
+
+class _Axis:
+    """The states of a chart in the order in which its arrows skip the fewest.
+
+    `frames` are nodes that hold several states, with their span and the depth of frames in them.
+    """
+
+    def __init__(self, chart: Chart) -> None:
+        arrows = chart.arrows
+
+        def skipped(order: tuple[Node, ...]) -> int:
+            spans = _spans(chart, order)
+            bonds = (_Bond(spans[s], spans[t], ()) for s, t in arrows)
+            return sum(bond.gap[1] - bond.gap[0] - 1 for bond in bonds)
+
+        self.states = min(islice(_orders(chart, None), _MAX_ORDERS), key=skipped)
+        spans = _spans(chart, self.states)
+        many = {n.name for n in chart.nodes if spans[n.name][0] < spans[n.name][1]}
+
+        def depth(node: Node) -> int:
+            return 1 + max((depth(n) for n in chart.within(node.name) if n.name in many), default=0)
+
+        self.frames = [(n, spans[n.name], depth(n)) for n in chart.nodes if n.name in many]
+        self.deepest = max((deep for _, _, deep in self.frames), default=0)
+        self.bonds = [_Bond(spans[s], spans[t], tuple(links)) for (s, t), links in arrows.items()]
+        self.lanes = [k for k, bond in enumerate(self.bonds) if bond.skips]
+
+    def margin(self, place: int, side: int) -> int:
+        """Return how deep frames are that end at a side (-1, 1) of a place."""
+        ends = ((span[side > 0], deep) for _, span, deep in self.frames)
+        return max((deep for end, deep in ends if end == place), default=0)
+
+    def between(self, place: int) -> list[int]:
+        """Return the bonds from one place to the next, or back, by their numbers."""
+        return [k for k, bond in enumerate(self.bonds) if bond.gap == (place, place + 1)]
+
+
+def _orders(chart: Chart, inside: str | None) -> Iterator[tuple[Node, ...]]:
+    """Yield orders in which states of one state stay together, first the one declared."""
+    for order in permutations(chart.within(inside)):
+        parts = [list(_orders(chart, n.name)) if chart.within(n.name) else [(n,)] for n in order]
+        for chosen in product(*parts):
+            yield tuple(node for part in chosen for node in part)
+
+
+def _spans(chart: Chart, order: tuple[Node, ...]) -> dict[str, Span]:
+    spans = {node.name: (k, k) for k, node in enumerate(order)}
+    for k, node in enumerate(order):
+        for outer in chart.around(node.name):
+            low, high = spans.get(outer, (k, k))
+            spans[outer] = min(low, k), max(high, k)
+    return spans
 
 
 def grid(chart: Chart, style: Style, prefix: str) -> Block:
     """Lay out the product of two regions; see `Chart.axes`."""
-    if chart.axes is None:
-        raise ValueError("a grid is drawn of a product of two regions")
-    down, along = map(axis, chart.axes)
-    looks: dict[str, Look] = {}
-    for way, line, part in (("v", down, chart.axes[0]), ("h", along, chart.axes[1])):
-        for k, bond in enumerate(line.bonds):
-            look = arrow_look(bond.links, style, narrow=way == "v")
-            looks |= {f"{way}{k}": look} if look else {}
-        for k, (node, _, _) in enumerate(line.frames):
-            looks[f"{way}in{k}"] = frame_look(node, part, style)
-    cells = {style.names[node.name]: state_look(node, chart, style) for node in chart.nodes}
-    sizes = measured({**{f"_{name}": look for name, look in looks.items()}, **cells})
-    words = {name: sizes[f"_{name}"] for name in looks}
-    cell = max(sizes[name][0] for name in cells), max(sizes[name][1] for name in cells)
-    draft = _Draft(
-        chart, chart.axes, style, prefix, down, along, rooms(down, along, cell, words), looks
-    )
-    boxes = (*draft.bands(), *draft.states(cells), *draft.words())
-    block = bounded(boxes, tuple(draft.arrows()))
+    drawn = _Grid(chart, style, prefix)
+    axes = (0, 1)
+    bands = [box for axis in axes for box in drawn.bands(axis)]
+    words = [box for axis in axes for box in drawn.words(axis)]
+    arrows = [one for axis in axes for one in drawn.arrows(axis)]
+    block = bounded((*bands, *drawn.states(), *words), arrows)
     if chart.initial is None:
         return block
-    return begun(block, style.names[chart.initial.name], f"{prefix}start")
+    return with_start(block, style.names[chart.initial.name], f"{prefix}start")
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """A grid whose measures are known; y upwards from its upper left corner, so below 0."""
+class _Grid:
+    """A grid with its measures, all by axis.
 
-    chart: Chart
-    axes: tuple[Chart, Chart]
-    style: Style
-    prefix: str
-    down: Axis
-    along: Axis
-    rooms: Rooms
-    looks: dict[str, Look]
+    `cell` is the size of a state, `places` the middles of states, `sides` how far states with
+    their words reach before and behind their middle, `reach` how far with their lanes before it,
+    and `tracks` where, across, an arrow and its words are from the middle of its states.
+    """
 
-    def state(self, row: int, column: int) -> Node:
-        """Return the state at a place."""
-        first, second = self.axes
-        at = (
-            first.leaves.index(self.down.states[row]),
-            second.leaves.index(self.along.states[column]),
+    def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
+        if chart.axes is None:
+            raise ValueError("a grid is drawn of a product of two regions")
+        self.chart, self.names, self.prefix = chart, style.names, prefix
+        down, along = chart.axes
+        self.axes = _Axis(along), _Axis(down)
+        # The nodes of the product by row and column.
+        rows, columns = ([part.leaves.index(n) for n in axis.states] for part, axis in
+                         ((down, self.axes[1]), (along, self.axes[0])))  # fmt: skip
+        nodes = chart.nodes
+        self.nodes = [[nodes[row * len(columns) + column] for column in columns] for row in rows]
+        self.looks: dict[str, Look] = {}
+        for k, part in enumerate((along, down)):
+            for number, bond in enumerate(self.axes[k].bonds):
+                look = arrow_look(bond.links, style, narrow=k == 1)
+                self.looks |= {self._key(k, number): look} if look else {}
+            for number, (node, _, _) in enumerate(self.axes[k].frames):
+                self.looks[self._key(k, f"in{number}")] = title_look(node, part, style)
+        self.cells = {self.names[node.name]: state_look(node, chart, style) for node in nodes}
+        self.sizes = measured({**self.looks, **self.cells})
+        self._measure()
+
+    def _key(self, axis: int, number: int | str) -> str:
+        return f"{self.prefix}{'hv'[axis]}{number}"
+
+    def _size(self, axis: int, bond: int) -> Point:
+        """Return width and height of the words on an arrow."""
+        return self.sizes.get(self._key(axis, bond), (0.0, 0.0))
+
+    def _measure(self) -> None:
+        along, down = self.axes
+        stacks, bundles = dict[int, Point](), dict[int, Point]()
+        tallest = 0.0
+        for place in range(len(along.states) - 1):
+            tracks, height = self._stack(along.between(place))
+            stacks |= tracks
+            tallest = max(tallest, height)
+        for place in range(len(down.states) - 1):
+            bundles |= self._bundle(down.between(place))
+        widest = max((abs(at) for at, _ in bundles.values()), default=0.0)
+        cell = (max(self.sizes[name][k] for name in self.cells) for k in (0, 1))
+        self.cell = width, height = (
+            max(next(cell), 2 * widest + 2 * _HEAD),
+            max(next(cell), tallest + 2 * _AIR),
         )
-        return self.chart.nodes[at[0] * len(second.leaves) + at[1]]
+        halves = [(words, self._size(1, k)[0] / 2 + _AIR) for k, (_, words) in bundles.items()]
+        before = max([width / 2, *(half - words for words, half in halves)])
+        behind = max([width / 2, *(half + words for words, half in halves)])
+        self.sides = (before, behind), (height / 2, height / 2)
+        self.tracks = stacks, bundles
+        # Lanes of arrows down stand to the left of a column, those along above a row.
+        self.reach = [self.sides[k][0] + _MARGIN * self.axes[k].deepest + _AIR for k in (0, 1)]
+        for axis, across in ((1, 0), (0, 1)):
+            near, clear = _LANES[across]
+            for k in self.axes[axis].lanes:
+                size, at = self._size(axis, k)[across], self.reach[across]
+                self.tracks[axis][k] = -at, -(at + near + size / 2)
+                self.reach[across] += size + clear
+        line = max((-bundles[k][0] for k in down.lanes), default=width / 2)
+        self.places = self._places(0, line), self._places(1, self.reach[1])
+        edge = _MARGIN * along.deepest + _AIR, _MARGIN * max(along.deepest, down.deepest, 1)
+        self.size = [self.places[k][-1] + self.sides[k][1] + edge[k] for k in (0, 1)]
 
-    def centre(self, row: int, column: int) -> Point:
-        """Return the middle of a state."""
-        return self.rooms.columns[column], -self.rooms.rows[row]
+    def _places(self, k: int, lane: float) -> list[float]:
+        """Return the middles of states; words stand between these, or frames around them."""
+        axis, half, (before, behind) = self.axes[k], self.cell[k] / 2, self.sides[k]
+        places = [self.reach[k]]
+        for place in range(len(axis.states) - 1):
+            near, far = (_MARGIN * axis.margin(place + i, side) for i, side in ((0, 1), (1, -1)))
+            crossing = (n for n, bond in enumerate(axis.bonds) if bond.gap[0] == place)
+            words = max((self._size(k, n)[k] for n in crossing), default=0.0)
+            start = behind + near if near else half
+            end = before + far if far else half
+            step = start + words + 2 * _HEAD + max(end, lane)
+            places.append(places[-1] + max(step, behind + self.reach[k] + 2 * _AIR))
+        return places
 
-    def states(self, cells: dict[str, dict[str, str]]) -> Iterator[Box]:
-        """Yield the states, and the dot that the first arrow comes from."""
-        for row in range(len(self.down.states)):
-            for column in range(len(self.along.states)):
-                node, centre = self.state(row, column), self.centre(row, column)
-                name = self.style.names[node.name]
-                yield Box(name, centre, self.rooms.cell, cells[name])
+    def _bundle(self, bonds: list[int]) -> dict[int, Point]:
+        """Return tracks of arrows down beside each other: the first has its words on the left."""
+        tracks: dict[int, Point] = {}
+        at = -_LINE / 2 if len(bonds) > 1 else 0.0
+        for k in bonds:
+            wide = self._size(1, k)[0]
+            first = not tracks and len(bonds) > 1
+            tracks[k] = at, at + (-1 if first else 1) * (_AIR + wide / 2)
+            at += _LINE if first else 2 * _AIR + wide + _AIR
+        return tracks
 
-    def bands(self) -> Iterator[Box]:
+    def _stack(self, bonds: list[int]) -> tuple[dict[int, Point], float]:
+        """Return tracks of arrows along, each below its words, and the height of all."""
+        heights = [self._size(0, k)[1] for k in bonds]
+        total = sum(heights) + _AIR * len(bonds)
+        tracks, v = {}, -total / 2
+        for k, high in zip(bonds, heights, strict=True):
+            tracks[k] = v + high + 1.0, v + high / 2
+            v += high + _AIR
+        return tracks, total
+
+    def _side(self, axis: int, place: int, side: int, deep: int) -> float:
+        """Return where a state, or a frame around it, ends on one side (-1, 1)."""
+        half = self.sides[axis][side > 0] + _MARGIN * deep if deep else self.cell[axis] / 2
+        return self.places[axis][place] + side * half
+
+    def _node(self, axis: int, place: int, across: int) -> Node:
+        return self.nodes[across][place] if axis == 0 else self.nodes[place][across]
+
+    def states(self) -> Iterator[Box]:
+        """Yield the states."""
+        for row, y in zip(self.nodes, self.places[1], strict=True):
+            for node, x in zip(row, self.places[0], strict=True):
+                name = self.names[node.name]
+                yield Box(name, (x, -y), self.cell, self.cells[name])
+
+    def bands(self, k: int) -> Iterator[Box]:
         """Yield the frames through the grid, and their names outside them."""
-        width, height = self.rooms.size
-        for k, (node, span, deep) in enumerate(self.along.frames):
-            left = self._side(self.along, span[0], -1, deep)
-            right = self._side(self.along, span[1], 1, deep)
-            top = -self.rooms.rows[0] + self.rooms.reach[1] + MARGIN * deep
-            name, size = f"hin{k}", self.rooms.words[f"hin{k}"]
-            low = -height - MARGIN * deep
-            yield _between(f"{self.prefix}h_{k}", (left, low), (right, top), node)
-            place = left + size[0] / 2, top + size[1] / 2 + 1.0
-            yield Box(self.prefix + name, place, size, self.looks[name])
-        for k, (node, span, deep) in enumerate(self.down.frames):
-            top = self._side(self.down, span[0], -1, deep)
-            low = self._side(self.down, span[1], 1, deep)
-            left = self.rooms.columns[0] - self.rooms.reach[0] - MARGIN * deep
-            name, size = f"vin{k}", self.rooms.words[f"vin{k}"]
-            corner = width + MARGIN * deep, top
-            yield _between(f"{self.prefix}v_{k}", (left, low), corner, node)
-            place = left - size[0] / 2 - 1.0, top - size[1] / 2
-            yield Box(self.prefix + name, place, size, self.looks[name])
+        across = 1 - k
+        for number, (node, span, deep) in enumerate(self.axes[k].frames):
+            low, high = self._side(k, span[0], -1, deep), self._side(k, span[1], 1, deep)
+            top = self.places[across][0] - self.reach[across] - _MARGIN * deep
+            end = self.size[across] + _MARGIN * deep
+            colour = FRAME if node.infeasible is None else FAINT
+            size = _turned(k, high - low, end - top)
+            centre = _point(k, (low + high) / 2, (top + end) / 2)
+            yield Box(self._key(k, f"_{number}"), centre, size, {**_BAND, "color": colour})
+            name = self._key(k, f"in{number}")
+            size = self.sizes[name]
+            centre = _point(k, low + size[k] / 2, top - size[across] / 2 - 1.0)
+            yield Box(name, centre, size, self.looks[name])
 
-    def _side(self, line: Axis, place: int, side: int, deep: int) -> float:
-        """Return where a state, or a frame around it, ends on one side: an x, or a y."""
-        if line is self.down:
-            return -self.rooms.rows[place] - side * (self.rooms.cell[1] / 2 + MARGIN * deep)
-        half = self.rooms.cell[0] / 2
-        if deep:
-            half = self.rooms.sides[0 if side < 0 else 1] + MARGIN * deep
-        return self.rooms.columns[place] + side * half
+    def words(self, k: int) -> Iterator[Box]:
+        """Yield the words on arrows, in the middle of the free space."""
+        axis, across = self.axes[k], 1 - k
+        for number, bond in enumerate(axis.bonds):
+            name, place = self._key(k, number), bond.gap[0]
+            if name not in self.looks:
+                continue
+            low = self._side(k, place, 1, axis.margin(place, 1))
+            high = self._side(k, place + 1, -1, axis.margin(place + 1, -1))
+            lanes = (self.tracks[across][lane][0] for lane in self.axes[across].lanes)
+            high = min([high, *(self.places[k][place + 1] + at for at in lanes)])
+            for other, v in enumerate(self.places[across]):
+                centre = _point(k, (low + high) / 2, v + self.tracks[k][number][1])
+                yield Box(f"{name}_{other}", centre, self.sizes[name], self.looks[name])
 
-    def words(self) -> Iterator[Box]:
-        """Yield the words on all arrows."""
-        for k, bond in enumerate(self.along.bonds):
-            for row in range(len(self.down.states)):
-                yield from self._word(f"h{k}", f"_{row}", self._along_words(k, bond, row))
-        for k, bond in enumerate(self.down.bonds):
-            for column in range(len(self.along.states)):
-                yield from self._word(f"v{k}", f"_{column}", self._down_words(k, bond, column))
-
-    def _word(self, name: str, mark: str, place: Point) -> Iterator[Box]:
-        if name in self.looks:
-            yield Box(self.prefix + name + mark, place, self.rooms.words[name], self.looks[name])
-
-    def _along_words(self, k: int, bond: Bond, row: int) -> Point:
-        track, y = self.rooms.along[k], -self.rooms.rows[row]
-        near, far = bond.gap[0], bond.gap[0] + 1
-        left = self._side(self.along, near, 1, self.along.margin(near, 1))
-        right = self._side(self.along, far, -1, self.along.margin(far, -1))
-        lanes = (self.rooms.down[j].at for j in self.down.skipping)
-        right = min([right, *(self.rooms.columns[far] - at for at in lanes)])
-        return (left + right) / 2, y + track.words if bond.skips else y - track.words
-
-    def _down_words(self, k: int, bond: Bond, column: int) -> Point:
-        track, x = self.rooms.down[k], self.rooms.columns[column]
-        near, far = bond.gap[0], bond.gap[0] + 1
-        top = self._side(self.down, near, 1, self.down.margin(near, 1))
-        low = self._side(self.down, far, -1, self.down.margin(far, -1))
-        low = max(
-            [low, *(self.rooms.along[j].at - self.rooms.rows[far] for j in self.along.skipping)]
-        )
-        return x - track.words if bond.skips else x + track.words, (top + low) / 2
-
-    def arrows(self) -> Iterator[Arrow]:
+    def arrows(self, k: int) -> Iterator[Arrow]:
         """Yield all arrows."""
-        for k, bond in enumerate(self.along.bonds):
-            for row in range(len(self.down.states)):
-                ends = [self._end(self.along, span, row) for span in (bond.tail, bond.head)]
-                yield self._arrow(ends, self._along_course(k, bond, row), bond)
-        for k, bond in enumerate(self.down.bonds):
-            for column in range(len(self.along.states)):
-                ends = [self._end(self.down, span, column) for span in (bond.tail, bond.head)]
-                yield self._arrow(ends, self._down_course(k, bond, column), bond)
+        for number, bond in enumerate(self.axes[k].bonds):
+            for other, v in enumerate(self.places[1 - k]):
+                (tail, no_tail), (head, no_head) = (
+                    self._end(k, span, other) for span in (bond.tail, bond.head)
+                )
+                look = arrow(bond.links) | ({"color": FAINT} if no_tail or no_head else {})
+                course = [_point(k, *at) for at in self._course(k, number, v)]
+                yield Arrow(tail, head, polyline(course), look)
 
-    def _arrow(self, ends: list[tuple[str, bool]], course: str, bond: Bond) -> Arrow:
-        look = arrow(bond.links)
-        if any(refused for _, refused in ends):
-            look["color"] = FAINT
-        return Arrow(ends[0][0], ends[1][0], course, look)
-
-    def _end(self, line: Axis, span: tuple[int, int], across: int) -> tuple[str, bool]:
+    def _end(self, k: int, span: Span, across: int) -> tuple[str, bool]:
         """Return the box at an arrow's end, and whether no motion can be there."""
-        places = [
-            self.state(k, across) if line is self.down else self.state(across, k)
-            for k in range(span[0], span[1] + 1)
-        ]
-        refused = all(node.infeasible is not None for node in places)
+        nodes = [self._node(k, place, across) for place in range(span[0], span[1] + 1)]
+        impossible = all(node.infeasible is not None for node in nodes)
         if span[0] == span[1]:
-            return self.style.names[places[0].name], refused
-        k = next(k for k, (_, other, _) in enumerate(line.frames) if other == span)
-        return f"{self.prefix}{'v' if line is self.down else 'h'}_{k}", refused
+            return self.names[nodes[0].name], impossible
+        number = next(n for n, (_, other, _) in enumerate(self.axes[k].frames) if other == span)
+        return self._key(k, f"_{number}"), impossible
 
-    def _border(self, line: Axis, span: tuple[int, int], side: int) -> float:
-        """Return where an arrow meets what spans some places, on one side: an x, or a y."""
-        deep = next((d for _, other, d in line.frames if other == span), 0)
-        return self._side(line, span[0] if side < 0 else span[1], side, deep)
-
-    def _along_course(self, k: int, bond: Bond, row: int) -> str:
-        track, y = self.rooms.along[k], -self.rooms.rows[row]
+    def _course(self, k: int, number: int, v: float) -> list[Point]:
+        """Return the corners of an arrow as (u, v): one in a lane turns into its states."""
+        bond = self.axes[k].bonds[number]
         way = 1 if bond.onward else -1
-        start = self._border(self.along, bond.tail, way)
-        end = self._border(self.along, bond.head, -way)
-        if not bond.skips:
-            return polyline([(start, y - track.at), (end, y - track.at)])
-        lane, top = y + track.at, y + self.rooms.cell[1] / 2
-        inset = self.rooms.cell[0] / 5
+        start, end = self._border(k, bond.tail, way), self._border(k, bond.head, -way)
+        lane = v + self.tracks[k][number][0]
         points = [(start, lane), (end, lane)]
-        if bond.tail[0] == bond.tail[1]:
-            points[0:1] = [(start - way * inset, top), (start - way * inset, lane)]
-        if bond.head[0] == bond.head[1]:
-            points[-1:] = [(end + way * inset, lane), (end + way * inset, top)]
-        return polyline(points)
+        inset, side = way * (self.cell[0] / 5, _AIR + 2.0)[k], v - self.cell[1 - k] / 2
+        if bond.skips and bond.tail[0] == bond.tail[1]:
+            points[0:1] = [(start - inset, side), (start - inset, lane)]
+        if bond.skips and bond.head[0] == bond.head[1]:
+            points[-1:] = [(end + inset, lane), (end + inset, side)]
+        return points
 
-    def _down_course(self, k: int, bond: Bond, column: int) -> str:
-        track, x = self.rooms.down[k], self.rooms.columns[column]
-        way = 1 if bond.onward else -1
-        start = self._border(self.down, bond.tail, way)
-        end = self._border(self.down, bond.head, -way)
-        if not bond.skips:
-            return polyline([(x + track.at, start), (x + track.at, end)])
-        lane, left = x - track.at, x - self.rooms.cell[0] / 2
-        inset = AIR + 2.0
-        points = [(lane, start), (lane, end)]
-        if bond.tail[0] == bond.tail[1]:
-            points[0:1] = [(left, start + way * inset), (lane, start + way * inset)]
-        if bond.head[0] == bond.head[1]:
-            points[-1:] = [(lane, end - way * inset), (left, end - way * inset)]
-        return polyline(points)
+    def _border(self, k: int, span: Span, side: int) -> float:
+        """Return where an arrow meets a state or a frame on one side."""
+        deep = next((d for _, other, d in self.axes[k].frames if other == span), 0)
+        return self._side(k, span[side > 0], side, deep)
 
 
-def _between(name: str, low: Point, high: Point, node: Node) -> Box:
-    """Return the frame of a node between two corners."""
-    colour = FRAME if node.infeasible is None else FAINT
-    centre = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
-    return Box(name, centre, (high[0] - low[0], high[1] - low[1]), {**_BAND, "color": colour})
+def _turned(axis: int, along: float, across: float) -> Point:
+    return (along, across) if axis == 0 else (across, along)
+
+
+def _point(axis: int, u: float, v: float) -> Point:
+    """Return a place on the page, y upwards."""
+    x, y = _turned(axis, u, v)
+    return x, -y

@@ -1,4 +1,4 @@
-"""Labels of Graphviz: HTML-like tables in which every character of a text is literal."""
+"""Labels and looks of boxes and arrows: HTML-like tables in which every character is literal."""
 
 from __future__ import annotations
 
@@ -6,41 +6,28 @@ import html
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from statechart.diagram.legend import TIMES, Guards, drawn_once, events, mark
+from statechart.diagram.legend import TIMES, Guards, events, fits, mark
 from statechart.diagram.model import Chart, Link, Node, printable
 from statechart.palette import CLOSED, FAINT, FRAME, INK, PAPER, RUN
 
-# DejaVu Sans comes with matplotlib, so it is there for png and pdf on a machine without fonts;
-# Verdana has its metrics, so the text of an svg fits where a browser has only that.
-FONT = "DejaVu Sans,Verdana,sans-serif"
 SMALL, LABEL, STATE, TITLE = 9, 10, 12, 16
 """Sizes of type in points; a picture of 750 pt is a slide of 1000 px."""
 
 FRAMES = {
     "shape": "box", "style": "rounded,filled", "label": "", "color": FRAME, "fillcolor": CLOSED,
 }  # fmt: skip
-"""How a box looks that holds states."""
+"""Look of a box that holds states."""
 
 START = {
     "shape": "circle", "style": "filled", "label": "", "width": "0.13", "fillcolor": INK,
     "color": INK, "tooltip": "start",
 }  # fmt: skip
-"""How the dot looks from which the first arrow comes."""
+"""Look of the dot from which the first arrow comes."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How the states of a diagram are drawn.
-
-    Attributes
-    ----------
-    names : mapping
-        Name of a node -> its identifier.
-    guards : str
-        See `Guards`.
-    reasons : tuple of str
-        Why states are infeasible, in the order of their numbers.
-    """
+    """Identifiers by names of nodes, the place of guards, and the numbered reasons."""
 
     names: Mapping[str, str]
     guards: Guards
@@ -65,11 +52,14 @@ def text(
 
 
 def table(rows: Iterable[Sequence[str] | str], *, padding: int = 1, align: str = "") -> str:
-    """Return rows of cells as a label; a row that is no list is one cell."""
+    """Return rows of cells as a label; a row that is no list is one cell, perhaps a whole one."""
     side = f' ALIGN="{align}" BALIGN="{align}" VALIGN="TOP"' if align else ""
     cells = "".join(
         "<TR>"
-        + "".join(f"<TD{side}>{cell}</TD>" for cell in ((row,) if isinstance(row, str) else row))
+        + "".join(
+            cell if cell.startswith("<TD") else f"<TD{side}>{cell}</TD>"
+            for cell in ((row,) if isinstance(row, str) else row)
+        )
         + "</TR>"
         for row in rows
     )
@@ -86,7 +76,7 @@ def plain(words: str) -> str:
 
 
 def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
-    """Return how a state that holds no others looks, its own loops among its lines."""
+    """Return the look of a state that holds no others, its own loops among its lines."""
     faint = node.infeasible is not None
     ink = FAINT if faint else INK
     lines = (node.label + mark(node, style.reasons)).split("\n")
@@ -95,17 +85,16 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     if not faint and len(node.colours) == 1:
         fill = node.colours[0]
     elif not faint and len(node.colours) == len(rows):
-        rows = [_bar(row, colour) for row, colour in zip(rows, node.colours, strict=True)]
+        pairs = zip(rows, node.colours, strict=True)
+        rows = [f'<TD BGCOLOR="{colour}" CELLPADDING="3">{row}</TD>' for row, colour in pairs]
     if node.visits:
         rows.append(text(f"{TIMES}{node.visits}", bold=True, colour=RUN))
-    if style.guards == "inline":
-        rows += [text(line, size=SMALL, colour=ink) for line in node.invariants]
-    rows += [text(f"↻ {line}", colour=ink) for line in _own(node, chart, style)]
+    rows += _details(node, chart, style, ink)
     return {
         "shape": "box",
         "style": "rounded,dashed,filled" if faint else "rounded,filled",
         "margin": "0.12,0.06",
-        "label": _rows(rows),
+        "label": table(rows),
         "color": FAINT if faint else FRAME,
         "fillcolor": fill,
         "tooltip": plain(node.infeasible or node.name),
@@ -113,21 +102,18 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     }
 
 
-def frame_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
-    """Return how the name of a state looks that holds others, with what is its own."""
-    refused = node.infeasible is not None
-    words = node.label + mark(node, style.reasons)
-    rows = [text(words, bold=True, colour=FAINT if refused else FRAME)]
-    if style.guards == "inline":
-        rows += [text(line, size=SMALL) for line in node.invariants]
-    rows += [text(f"↻ {line}") for line in _own(node, chart, style)]
+def title_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+    """Return the look of the name of a state that holds others, with what is its own."""
+    colour = FRAME if node.infeasible is None else FAINT
+    rows = [text(node.label + mark(node, style.reasons), bold=True, colour=colour)]
+    rows += _details(node, chart, style, INK)
     return {"shape": "plain", "label": table(rows, align="LEFT")}
 
 
 def arrow_look(
     links: Sequence[Link], style: Style, *, narrow: bool = False, counted: bool = True
 ) -> dict[str, str] | None:
-    """Return how the words on an arrow look, narrow ones below each other; None without words."""
+    """Return the look of words on an arrow, narrow ones below each other; None without words."""
     lines = _spoken(links if counted else [replace(x, visits=None) for x in links], style)
     if narrow:
         lines = [part for line in lines for part in line.replace(", ", ",\n").split("\n")]
@@ -138,7 +124,7 @@ def arrow_look(
 
 
 def arrow(links: Sequence[Link]) -> dict[str, str]:
-    """Return how the line of an arrow looks."""
+    """Return the look of an arrow's line."""
     said = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
     return {
         "arrowsize": "0.7",
@@ -147,24 +133,23 @@ def arrow(links: Sequence[Link]) -> dict[str, str]:
     }
 
 
-def nested(chart: Chart, link: Link) -> bool:
-    """Return whether a link stays in a state, so that no arrow between two boxes can show it."""
-    return (
-        link.source == link.target
-        or link.source in chart.around(link.target)
-        or link.target in chart.around(link.source)
-    )
+def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
+    """Return conditions, actions and loops of a state as small lines."""
+    inline = style.guards == "inline"
+    small = [*(node.invariants if inline else ()), *(node.actions if inline or fits(node) else ())]
+    loops = (text(f"↻ {line}", colour=ink) for line in _loops(node, chart, style))
+    return [*(text(line, size=SMALL, colour=ink) for line in small), *loops]
 
 
-def _own(node: Node, chart: Chart, style: Style) -> list[str]:
+def _loops(node: Node, chart: Chart, style: Style) -> list[str]:
     """Return lines on links from a state to itself, or to a state around it or in it."""
     if chart.axes is not None:
         loops = [x for x in chart.links if x.source == x.target == node.name]
         return list(filter(None, [events(replace(x, region="") for x in loops)]))
     labels = {other.name: other.label for other in chart.nodes}
     lines: list[str] = []
-    for (source, target), links in drawn_once(chart).items():
-        if source == node.name and nested(chart, links[0]):
+    for (source, target), links in chart.bundles.items():
+        if source == node.name and chart.nested(links[0]):
             to = "" if target == source else f" → {labels[target]}"
             lines += [line + to for line in _spoken(links, style)]
     return lines
@@ -180,12 +165,3 @@ def _spoken(links: Sequence[Link], style: Style) -> list[str]:
         lines += [f"[{link.guard}]"] if link.guard else []
         lines += [f"/ {line}" for line in link.reset.split("\n")] if link.reset else []
     return lines
-
-
-def _bar(row: str, colour: str) -> str:
-    return f'<TD BGCOLOR="{colour}" CELLPADDING="3">{row}</TD>'
-
-
-def _rows(rows: Iterable[str]) -> str:
-    cells = "".join(f"<TR>{r if r.startswith('<TD') else f'<TD>{r}</TD>'}</TR>" for r in rows)
-    return f'<<TABLE BORDER="0" CELLSPACING="0" CELLPADDING="1">{cells}</TABLE>>'

@@ -7,16 +7,31 @@ rounds in the middle; what came before leads to it. Rows are no wider than a sli
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import ceil
+from typing import NamedTuple
 
-from statechart.diagram.layout.block import Arrow, Block, Box, Look, Point, bounded, polyline
-from statechart.diagram.layout.markup import STATE, Style, arrow, arrow_look, state_look, table
-from statechart.diagram.layout.markup import text as words
-from statechart.diagram.layout.measure import measured
-from statechart.diagram.layout.start import begun
-from statechart.diagram.legend import drawn_once
+from statechart.diagram.layout.block import (
+    Arrow,
+    Block,
+    Box,
+    Look,
+    Point,
+    bounded,
+    polyline,
+    with_start,
+)
+from statechart.diagram.layout.graphviz_program import measured
+from statechart.diagram.layout.markup import (
+    STATE,
+    Style,
+    arrow,
+    arrow_look,
+    state_look,
+    table,
+    text,
+)
 from statechart.diagram.model import Chart
 from statechart.palette import RUN
 from statechart.tabular import several
@@ -24,32 +39,26 @@ from statechart.tabular import several
 # Points: what a row may take, and in a picture that were higher than that; a line on each side of
 # its words; between words and a line's end.
 _WIDTH, _WIDEST, _ROOM, _AIR = 740.0, 980.0, 16.0, 3.0
-# Between fewer modes there is nothing to see.
-_LEAST = 3
+# A ring has at least so many modes.
+_MIN_RING = 3
 # What comes again in the same order is a round from so many on.
 _ROUNDS = 1.5
 
-MOST_STEPS = 16
-"""Of more modes on the way a path is no longer seen at a glance."""
+MAX_STEPS = 16
+"""A path of more modes is no longer seen at a glance."""
 
 
-@dataclass(frozen=True)
-class Round:
+class Round(NamedTuple):
     """The course of a path.
 
-    Attributes
-    ----------
-    order : tuple of str
-        Names of modes, each round once.
-    back : int or None
-        To which of them the last leads back; None where nothing repeats.
-    count : int
-        How often the path went from there to the last.
+    `order` has the names of modes, each round once; `back` is the place in it that the last leads
+    back to (None where nothing repeats), and `rounds` how often the path went from there to the
+    last.
     """
 
     order: tuple[str, ...]
     back: int | None
-    count: int
+    rounds: int
 
 
 def course(path: Sequence[str]) -> Round | None:
@@ -73,68 +82,71 @@ def course(path: Sequence[str]) -> Round | None:
 def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
     """Lay out the path of a run; None where it has more steps than can be seen, or next to none."""
     found = course(chart.path) or Round(chart.path, None, 1)
-    lone = found.back is not None and len(found.order) - found.back < _LEAST
-    if lone or not _LEAST <= len(found.order) <= MOST_STEPS:
+    order, back = found.order, found.back
+    lone = back is not None and len(order) - back < _MIN_RING
+    if (
+        lone
+        or not _MIN_RING <= len(order) <= MAX_STEPS
+        or {*order} != {n.name for n in chart.nodes}
+    ):
         return None
-    if set(found.order) != {node.name for node in chart.nodes}:
-        return None
-    nodes = {node.name: replace(node, visits=None) for node in chart.nodes}
+    bare = replace(chart, links=())
     names = [
-        f"{prefix}again_{k}_{style.names[name]}" if name in found.order[:k] else style.names[name]
-        for k, name in enumerate(found.order)
+        f"{prefix}again_{k}_{style.names[name]}" if name in order[:k] else style.names[name]
+        for k, name in enumerate(order)
     ]
     looks: dict[str, Look] = {
-        name: state_look(nodes[mode], replace(chart, links=()), style)
-        for name, mode in zip(names, found.order, strict=True)
+        name: state_look(replace(chart.node(mode), visits=None), bare, style)
+        for name, mode in zip(names, order, strict=True)
     }
     steps = [*pairwise(range(len(names)))]
-    if found.back is not None:
-        steps.append((len(names) - 1, found.back))
-    links = drawn_once(chart)
-    taken = [tuple(links[found.order[a], found.order[b]]) for a, b in steps]
-    said = [arrow_look(of, style, narrow=True, counted=False) for of in taken]
-    labels = {f"{prefix}{k}": look for k, look in enumerate(said) if look is not None}
-    sizes = measured({**looks, **labels})
+    if back is not None:
+        steps.append((len(names) - 1, back))
+    taken = [chart.bundles[order[a], order[b]] for a, b in steps]
+    words = [arrow_look(links, style, narrow=True, counted=False) for links in taken]
+    labels: dict[str, Look] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
+    count = text(several(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
+    middle = {f"{prefix}rounds": {"shape": "plain", "label": table([count])}}
+    sizes = measured({**looks, **labels, **middle})
     cell = max(sizes[n][0] for n in looks), max(sizes[n][1] for n in looks)
-    pitch = tuple(
+    wide, high = (
         cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _ROOM for k in (0, 1)
     )
-    most = 1 + int((_WIDTH - cell[0]) // pitch[0])
-    if ceil(len(names) / max(most, 2)) * pitch[1] > _WIDTH:
-        most = 1 + int((_WIDEST - cell[0]) // pitch[0])
-    spots = [(x * pitch[0], -y * pitch[1]) for x, y in _spots(found, most)]
+    most = 1 + int((_WIDTH - cell[0]) // wide)
+    if ceil(len(names) / max(most, 2)) * high > _WIDTH:
+        most = 1 + int((_WIDEST - cell[0]) // wide)
+    spots = [(x * wide, -y * high) for x, y in _spots(found, max(most, 2))]
     boxes = [Box(n, spot, cell, looks[n]) for n, spot in zip(names, spots, strict=True)]
     arrows = []
     for k, (a, b) in enumerate(steps):
         name = f"{prefix}{k}"
-        size = sizes.get(name, (0.0, 0.0))
-        middle = _middle(spots[a], spots[b])
+        between = _middle((spots[a], spots[b]))
         if name in labels:
-            boxes.append(Box(name, middle, size, labels[name]))
-        line = _line(spots[a], spots[b], cell, middle, size if name in labels else None)
+            boxes.append(Box(name, between, sizes[name], labels[name]))
+        line = _line(spots[a], spots[b], cell, between, sizes.get(name))
         arrows.append(Arrow(names[a], names[b], line, arrow(taken[k])))
-    if found.back is not None:
-        boxes.append(_count(f"{prefix}rounds", found, spots[found.back :]))
-    return begun(bounded(tuple(boxes), tuple(arrows)), names[0], f"{prefix}start")
+    if back is not None:
+        boxes += [Box(n, _middle(spots[back:]), sizes[n], look) for n, look in middle.items()]
+    return with_start(bounded(boxes, arrows), names[0], f"{prefix}start")
 
 
 def _spots(found: Round, most: int) -> list[Point]:
     """Return columns and rows, counted from the upper left corner of the ring, or of the chain."""
-    most = max(most, 2)
     if found.back is None:
         return [_snake(k, most) for k in range(len(found.order))]
-    before = [_snake(k, most) for k in range(found.back)]
-    lead = [(float(x), -1.0 - y) for x, y in reversed(before)]
+    lead = [(x, -1.0 - y) for x, y in (_snake(k, most) for k in reversed(range(found.back)))]
     size = len(found.order) - found.back
     top = min(ceil(size / 2), most)
     side = max(size - 2 * top + 1, 0) // 2
     low = size - top - 2 * side
-    around = [(float(k), 0.0) for k in range(top)]
-    around += [(top - 1.0, 1.0 + k) for k in range(side)]
     start = (top - low) / 2 if not side else 0.0
-    around += [(start + low - 1.0 - k, 1.0 + side) for k in range(low)]
-    around += [(0.0, float(side - k)) for k in range(side)]
-    return [*lead, *around[:size]]
+    return [
+        *lead,
+        *((float(k), 0.0) for k in range(top)),
+        *((top - 1.0, 1.0 + k) for k in range(side)),
+        *((start + low - 1.0 - k, 1.0 + side) for k in range(low)),
+        *((0.0, float(side - k)) for k in range(side)),
+    ][: len(found.order)]
 
 
 def _snake(place: int, most: int) -> Point:
@@ -143,35 +155,23 @@ def _snake(place: int, most: int) -> Point:
     return float(column if row % 2 == 0 else most - 1 - column), float(row)
 
 
-def _middle(one: Point, other: Point) -> Point:
-    return (one[0] + other[0]) / 2, (one[1] + other[1]) / 2
+def _middle(spots: Sequence[Point]) -> Point:
+    xs, ys = zip(*spots, strict=True)
+    return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
 
 def _line(one: Point, other: Point, cell: Point, middle: Point, gap: Point | None) -> str:
     """Return a straight line between two states, broken where its words stand."""
-    start, end = _edge(one, other, cell, 0.0), _edge(other, one, cell, 0.0)
+    start, end = _edge(one, other, cell), _edge(other, one, cell)
     if gap is None:
         return polyline([start, end])
-    to, on = _edge(middle, one, gap, _AIR), _edge(middle, other, gap, _AIR)
+    gap = gap[0] + 2 * _AIR, gap[1] + 2 * _AIR
+    to, on = _edge(middle, one, gap), _edge(middle, other, gap)
     return f"{polyline([start, to], head=False)};{polyline([on, end])}"
 
 
-def _edge(centre: Point, toward: Point, size: Point, off: float) -> Point:
+def _edge(centre: Point, toward: Point, size: Point) -> Point:
     """Return where the line from the middle of a rectangle to a point leaves it."""
     way = toward[0] - centre[0], toward[1] - centre[1]
-    reach = min((size[k] / 2 + off) / abs(way[k]) for k in (0, 1) if way[k])
+    reach = min(size[k] / 2 / abs(way[k]) for k in (0, 1) if way[k])
     return centre[0] + reach * way[0], centre[1] + reach * way[1]
-
-
-def _count(name: str, found: Round, spots: Sequence[Point]) -> Box:
-    """Return how often a ring was gone through, in the middle of it."""
-    said = several(found.count, "round")
-    look = {
-        "shape": "plain",
-        "label": table([words(said, size=STATE, bold=True, colour=RUN)]),
-    }
-    low = [min(spot[k] for spot in spots) for k in (0, 1)]
-    high = [max(spot[k] for spot in spots) for k in (0, 1)]
-    return Box(
-        name, _middle((low[0], low[1]), (high[0], high[1])), measured({name: look})[name], look
-    )

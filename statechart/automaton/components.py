@@ -1,0 +1,245 @@
+"""Independent components of an automaton: parts of a declaration that never read each other.
+
+Two declared entities belong together where one mentions the other; the connected components of
+that relation are automata of their own (the product is never multiplied out). Components that are
+alike but for names and starts share one automaton in neutral names.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from sympy.utilities.iterables import connected_components
+
+from statechart.arrays import Ints
+
+if TYPE_CHECKING:
+    from statechart.automaton.automaton import Automaton
+    from statechart.automaton.laws import Setup
+    from statechart.automaton.trace import Role
+
+Data = dict[str, Any]
+"""A declaration as plain mappings, lists, texts and numbers."""
+Entity = tuple[str, str]
+"""Section of a declaration, and name in it."""
+
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+_NEUTRAL = re.compile(r"zz\d+zz")
+_STILL = ("surfaces", "stop")
+_DROPPED = ("doc", "ranges", "invariants", "outputs")
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A part of a model that has nothing to do with the rest.
+
+    Attributes
+    ----------
+    automaton : Automaton
+        Its own, in neutral names; alike components share it.
+    names : mapping
+        Neutral name -> name.
+    restricted : callable
+        From the numbers of a run of the whole to those of a run of the component.
+    shown : callable
+        From the role of a region in the component to that in the whole.
+    """
+
+    automaton: Automaton
+    names: Mapping[str, str]
+    restricted: Callable[[Setup, Places], Setup]
+    shown: Callable[[Role, Places], Role]
+
+    def named(self, text: str) -> str:
+        """Return a text with the names that the model declares."""
+        return _NEUTRAL.sub(lambda found: self.names.get(found[0], found[0]), text)
+
+
+class Places:
+    """Where regions, variables and parameters of a component stand in the whole.
+
+    Attributes
+    ----------
+    regions, variables, parameters : array of int
+    whole : Automaton
+    """
+
+    def __init__(self, component: Component, whole: Automaton) -> None:
+        part, named = component.automaton, component.named
+
+        def places(names: Sequence[str], of: Sequence[str]) -> Ints:
+            found = {name: place for place, name in enumerate(of)}
+            return np.array([found[named(name)] for name in names], np.int64)
+
+        self.whole = whole
+        self.regions = places(part.region_names, whole.region_names)
+        self.variables = places(part.names, whole.names)
+        self.parameters = places(part.parameter_names, whole.parameter_names)
+
+
+def split(
+    data: Data,
+    moving: Collection[str],
+    regions: Collection[str],
+    reserved: Callable[[], Collection[str]],
+) -> list[tuple[Data, dict[str, str]]]:
+    """Return the independent parts of a declaration in neutral names; none where it is one.
+
+    Parameters
+    ----------
+    data : dict
+        The declaration.
+    moving : collection of str
+        Sections whose entities change in time, or say how others do.
+    regions : collection of str
+        Those of them whose entities are regions.
+    reserved : callable
+        Words of the document that no name may be, as names are replaced in texts.
+
+    Returns
+    -------
+    list of (dict, dict)
+        Declaration, and neutral name -> name.
+    """
+    entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
+    stops = data.get("stop", {}).get("conditions", {})
+    owners: dict[str, set[Entity]] = {}
+    for (section, name), content in entities.items():
+        own = {name, f"d{name}"} if section == "coordinates" else {name}
+        own |= set(content.get("variables", ())) if section in regions else set()
+        for one in own:
+            owners.setdefault(one, set()).add((section, name))
+    mentions = {entity: _mentioned(content, owners) for entity, content in entities.items()}
+    mentions |= {("stop", name): _mentioned(text, owners) for name, text in stops.items()}
+    # A surface that does not move, or a condition of time alone, joins nobody.
+    still = {entity for entity, others in mentions.items() if not others and entity[0] in _STILL}
+    vertices = [entity for entity in mentions if entity not in still]
+    edges = [(e, o) for e in vertices for o in mentions[e] if o not in still]
+    groups = [set(group) for group in connected_components((vertices, edges))]
+    idle = [group for group in groups if not any(section in regions for section, _ in group)]
+    groups = [group for group in groups if group not in idle]
+    if len(groups) < 2:
+        return []
+    words = {*reserved(), *_words_of_regions(data, regions)}
+    if words & owners.keys() or any(_NEUTRAL.search(text) for text in _texts(data)):
+        return []
+    groups[0] = groups[0].union(*idle, (e for e in still if e[0] == "stop"))
+    return [
+        _part(data, group.union(*(mentions[e] & still for e in group)), still) for group in groups
+    ]
+
+
+def _part(data: Data, group: set[Entity], still: set[Entity]) -> tuple[Data, dict[str, str]]:
+    own = [
+        (section, name)
+        for section, content in data.items()
+        if section != "stop" and isinstance(content, dict)
+        for name in content
+        if (section, name) in group and (section, name) not in still
+    ]
+    names = {name: f"zz{place}zz" for place, (_, name) in enumerate(own)}
+    # The rate of a coordinate is named after it.
+    rates = {f"d{name}": f"d{names[name]}" for section, name in own if section == "coordinates"}
+    sections = {section for section, _ in group}
+    found: Data = {}
+    for key, content in data.items():
+        if key in _DROPPED:
+            continue
+        if key in sections and key != "stop":
+            content = {n: v for n, v in content.items() if (key, n) in group}
+        elif key == "stop":
+            kept = {n: v for n, v in content.get("conditions", {}).items() if ("stop", n) in group}
+            content = {**content, "conditions": kept}
+        elif key == "modes":
+            content = {n: v for n, v in content.items() if n in names}
+        elif isinstance(content, dict) and key not in ("parameters", "settings", "units"):
+            continue
+        found[key] = content if key == "parameters" else _renamed(content, names | rates)
+    return found, {neutral: name for name, neutral in names.items()}
+
+
+def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return _NAME.sub(lambda found: names.get(found[0], found[0]), value)
+    if isinstance(value, Mapping):
+        return {_renamed(key, names): _renamed(one, names) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_renamed(one, names) for one in value)
+    return value
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for key, one in value.items():
+            yield str(key)
+            yield from _texts(one)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _texts(one)
+
+
+def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
+    names = {name for text in _texts(value) for name in _NAME.findall(text)}
+    return set().union(*(owners[name] for name in names if name in owners))
+
+
+def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
+    """Return the names of states and transitions."""
+    found: set[str] = set()
+
+    def walk(value: Any) -> None:
+        if isinstance(value, Mapping):
+            for key, one in value.items():
+                if key in ("states", "regions") and isinstance(one, Mapping):
+                    found.update(map(str, one))
+                if key in ("initial", "from", "to", "name"):
+                    found.update(_texts(one))
+                walk(one)
+        elif isinstance(value, list | tuple):
+            for one in value:
+                walk(one)
+
+    for section in regions:
+        for content in data.get(section, {}).values():
+            walk(content)
+    return found
+
+
+def reserved_words(schema: Any) -> Iterator[str]:
+    """Yield the keys and the words of a document, of its JSON Schema."""
+    if isinstance(schema, dict):
+        yield from schema.get("properties", ())
+        yield from (word for word in schema.get("enum", ()) if isinstance(word, str))
+        if isinstance(schema.get("const"), str):
+            yield schema["const"]
+        for content in schema.values():
+            yield from reserved_words(content)
+    elif isinstance(schema, list):
+        for content in schema:
+            yield from reserved_words(content)
+
+
+def composed(
+    parts: Sequence[tuple[Data, dict[str, str]]],
+    form: Callable[[Data], Data],
+    compose: Callable[[Data], Automaton],
+    restricted: Callable[[Automaton], Callable[[Setup, Places], Setup]],
+    shown: Callable[[Role, Places], Role] = lambda role, _: role,
+) -> tuple[Component, ...]:
+    """Return parts with their automata, one for all parts of the same form."""
+    made: dict[str, Automaton] = {}
+    found = []
+    for data, names in parts:
+        key = json.dumps(form(data), default=str)
+        automaton = made.get(key)
+        if automaton is None:
+            automaton = made[key] = compose(data)
+        found.append(Component(automaton, names, restricted(automaton), shown))
+    return tuple(found)

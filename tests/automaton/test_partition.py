@@ -1,0 +1,80 @@
+"""Which entities of a declaration belong together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from statechart.automaton.components import Data, split
+
+MOVING = ("bodies", "contacts", "joints", "regions")
+REGIONS = ("contacts", "regions")
+
+
+def parts(**sections: Any) -> list[list[str]]:
+    """Return the names in every part."""
+    data: Data = {
+        "bodies": {"p": {"mass": 1}, "q": {"mass": 1}},
+        "surfaces": {"ground": {"height": 0}},
+        "contacts": {
+            "one": {"point": {"body": "p"}, "surface": "ground"},
+            "two": {"point": {"body": "q"}, "surface": "ground"},
+        },
+        **sections,
+    }
+    return [sorted(names.values()) for _, names in split(data, MOVING, REGIONS, tuple)]
+
+
+APART = [["one", "p"], ["q", "two"]]
+
+
+def test_bodies_that_nothing_couples_are_apart() -> None:
+    assert parts() == APART
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"joints": {"rope": {"point": {"body": "p"}, "to": {"body": "q"}}}},
+        {"regions": {"watch": {"states": {"on": {}}, "transitions": [{"guard": "p.x > q.x"}]}}},
+        {"regions": {"r": {"on": "one.touchdown"}, "s": {"on": "two.touchdown and r.x"}}},
+        {"surfaces": {"ground": {"height": 0, "body": "p"}}},
+        {"stop": {"conditions": {"met": "p.x > q.x"}}},
+    ],
+)  # fmt: skip
+def test_what_reads_both_couples_them(sections: Data) -> None:
+    assert parts(**sections) == []
+
+
+def test_a_condition_of_one_goes_with_it() -> None:
+    data = {"conditions": {"far": "q.x > 1", "late": "time > 3"}}
+    assert parts(stop=data) == APART
+
+
+def test_what_moves_by_itself_joins_the_first() -> None:
+    found = parts(bodies={"p": {}, "q": {}, "free": {"mass": 1}})
+    assert found == [["free", "one", "p"], ["q", "two"]]
+
+
+def test_names_that_are_words_of_the_document_are_not_replaced() -> None:
+    data: Data = {
+        "bodies": {"mass": {}, "q": {}},
+        "contacts": {"one": {"point": {"body": "mass"}}, "two": {"point": {"body": "q"}}},
+    }
+    assert split(data, MOVING, REGIONS, lambda: ("mass",)) == []
+    assert len(split(data, MOVING, REGIONS, tuple)) == 2
+
+
+def test_parts_are_written_in_neutral_names() -> None:
+    data: Data = {
+        "bodies": {"p": {"start": {"x": "L"}}, "q": {"start": {"x": "L"}}},
+        "contacts": {
+            "one": {"point": {"body": "p"}, "enabled": "p.x < p.dx*L"},
+            "two": {"point": {"body": "q"}, "enabled": "q.x < q.dx*L"},
+        },
+        "parameters": {"L": 1},
+    }
+    (one, _), (other, names) = split(data, MOVING, REGIONS, tuple)
+    assert one == other
+    assert set(names.values()) == {"q", "two"}

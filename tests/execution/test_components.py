@@ -1,0 +1,146 @@
+"""Runs by independent components against runs of the product, and how they end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Outcome, Trace
+from statechart.engines.taylor import Taylor
+from statechart.execution.simulator import Simulator
+from statechart.loading.kind import kind
+from statechart.loading.load import load
+
+# Two alike particles at heights of their own, a rod that topples, and a puck on a slope: bodies
+# that nothing couples.
+BODIES = """
+kind: scene
+name: apart
+parameters: {mu: 0.4}
+gravity: 9.81
+bodies:
+  low: {mass: 2, start: {y: 0.7}}
+  rod: {mass: 1, inertia: 1/3, start: {y: 1.1, angle: 0.4, dx: 0.3}}
+  high: {mass: 2, start: {x: 4, y: 0.9}}
+  puck: {mass: 2, start: {x: 8, y: 0.9, dx: 1}}
+surfaces: {ground: {height: 0}, slope: {height: 0.05*sin(x)}}
+contacts:
+  a: {point: {body: low}, surface: ground, friction: 0.2, restitution: 0.6}
+  b: {point: {body: rod, at: [0, -1]}, surface: ground, friction: mu, restitution: 0.3}
+  c: {point: {body: rod, at: [0, 1]}, surface: ground, friction: mu, restitution: 0.3}
+  d: {point: {body: high}, surface: ground, friction: 0.3, restitution: 0.5}
+  e: {point: {body: puck}, surface: slope, friction: 0.1, restitution: 0.4}
+"""
+ROOMS = """
+kind: chart
+name: rooms
+variables: {T0: 20.0, T1: 20.5}
+regions:
+  r0:
+    initial: cool
+    states:
+      cool: {flows: {T0: -0.1*(T0 - 5)}}
+      warm: {flows: {T0: -0.1*(T0 - 5) + 3}}
+    transitions:
+      - {name: up, from: cool, to: warm, guard: T0 <= 18}
+      - {name: down, from: warm, to: cool, guard: T0 >= 22}
+  r1:
+    initial: cool
+    states:
+      cool: {flows: {T1: -0.1*(T1 - 5)}}
+      warm: {flows: {T1: -0.1*(T1 - 5) + 3}}
+    transitions:
+      - {name: up, from: cool, to: warm, guard: T1 <= 18}
+      - {name: down, from: warm, to: cool, guard: T1 >= 22}
+"""
+
+
+def composed(text: str, folder: Path) -> Automaton:
+    path = folder / "model.yaml"
+    path.write_text(text)
+    model = load(path)
+    return kind(model.kind).automaton(model)
+
+
+def both(text: str, folder: Path, until: float, **asked: int) -> tuple[Trace, Trace]:
+    """Return the runs by components, and as one product."""
+    automaton = composed(text, folder)
+    assert len(automaton.components()) > 1
+    engine = Taylor(1e-12)
+    whole = replace(automaton, components=tuple)
+    return (
+        Simulator(automaton, engine).run(until=until, **asked),
+        Simulator(whole, engine).run(until=until, **asked),
+    )
+
+
+def near(one: object, other: object) -> object:
+    return np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize(("text", "until"), [(BODIES, 1.5), (ROOMS, 30.0)])
+def test_components_make_the_run_of_the_product(text: str, until: float, tmp_path: Path) -> None:
+    found, expected = both(text, tmp_path, until)
+    assert (found.outcome, found.message) == (expected.outcome, expected.message)
+    assert found.modes == expected.modes
+    assert len(found.jumps) == len(expected.jumps) > 5
+    for one, other in zip(found.jumps, expected.jumps, strict=True):
+        assert (one.region, one.cause, one.j) == (other.region, other.cause, other.j)
+        assert (one.source, one.target) == (other.source, other.target)
+        assert one.fired == other.fired
+        near([one.t, *one.before, *one.after], [other.t, *other.before, *other.after])
+        if other.energy is not None:
+            near(one.energy, other.energy)
+        for name, impulse in one.impulse.items():
+            near(impulse, other.impulse[name])
+    near(found.final, expected.final)
+    for one, other in zip(found.arcs, expected.arcs, strict=True):
+        assert (one.mode, one.roles, one.j) == (other.mode, other.roles, other.j)
+        local = np.linspace(0.0, min(one.duration, other.duration), 7)
+        near(one.states(local), other.states(local))
+
+
+def test_alike_components_share_their_modes(tmp_path: Path) -> None:
+    automaton = composed(BODIES, tmp_path)
+    components = automaton.components()
+    shared = {component.automaton for component in components}
+    # The two particles are alike but for names, starts and coefficients.
+    assert (len(components), len(shared)) == (4, 3)
+
+
+def test_one_component_ends_the_run_of_all(tmp_path: Path) -> None:
+    text = f"{BODIES}stop: {{time: 3, conditions: {{down: d.gap < 0.2}}}}\n"
+    found, expected = both(text, tmp_path, 3.0)
+    assert found.outcome is expected.outcome is Outcome.STOPPED
+    assert found.message == expected.message
+    assert found.jumps[-1].cause == "stop"
+    near([found.t_end, *found.final], [expected.t_end, *expected.final])
+    assert found.arcs[-1].end.high == pytest.approx(found.t_end, rel=1e-15)
+
+
+def test_a_run_ends_with_the_jumps_that_it_may_have(tmp_path: Path) -> None:
+    automaton = composed(BODIES, tmp_path)
+    trace = Simulator(automaton, Taylor(1e-12)).run(until=1.5, max_jumps=4, throw=False)
+    assert (trace.outcome, len(trace.jumps)) == (Outcome.TOO_MANY_JUMPS, 4)
+    near(trace.final, trace.jumps[-1].after)
+
+
+def test_components_that_jump_at_one_instant_do_so_in_one_jump(tmp_path: Path) -> None:
+    text = BODIES.replace("x: 4, y: 0.9", "x: 4, y: 0.7").replace(
+        "restitution: 0.5", "restitution: 0.6"
+    )
+    automaton = composed(text, tmp_path)
+    trace = Simulator(automaton, Taylor(1e-12)).run(until=1.0)
+    struck = [set(jump.impulse) for jump in trace.jumps if "a" in jump.impulse]
+    assert struck
+    assert all(names == {"a", "d"} for names in struck)
+
+
+def test_a_start_that_cannot_be_is_told_in_declared_names(tmp_path: Path) -> None:
+    automaton = composed(BODIES.replace("y: 0.7", "y: -0.7"), tmp_path)
+    with pytest.raises(Exception, match="'a' starts inside its surface"):
+        Simulator(automaton, Taylor(1e-12)).run(until=1.0)
