@@ -1,4 +1,4 @@
-"""Names that a scene has, where no formula can use them; what stands in for them."""
+"""Names of a scene that a formula cannot use where it stands, and what to write instead."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PULLED = "write a force on the body, or let the ground move"
 _CONSTANT = "write a formula of parameters"
 
 
-def check_elsewhere(
+def check_misplaced_names(
     scene: SceneFields, formula: Formula, known: Collection[str], *loc: str | int
 ) -> None:
     """Refuse names that a formula cannot use where it stands, with what stands in for them.
@@ -38,14 +38,14 @@ def check_elsewhere(
     for node in names_in(formula.root):
         if node.name in known:
             continue
-        what, advice = _told(scene, node.name, known, loc)
+        what, advice = _reason(scene, node.name, known, loc)
         if advice:
             raise DeclarationProblem(
                 f"{node.name!r}: {what}", advice=advice, loc=loc, offset=node.offset
             )
 
 
-def _told(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
+def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
     """Return why a name cannot stand in a place, and what to write; nothing for any other."""
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:

@@ -1,4 +1,4 @@
-"""Which declared laws of impact time stepping replaces by its own, Moreau's."""
+"""Declared laws of impact that time stepping replaces by Moreau's."""
 
 from __future__ import annotations
 

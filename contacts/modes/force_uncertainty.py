@@ -1,4 +1,4 @@
-"""How far the forces of a mode may be off, as states are known to the tolerance of a run only.
+"""Uncertainty of the forces of a mode: states are known to the tolerance of a run only.
 
 A contact comes to rest where its run says, which is off by what the run is: where the force that
 rest takes is just what friction gives, sticking and slipping on cannot be told apart. On its bound
@@ -22,28 +22,15 @@ from statechart.arrays import Array
 from statechart.automaton.trace import Key
 
 
-class Doubt(NamedTuple):
-    """Where contacts come to rest, and what a run may be off by there.
+class ForceUncertainty(NamedTuple):
+    """Where contacts come to rest, and what a run may be off by there."""
 
-    Attributes
-    ----------
-    at : callable
-        The scene's numbers at a state, so much later.
-    setup : SceneSetup
-        Of the run.
-    state : (2 n,) array
-        As far as the run knows it.
-    sure : Key
-        How contacts were kept, as far as that was in no doubt: what was pinned does not come to
-        rest.
-    fell : collection of int
-        Contacts of which a force has just passed its bound: that is in no doubt either.
-    """
-
-    at: Callable[[Array, float], Snapshot]
-    setup: SceneSetup
-    state: Array
+    at: Callable[[Array, float], Snapshot]  # The scene's numbers at a state, so much later
+    setup: SceneSetup  # Of the run
+    state: Array  # (2 n,): As far as the run knows it
+    # How contacts were kept, as far as that was in no doubt: what was pinned does not come to rest
     sure: Key
+    # Contacts of which a force has just passed its bound: that is in no doubt either
     fell: Collection[int] = ()
 
     def sticking(

@@ -17,24 +17,14 @@ Vector = tuple[sp.Expr, sp.Expr]
 
 @dataclass(frozen=True, eq=False)
 class Rim:
-    """A disc about a point of a body.
+    """A disc about a point of a body."""
 
-    Attributes
-    ----------
-    radius : Expr
-        Of the disc; 0: the point itself touches.
-    turn : Expr
-        Angle of its body against the surface.
-    circle : ((Expr, Expr), Expr), optional
-        Centre of the circle that it touches, and how far its own centre is from there.
-    side : int
-        1 where it is outside the circle, -1 where it is inside a hollow one.
-    """
-
-    radius: sp.Expr
-    turn: sp.Expr
+    radius: sp.Expr  # Of the disc; 0: the point itself touches
+    turn: sp.Expr  # Angle of its body against the surface
+    # ((Expr, Expr), Expr), optional: Centre of the circle that it touches, and how far its own
+    # centre is from there
     circle: tuple[Vector, sp.Expr] | None = None
-    side: int = 1
+    side: int = 1  # 1 where it is outside the circle, -1 where it is inside a hollow one
 
     def anchored(self, centre: Vector, tangent: Vector) -> tuple[Vector, Vector]:
         """Return what is constant as the disc rolls, a place, and the direction it slips in.

@@ -1,13 +1,13 @@
-"""What in a scene may be meant, and hardly ever is: angles in degrees, walls that stop nothing."""
+"""Lint of a scene: warns of what is no error and hardly meant, such as angles in degrees."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from itertools import combinations
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.handovers import nearly_meeting
 from statechart.documents.declaration import TIME
 from statechart.documents.dimensions import fields_of
 from statechart.documents.fields import FormulaText
@@ -15,6 +15,11 @@ from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
 
+NEARLY_MEETING = 1e-3
+"""Ends closer than this part of the scene's length were hardly meant to be apart."""
+
+# Ends closer than this part of the edges' extent are equal but for round-off.
+_EQUAL = 1e-12
 # An angle beyond a turn, written as a plain number, was rarely counted in radians.
 _TURN = 2.0 * math.pi
 # A centre that is no farther in, beside how far it is from the line's first point, is on it.
@@ -22,16 +27,16 @@ _ROUNDING = 1e-9
 # Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
 # seldom less than a hundredth; lengths in millimetres beside metres make a million of it, and what
 # never turns is often given 1.
-_LEAST, _MOST = 1e-5, 1e4
+_MIN_INERTIA, _MAX_INERTIA = 1e-5, 1e4
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 
-def unlikely(scene: SceneFields) -> tuple[str, ...]:
+def lint(scene: SceneFields) -> tuple[str, ...]:
     """Return warnings of what is no error, and was hardly meant."""
-    return tuple(dict.fromkeys(_found(scene)))
+    return tuple(dict.fromkeys(_warnings(scene)))
 
 
-def _found(scene: SceneFields) -> Iterator[str]:
+def _warnings(scene: SceneFields) -> Iterator[str]:
     if not isinstance(scene.gravity, tuple):
         value = _plain(parse(scene.gravity).root, scene.parameters)
         if value is not None and value < 0.0:
@@ -52,7 +57,7 @@ def _found(scene: SceneFields) -> Iterator[str]:
         # What is wrong with a formula is told where it is used.
         yield from _inside_out(scene)
     with suppress(DeclarationError, DeclarationProblem):
-        yield from nearly_meeting(scene)
+        yield from nearly_meeting_ends(scene)
     for formula, _ in fields_of(scene):
         for node in nodes(formula):
             if isinstance(node, Call) and node.function in _OF_ANGLES:
@@ -86,7 +91,7 @@ def _spread(scene: SceneFields) -> Iterator[str]:
                 far = max(far, math.hypot(*(parse(text).value(known) for text in corner)) + rim)
         mass, inertia = (parse(text).value(known) for text in (body.mass, body.inertia))
         most = mass * far**2
-        if most > 0.0 and not _LEAST * most <= inertia <= _MOST * most:
+        if most > 0.0 and not _MIN_INERTIA * most <= inertia <= _MAX_INERTIA * most:
             yield (
                 f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times what all mass "
                 f"at the farthest point of its shape would have, {most:.3g}; are units mixed? "
@@ -134,3 +139,44 @@ def _degrees(value: float) -> str:
     return (
         f"{value:g} radians are {abs(value) / _TURN:.3g} turns; of degrees write {value:g}*pi/180"
     )
+
+
+def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
+    """Return a warning: a contact stays off, as its point is inside where its conditions hold."""
+    surface = scene.contacts[contact].surface
+    if scene.surfaces[surface].edge is None:
+        return (
+            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} where its "
+            "conditions begin to hold; let surfaces that follow each other meet"
+        )
+    return (
+        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} where it gets "
+        "over it; let the ends of edges meet"
+    )
+
+
+def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
+    """Yield a warning for each two edges whose ends nearly meet."""
+    known = scene.values()
+    ends = {
+        name: [tuple(parse(text).value(known) for text in corner) for corner in surface.edge]
+        for name, surface in scene.surfaces.items()
+        if surface.edge is not None and not surface.moves
+    }
+    corners = [corner for edge in ends.values() for corner in edge]
+    if not corners:
+        return
+    extent = math.hypot(*(max(side) - min(side) for side in zip(*corners, strict=True)))
+    for one, other in combinations(ends, 2):
+        if scene.surfaces[one].body != scene.surfaces[other].body:
+            continue
+        near, a, b = min(
+            (math.dist(ends[one][a], ends[other][b]), a, b) for a in range(2) for b in range(2)
+        )
+        if _EQUAL * extent < near < NEARLY_MEETING * extent:
+            numbers = ("first", "second")
+            yield (
+                f"surfaces.{other}.edge: its {numbers[b]} point is {near:.3g} from the "
+                f"{numbers[a]} point of {one!r}, and a point that slides off the one may get under "
+                "the other; where one follows the other, write the same point"
+            )

@@ -23,7 +23,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
 
-class Memory:
+class ControllerState:
     """The variables of a scene's controllers; all of it does nothing where there are none.
 
     Parameters
