@@ -34,25 +34,19 @@ _LEAST, _MOST = 1e-100, 1e100
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute.
+    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute."""
 
-    Attributes
-    ----------
-    length, speed, acceleration, force : float
-        In the scene's units. A shift of the origin does not change them.
-    rounding : float
-        Round-off of positions, in the unit of length: units in the last place of the largest
-        coordinate.
-    sizes : (2 n,) array
-        How large each coordinate and each rate is: what moves a point by the length, in the time
-        that this takes at the speed.
-    """
-
+    # `length`, `speed`, `acceleration`, `force`: In the scene's units. A shift of the origin does
+    # not change them
     length: float
     speed: float
     acceleration: float
     force: float
+    # Round-off of positions, in the unit of length: units in the last place of the largest
+    # coordinate
     rounding: float
+    # (2 n,): How large each coordinate and each rate is: what moves a point by the length, in the
+    # time that this takes at the speed
     sizes: Array
 
     @property

@@ -63,24 +63,8 @@ def region(
 ) -> Region:
     """Return the region of a contact.
 
-    Parameters
-    ----------
-    name : str
-        Of the contact.
-    contact : Contact
-        As declared.
-    symbols : callable
-        Its quantities as expressions, asked for when a state is built.
-    gates, back : callable
-        Margins that take it off, and that bring it back, likewise.
-    jams : bool
-        Whether friction may press the point into the surface (see `Scene.jams`).
-    bounces : bool
-        Whether impacts may accumulate (see `Scene.bounces`).
-    gate : str
-        Conditions without which it is off; "" where it has none (see `Scene.gate`).
-    forces : tuple of Symbol
-        Its normal and tangential force.
+    Its quantities, and the margins that take it off (`gates`) and bring it `back`, are asked for
+    when a state is built. `jams`, `bounces` and `gate` are those of `Scene`.
     """
     modes = {mode.mode: mode for mode in contact.modes}
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Real
+from typing import TypedDict
 
 from statechart.errors import DeclarationProblem
 
@@ -27,6 +28,26 @@ class Record(Enum):
     MODES = "modes"
     POSES = "poses"
     NOTHING = "nothing"
+
+
+class IntegrationWords(TypedDict, total=False):
+    """Keyword arguments of a setting that hold for runs of any number; see `Setting`."""
+
+    engine: str | None
+    method: str | None
+    tolerance: float | None
+    accuracy: float | None
+    step: float | None
+    max_step: float | None
+
+
+class SettingWords(IntegrationWords, total=False):
+    """All keyword arguments of a setting; see `Setting`."""
+
+    budget: float | None
+    impulse_tolerance: float | None
+    impulse_bound: float | None
+    record: str | None
 
 
 @dataclass(frozen=True)
