@@ -10,6 +10,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from statechart.diagram.layout.block import (
     Arrow,
     Block,
@@ -17,7 +19,6 @@ from statechart.diagram.layout.block import (
     Look,
     bounded,
     covered,
-    crossings,
     polyline,
 )
 from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 _ROOM = (740.0, 430.0)
 # Ways to go from rank to rank, and space between neighbours in inches.
 _WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
+# A region in a state has no frame of its own.
 _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
@@ -51,10 +53,10 @@ def flow(chart: Chart, style: Style, prefix: str) -> Block:
 
 
 def _badness(block: Block) -> tuple[float, ...]:
-    """Return lines through text, by how much a block must shrink to fit, and crossings."""
+    """Return lines through text, by how much a block must shrink to fit, and its height."""
     width, height = block.size
     shrink = max(width / _ROOM[0], height / _ROOM[1], 1.0)
-    return covered(block), round(4 * shrink), crossings(block), height
+    return covered(block), round(4 * shrink), height
 
 
 class _Flow:
@@ -185,31 +187,21 @@ class _Flow:
     def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
         """Return the dashed lines between the regions of a state, which dot puts in a row."""
         frame = places[self.names[node.name]]
-        regions = [
-            places[name]
-            for n in self.chart.within(node.name)
-            if (name := self.names[n.name]) in places
-        ]
-        apart = [abs(a.centre[k] - b.centre[k]) for k in (0, 1) for a, b in pairwise(regions)]
-        axis = int(
-            max(apart[len(apart) // 2 :], default=0) > max(apart[: len(apart) // 2], default=0)
-        )
+        names = (self.names[inner.name] for inner in self.chart.within(node.name))
+        regions = [places[name] for name in names if name in places]
+        spread = np.ptp([box.centre for box in regions], axis=0) if regions else (0.0, 0.0)
+        axis = int(spread[1] > spread[0])
         regions.sort(key=lambda box: box.centre[axis])
+        middle, half = frame.centre[1 - axis], frame.size[1 - axis] / 2
         found = []
         for one, other in pairwise(regions):
-            middle = (
-                one.centre[axis] + one.size[axis] / 2 + other.centre[axis] - other.size[axis] / 2
-            ) / 2
-            ends = [frame.centre[1 - axis] + side * frame.size[1 - axis] / 2 for side in (-1, 1)]
-            line = [(middle, end) if axis == 0 else (end, middle) for end in ends]
-            found.append(
-                Arrow(
-                    f"{self.prefix}in_{one.name}",
-                    f"{self.prefix}in_{other.name}",
-                    polyline(line, head=False),
-                    _DIVIDER,
-                )
-            )
+            end = one.centre[axis] + one.size[axis] / 2
+            at = (end + other.centre[axis] - other.size[axis] / 2) / 2
+            line = [
+                (at, side) if axis == 0 else (side, at) for side in (middle - half, middle + half)
+            ]
+            first, second = (f"{self.prefix}in_{box.name}" for box in (one, other))
+            found.append(Arrow(first, second, polyline(line, head=False), _DIVIDER))
         return found
 
 
