@@ -49,7 +49,11 @@ _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": "
 def flow(chart: Chart, style: Style, prefix: str) -> Block:
     """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
     drawn = _Flow(chart, style, prefix)
-    return min((drawn.block(way, gap) for way, gap in _WAYS), key=_badness)
+    found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
+    if all(map(covered, found)):
+        # Names of states that hold others, on the left of their frames, may be in the way.
+        found += [drawn.block(way, gap, "r") for way, gap in _WAYS]
+    return min(found, key=_badness)
 
 
 def _badness(block: Block) -> tuple[float, ...]:
@@ -89,7 +93,7 @@ class _Flow:
         """Return the identifier of the name of a state that holds others."""
         return f"{self.prefix}in_{self.names[node.name]}"
 
-    def source(self, way: str, gap: str) -> str:
+    def source(self, way: str, gap: str, side: str) -> str:
         """Return the chart as DOT; words and starts are nodes."""
         import graphviz
 
@@ -101,7 +105,7 @@ class _Flow:
             node_attr={"fontname": FONT},
             edge_attr={"arrowsize": "0.7"},
         )  # fmt: skip
-        self._fill(graph, None)
+        self._fill(graph, None, side)
         for k, (source, target, _) in self.edges.items():
             tail, head = self._end(source, "tail"), self._end(target, "head")
             if (words := f"{self.prefix}{k}") in self.looks:
@@ -113,7 +117,7 @@ class _Flow:
             graph.edge(name, id=f"{name} to", weight="4", **self._end(node.name, "head"))
         return str(graph.source)
 
-    def _fill(self, part: graphviz.Digraph, inside: str | None) -> None:
+    def _fill(self, part: graphviz.Digraph, inside: str | None, side: str) -> None:
         for name, node in self.starts.items():
             begins = any(n.default for n in self.chart.within(node.inside))
             if inside == (None if node.initial and begins else node.inside):
@@ -125,8 +129,8 @@ class _Flow:
                 continue
             with part.subgraph(name=f"cluster_{name}") as frame:
                 label = self.looks[self.title(node)]["label"]
-                frame.attr(label=label, labeljust="l", labelloc="t", margin="14")
-                self._fill(frame, node.name)
+                frame.attr(label=label, labeljust=side, labelloc="t", margin="14")
+                self._fill(frame, node.name, side)
         for name in self.words.get(inside, []):
             part.node(name, **self.looks[name])
 
@@ -140,9 +144,9 @@ class _Flow:
             found[f"l{end}"] = f"cluster_{self.names[name]}"
         return found
 
-    def block(self, way: str, gap: str) -> Block:
-        """Return the chart as dot lays it out."""
-        laid = laid_out(self.source(way, gap))
+    def block(self, way: str, gap: str, side: str) -> Block:
+        """Return the chart as dot lays it out, names of frames on a side (l, r)."""
+        laid = laid_out(self.source(way, gap, side))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
         frames = sorted(
             (self._frame(node, items) for node in self.chart.frames),
