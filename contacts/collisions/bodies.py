@@ -31,10 +31,10 @@ from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.checks import check_physical
 from contacts.scene.collision_checks import check_shapes
+from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
-from contacts.scene.unlikely import unlikely
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.control import StepControl
@@ -139,7 +139,7 @@ class BodyStepper(Stepper):
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
-        self._unlikely = unlikely(declared)
+        self._unlikely = lint(declared)
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters; see `own_step`."""

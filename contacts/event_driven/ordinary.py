@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import cones
-from contacts.dynamics.projection import Projection, landing, unseen_room
+from contacts.dynamics.projection import Projection, unseen_room
 from contacts.dynamics.run_numbers import rules
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -24,7 +23,7 @@ from contacts.event_driven.run_rows import INSTANTS, run_rows
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
-from contacts.modes.fast_classification import allowed
+from contacts.modes.fast_classification import mode_rules
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
@@ -132,7 +131,7 @@ class SceneInstants:
             np.zeros(count),
             unseen_room(tolerances, setup.scales),
         )
-        near, creep = landing(tolerances)
+        rules = mode_rules(setup)
         scene = SceneWatch(
             numbers,
             conditions,
@@ -140,18 +139,11 @@ class SceneInstants:
             self._conditions.slots(loop.margins),
             setup.scales.with_time,
             setup.precision,
-            allowed(tuple([law.states for law in setup.contacts])),
-            cones(setup.contacts),
+            rules.allowed,
+            rules.cones,
             np.array([law.restitution for law in setup.contacts]),
             np.array([meaning(law) for law in setup.contacts], np.int64),
-            near,
-            creep,
-            tolerances["gap"],
-            tolerances["speed"],
-            setup.tie,
-            setup.doubtful,
-            setup.scales.force,
-            setup.scales.acceleration,
+            *rules[2:],
             setup.short,
             setup.fast,
             setup.lowest,

@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.run_numbers import Numbers, Rules, room
+from contacts.dynamics.run_numbers import Numbers, Rules, run_buffer
 from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_on import CAUSES
@@ -159,4 +159,4 @@ def _memory(
         *[0.0] * 12,
     )
     series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
-    return room(parameters, variables, rules), watch, instants, series
+    return run_buffer(parameters, variables, rules), watch, instants, series

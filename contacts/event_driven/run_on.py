@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from contacts.dynamics.gate_kernels import PER_CONDITION, conditions_at, round_off
+from contacts.dynamics.gates import PER_CONDITION, conditions_at, round_off
 from contacts.dynamics.snapshot import SCALARS
 from contacts.event_driven.arc_record import record_arc
 from contacts.event_driven.hit import SceneWatch, classified, hit

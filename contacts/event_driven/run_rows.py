@@ -8,13 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contacts.dynamics.gate_kernels import conditions_at
+from contacts.dynamics.gates import conditions_at
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
 from contacts.dynamics.scales import bounce_limits
+from contacts.dynamics.snapshot import SCALARS
+from contacts.dynamics.starting import hovers
 from contacts.event_driven.hit import SceneWatch, classified
 from contacts.event_driven.run_on import row_of, run_on
 from contacts.event_driven.switching import switched
-from contacts.states import FREE
+from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.trace_store import ARCS, EVENTS, TraceBuffer
 from statechart.engines.engine import Pace
@@ -161,6 +163,7 @@ def _start(
     scene: SceneRows,
     watch: Watch,
     instants: SceneWatch,
+    scales: Array,
     state: Array,
     taken: Ints,
 ) -> int:
@@ -169,7 +172,8 @@ def _start(
     code, constants, outputs, _, _ = tape_of(program, instants.numbers)
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, watch.parameters, 0.0, numbers)
-    kept, lowest = np.full(contacts, FREE), np.zeros(contacts)
+    kept, lowest, n = np.full(contacts, FREE), np.zeros(contacts), state.shape[0] // 2
+    first = n * n + n + 1 + (2 * n + 2) * contacts
     if instants.nodes.shape[0] > 0:
         code, constants, outputs, _, _ = tape_of(program, instants.conditions)
         values = conditions_at(
@@ -182,14 +186,14 @@ def _start(
             watch.parameters,
             0.0,
         )
-        first = state.shape[0] // 2
-        first = first * first + first + 1 + (2 * first + 2) * contacts
         if switched(instants, values, numbers, first, 0, np.full(contacts, FREE), kept) == -2:
             return -1
-    if not classified(instants, numbers, state.shape[0] // 2, False, kept, lowest, taken):
+    if not classified(instants, numbers, n, False, kept, lowest, taken):
         return -1
     for c in range(contacts):
-        if not scene.starts[c, taken[c]]:
+        gap, rate = numbers[first + SCALARS * c], numbers[first + SCALARS * c + 1]
+        above = hovers(gap, rate, instants.gap, scales[0], scales[1])
+        if not scene.starts[c, taken[c]] or (above and taken[c] != OFF_CODE):
             return -1
     mode = row_of(program, taken)
     if mode >= 0 and stands(program, mode, watch.parameters, watch.floors, state, 0.0):
@@ -311,7 +315,7 @@ def run_rows(
             continue
         watch, instants = _watches(scene, numbers, rows.floor, first_watch, first_instants)
         put(numbers.initial, state)
-        mode = _start(program, scene, watch, instants, state, taken)
+        mode = _start(program, scene, watch, instants, numbers.scales, state, taken)
         if mode < 0:
             continue
         now[:] = 0.0

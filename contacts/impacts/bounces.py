@@ -74,20 +74,9 @@ def corrected(
     ``1 + j R / (3 a) - c R / 6``: so that a flight lasts ``2 v / a + 4 j v^2 / (3 a^3)
     - 2 c v^2 / (3 a^2)``, and ends at ``v - 2 (j / a^2 + c / a) v^2 / 3``.
 
-    Parameters
-    ----------
-    rests : mapping
-        Contact -> the sum without that.
-    setup : SceneSetup
-        The numbers of the run.
-    at : callable
-        State and how much later -> its numbers.
-    resolved, plastic : Snapshot
-        After the impact by the declared laws, and with these contacts plastic.
-    state : (2 n,) array
-        Where they are plastic.
-    closed : sequence of bool
-        Which contacts took part in it.
+    `rests` are the sums without that, `at` gives the numbers at a state so much later. `resolved`
+    and `plastic` are those after the impact by the declared laws, and with these contacts plastic,
+    which leaves the bodies in `state`.
     """
     lying = _lying(setup, resolved, closed)
     try:

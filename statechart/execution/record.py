@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Outcome, Trace
-from statechart.automaton.trace_store import TraceRecorder
+from statechart.automaton.trace_store import TraceStore, copied
 from statechart.execution.ahead import N_BOXES, N_JUMPS, N_MODE, N_STEPS, T_HIGH
 from statechart.execution.flow import FOLLOWED
 from statechart.execution.rows import FIRST_MODE, MARGIN, Batch
@@ -26,19 +26,17 @@ def trace_of_row(simulator: Simulator, batch: Batch, setup: Callable[[], Setup])
     modes, kinds = batch.modes, batch.kinds
     place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
     first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
-    record = TraceRecorder(
-        len(automaton.variables), modes.kinds, batch.block, partial(modes.jump, setup), begun=True
-    )
-    outcome = batch.outcome(0)
+    outcome, stop = batch.outcome(0), None
     if outcome is Outcome.STOPPED:
         margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
         message = f"{margin} at t = {t_end:.6g}"
         key, count = last[0], place[N_JUMPS]
-        record.add_jump(Jump(t_end, count, "", "stop", key, key, final, final, (margin,)))
+        stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
     else:
         message = f"reached t = {t_end:.6g}"
-    block = record.seal()
-    arcs, jumps = record.close()
+    block = copied(batch.block)
+    store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
+    arcs, jumps = store.sequences()
     arcs.source = batch._replace(block=block)
     return Trace(
         name=automaton.name,

@@ -25,11 +25,18 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, strokes
-from statechart.reporting.bands import banded, unbanded
-from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
+from statechart.reporting.curves import (
+    Line,
+    Panel,
+    busy_until,
+    curves,
+    impulse_label,
+    impulses_of,
+    largest,
+)
+from statechart.reporting.figure import banded, unbanded
 from statechart.reporting.film import filmed, stage_of
 from statechart.reporting.text import change, computed, explanation
-from statechart.reporting.thinning import Line
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
@@ -202,16 +209,16 @@ def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict
                 "curves": [drawn(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
-                "struck": [_struck(trace, panel, region, end) for region in panel.impulses],
+                "struck": [_impulses_of(trace, panel, region, end) for region in panel.impulses],
                 "remarks": list(panel.remarks),
             }
         )
     return made
 
 
-def _struck(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
+def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
     """Return the impulses of a region: with sizes where no forces have the axis."""
-    times, sizes = struck(trace, region)
+    times, sizes = impulses_of(trace, region)
     seen = times <= end
     return {
         "name": impulse_label(panel, sizes) if panel.names else region,

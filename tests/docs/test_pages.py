@@ -72,7 +72,7 @@ def test_a_page_does_what_it_says(name: str, at_home: Path) -> None:
 
 # What stands around a part of a document that a page shows; `@` is its place.
 HOSTS = {
-    ("format.md", "Wheels and round feet"): """
+    ("format/contacts.md", "Wheels and round feet"): """
         kind: scene
         name: bicycle
         parameters: {r: 0.35, mu: 0.8}
@@ -82,7 +82,7 @@ HOSTS = {
         stop: {time: 1}
         @
         """,
-    ("format.md", "Bodies of several shapes"): """
+    ("format/collisions.md", "Bodies of several shapes"): """
         kind: scene
         name: gym
         gravity: 9.81
@@ -93,31 +93,15 @@ HOSTS = {
         stop: {time: 0.5}
         @
         """,
-    ("format.md", "Grounds with kinks"): """
+    ("format/bodies.md", "Forces"): """
         kind: scene
-        name: ridge
-        parameters: {s: 0.5, mu: 0.3, e: 0.5}
+        name: pushed
         gravity: 9.81
-        bodies: {ball: {mass: 1, start: {x: 0.1, y: 1}}}
+        bodies: {stone: {mass: 1, inertia: 0.1}}
         stop: {time: 1}
         @
         """,
-    ("format.md", "Controllers"): """
-        kind: scene
-        name: leg
-        parameters: {k: 100, l0: 1}
-        gravity: 9.81
-        coordinates: {y: {start: l0 + 0.1}, l: {start: l0}}
-        bodies:
-          trunk: {mass: 1, position: [0, y]}
-          toe: {mass: 0.1, position: [0, y - l]}
-        surfaces: {ground: {height: 0}}
-        contacts:
-          foot: {point: {body: toe}, surface: ground, friction: 0.5, restitution: 0}
-        stop: {time: 1}
-        @
-        """,
-    ("format.md", "States in states"): """
+    ("format/charts.md", "States in states"): """
         kind: chart
         name: machine
         variables: {x: 0, starts: 0}
@@ -131,7 +115,7 @@ HOSTS = {
               - {name: halt, from: two, to: three, after: 1}
               - {name: reset, from: three, to: four, after: 1}
         """,
-    ("format.md", "Timeouts and samples"): """
+    ("format/charts.md", "Timeouts and samples"): """
         kind: chart
         name: sampled
         parameters: {T: 0.1, K: 1, D: 1}

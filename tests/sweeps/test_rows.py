@@ -17,8 +17,8 @@ from statechart.errors import DeclarationError
 from statechart.execution import loops
 from statechart.execution.rows import RowRunner
 from statechart.loading.load import interpret
-from statechart.sweeps import block, together
-from statechart.sweeps.block import Block, run_block
+from statechart.sweeps import cells as sweep_cells
+from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Plan
 
 HAIRY = """
@@ -58,7 +58,7 @@ outputs:
 """
 
 
-def same(one: Block, other: Block) -> None:
+def same(one: CellBlock, other: CellBlock) -> None:
     for part in ("outcome", "message", "certified", "t_end"):
         np.testing.assert_array_equal(getattr(one, part), getattr(other, part))
     for name, values in one.numbers.items():
@@ -78,16 +78,16 @@ def compared(
     monkeypatch.setattr(loops, "_WORTH", -1)
     columns = dict(zip(model.ranges, table.T, strict=True))
     plan = Plan(model, Setting(), columns, grid=False, until=until)
-    block._cells.cache_clear()
+    sweep_cells._cells.cache_clear()
     with monkeypatch.context() as patch:
-        patch.setattr(together, "_MOST", 1)
+        patch.setattr(sweep_cells, "_MAX_BATCH", 1)
         patch.setattr(RowRunner, "alone", lambda *_: None)
         run_block(plan.task, table)  # modes are made known
         alone = run_block(plan.task, table)
-        (structure,) = block._cells(plan.task)._structures.values()
-        assert structure.together.through == 0
+        (structure,) = sweep_cells._cells(plan.task)._structures.values()
+        assert structure.batches.through == 0
     same(run_block(plan.task, table), alone)
-    return structure.together.through
+    return structure.batches.through
 
 
 def cells(model: Declaration, count: int) -> Array:
@@ -184,13 +184,13 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     monkeypatch.setattr(SceneInstants, "rows_compiled", lambda self: False)
     model = load("toppling_stick")
     plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
-    block._cells.cache_clear()
+    sweep_cells._cells.cache_clear()
     run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
-    (structure,) = block._cells(plan.task)._structures.values()
-    assert structure.together.through == 0
+    (structure,) = sweep_cells._cells(plan.task)._structures.values()
+    assert structure.batches.through == 0
     for _ in range(4):
         run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
-    assert structure.together.through > 50
+    assert structure.batches.through > 50
 
 
 def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:
