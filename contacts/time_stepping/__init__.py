@@ -7,8 +7,8 @@
 `streaming` the same as it comes, `stops` ends it by its `stop_tapes` and `active_states`, `forces`
 tells modes and forces from impulses, `settling` modes from accelerations where they change,
 `effort` counts what those took, `impact_order` says whether their order matters, and `recorder`
-makes a trace of it all, whose arcs are `pieces` of the `polynomials` of steps; a `track` keeps
-states alone. `scene_tape` are a scene's equations.
+makes a trace of it all, whose arcs are `lazy_arcs` of the `polynomials` of steps; a
+`pose_recorder` keeps states alone. `scene_tape` are a scene's equations.
 `passing`, `limits` and `energy` tell where a step is too long, `refused` ends runs there; `misses`
 estimates the errors of a run, with `unseen` of its forces and `impacts`.
 """

@@ -243,6 +243,7 @@ class SteppedScene:
         # What was off comes back no deeper than what lasts.
         deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
+        deep[0] &= ~(self._kept.contacts.past[:, 1] <= 0.0)
         for k, i in np.argwhere(deep).tolist():
             state = lines[k].sum(axis=1)
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
