@@ -27,7 +27,7 @@ def decide(
     touching: Sequence[bool],
     paradox: Resolution,
     before: Before | None = None,
-    doubt: ForceUncertainty | None = None,
+    uncertainty: ForceUncertainty | None = None,
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
 
@@ -35,7 +35,7 @@ def decide(
     ----------
     before : Before, optional
         What held before.
-    doubt : ForceUncertainty, optional
+    uncertainty : ForceUncertainty, optional
         What the state may be off by, where contacts may have come to rest.
 
     Raises
@@ -47,7 +47,7 @@ def decide(
     still = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(
-            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, doubt
+            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, uncertainty
         )
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)

@@ -31,7 +31,7 @@ from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
 from contacts.modes.fast_classification import fast_mode
-from contacts.modes.feasibility import judged
+from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -204,9 +204,9 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
-        doubt = self._rules.doubt(here)
+        uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
-        choice = decide(setup, here.snapshot, touching, self._paradox, before, doubt)
+        choice = decide(setup, here.snapshot, touching, self._paradox, before, uncertainty)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid on to where none can: p fell to zero on the way.
@@ -409,7 +409,7 @@ class SceneLaws:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
         failing = self.conditions.failing(setup, state, time)
-        return judged(regions, setup, self.snapshot(setup, state, time), failing)
+        return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None

@@ -98,7 +98,7 @@ def choose(
     tie: float,
     still_below: float,
     before: Before | None = None,
-    doubt: ForceUncertainty | None = None,
+    uncertainty: ForceUncertainty | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
 
@@ -143,7 +143,7 @@ def choose(
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
     taken, warning = _rivals(_continuing(agreeing, tried, scales, before), case, before)
-    doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
+    doubted = None if many or uncertainty is None else uncertainty.sticking(case, options, taken)
     if doubted is not None:
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
@@ -153,11 +153,11 @@ def choose(
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
     notes += _carried(snapshot, laws, closed, taken.states)
-    if doubt is not None and doubted is not None:
+    if uncertainty is not None and doubted is not None:
         notes += tuple(
             f"{law.name} comes to rest where that takes just the force that friction gives, as far "
             "as the tolerance tells: it sticks, and might slip on"
-            for law, state, was in zip(laws, taken.states, doubt.sure, strict=True)
+            for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
             if state == "pin" and was != "pin"
         )
     considered = LazyMapping(partial(_verdicts, laws, tried, taken, tie))

@@ -102,7 +102,7 @@ def feasible_modes(
         )
     if names is None:
         names = [f"contact {i + 1}" for i in range(len(options))]
-    return _judged(jacobians, product(*options), names)
+    return _mode_verdicts(jacobians, product(*options), names)
 
 
 def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
@@ -123,7 +123,7 @@ def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], st
     }
 
 
-def _judged(
+def _mode_verdicts(
     jacobians: ArrayLike, modes: Iterable[tuple[str, ...]], names: Sequence[str]
 ) -> tuple[ModeVerdict, ...]:
     rows = _scaled(np.asarray(jacobians, float))
@@ -296,7 +296,7 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
-def judged(
+def scene_feasibility(
     regions: Sequence[Region], setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]
 ) -> Feasibility:
     """Judge every product mode of a scene by the velocities that it asks for.

@@ -1,4 +1,4 @@
-"""How far the forces of a mode may be off, as states are known to the tolerance of a run only.
+"""Uncertainty of the forces of a mode: states are known to the tolerance of a run only.
 
 A contact comes to rest where its run says, which is off by what the run is: where the force that
 rest takes is just what friction gives, sticking and slipping on cannot be told apart. On its bound

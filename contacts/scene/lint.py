@@ -33,10 +33,10 @@ _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 
 def lint(scene: SceneFields) -> tuple[str, ...]:
     """Return warnings of what is no error, and was hardly meant."""
-    return tuple(dict.fromkeys(_found(scene)))
+    return tuple(dict.fromkeys(_warnings(scene)))
 
 
-def _found(scene: SceneFields) -> Iterator[str]:
+def _warnings(scene: SceneFields) -> Iterator[str]:
     if not isinstance(scene.gravity, tuple):
         value = _plain(parse(scene.gravity).root, scene.parameters)
         if value is not None and value < 0.0:

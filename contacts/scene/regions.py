@@ -55,16 +55,14 @@ def region(
     symbols: Callable[[], ContactSymbols],
     gates: Callable[[], tuple[Margin, ...]],
     back: Callable[[], tuple[Margin, ...]],
-    *,
-    jams: bool,
-    bounces: bool,
+    arrows: tuple[Edge, ...],
     gate: str,
     forces: tuple[sp.Symbol, ...],
 ) -> Region:
     """Return the region of a contact.
 
     Its quantities, and the margins that take it off (`gates`) and bring it `back`, are asked for
-    when a state is built. `jams`, `bounces` and `gate` are those of `Scene`.
+    when a state is built. Its transitions are `arrows` (see `edges`), its `gate` is `Scene.gate`.
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
@@ -89,7 +87,6 @@ def region(
         return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
 
     names = states(contact, gate=gate)
-    arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
     return Region(
         name,
         names,
@@ -104,7 +101,10 @@ def region(
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:
-    """Return the transitions of a contact's statechart; see `region`."""
+    """Return the transitions of a contact's statechart.
+
+    `jams`: friction may press the point in; `bounces`: impacts may accumulate (see `Scene`).
+    """
     present = states(contact, gate="")
     closed = [s for s in present if s not in OPEN]
     sliding = [s for s in closed if s != "pin"]

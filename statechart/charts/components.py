@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.components import (
     Component,
@@ -36,7 +38,7 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
         return composed(
             parts, _form, lambda part: compose(Chart.model_validate(part)), lambda _: _restricted
         )
-    except StatechartError:
+    except (StatechartError, ValidationError):
         return ()
 
 

@@ -38,7 +38,7 @@ _ARGUMENTS = {
     **dict.fromkeys(("n", "max_examples"), "examples"),
     **dict.fromkeys(("filename", "file", "output", "out", "dir", "directory"), "path"),
 }
-"""What other programs call an argument."""
+"""Argument of another program -> argument of ours."""
 
 _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "float": ((Real,), "a number"),
@@ -46,7 +46,25 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "Path | str": ((str, PathLike), "a path"),
     "bool": ((bool,), "True or False"),
 }
-"""What an argument must be, by its annotation, and in words."""
+"""Annotation of an argument -> types that it may have, and their name."""
+
+YAML_HINTS: Mapping[str, str] = {
+    r"'\t'": "indent by spaces, not by tabs",
+    "mapping values are not allowed": "write key: value, and keys of one mapping below each other; "
+    "text with a colon stands in quotes",
+    "found character '|' that cannot start": "write abs(...)",
+    "found character '%' that cannot start": "write a comment after #",
+    "found character '`' that cannot start": "put text in quotes",
+    "found character '@' that cannot start": "put text in quotes",
+    "expected the node content, but found ','": "there is a comma too many",
+    "could not find expected ':'": "write key: value",
+    "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
+    "expected ',' or '}'": "close with } what { opened, and put commas between",
+    "expected ',' or ']'": "close with ] what [ opened, and put commas between",
+    "expected <block end>": "indent keys of one mapping alike",
+    "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
+}
+"""Words of the message on text that is no YAML -> what to write."""
 
 
 def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:

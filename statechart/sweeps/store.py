@@ -9,6 +9,7 @@ depend on the order in which it was made.
 
 from __future__ import annotations
 
+import errno
 import itertools
 import math
 import os
@@ -42,6 +43,8 @@ _LIST_CHUNK, _TABLE_CHUNK = 16, 256
 # Files that zarr writes before they get their names.
 _PARTIAL = "*.partial"
 _LOCK = ".lock"
+# Errors of file systems of networks that have no locks.
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 _ALL_CHUNKS = {"array.write_empty_chunks": True}
 
 
@@ -83,7 +86,12 @@ def locked(path: Path) -> Iterator[Callable[[], None]]:
         try:
             stack.enter_context(made(path))
             lock = FileLock(file)
-            lock.acquire(timeout=0)
+            try:
+                lock.acquire(timeout=0)
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+            file.touch()
             began = file.stat()
         except Timeout:
             raise DeclarationError(

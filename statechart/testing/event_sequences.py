@@ -15,7 +15,7 @@ from statechart.observation.zeno_tails import without_summed
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """How to read a trace of a transformed model in the terms of the original.
+    """Factors that turn a trace of a transformed model into one of the original.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Reading:
 class Event:
     """A jump as numbers to compare."""
 
-    what: tuple[str, str, Key, Key]  # Region, cause, mode before and after
-    numbers: Array  # Time, state before, state after
+    what: tuple[str, str, Key, Key]  # region, cause, mode before and after
+    numbers: Array  # time, state before, state after
     skipped: float  # see `Jump`
     rounded: float = 0.0  # the relative error that rounding has caused by then
     rates: Array | float = 0.0  # how fast the numbers change
@@ -46,7 +46,7 @@ class Event:
 
     @property
     def t(self) -> float:
-        """When."""
+        """Its time."""
         return float(self.numbers[0])
 
     @property
@@ -62,8 +62,8 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Story:
-    """What happened in a run, as numbers."""
+class EventSequence:
+    """The events and the end of a run, as numbers."""
 
     events: tuple[Event, ...]  # in order
     mode: Key  # the last one
@@ -71,7 +71,7 @@ class Story:
     sizes: Array
 
     @classmethod
-    def of(cls, trace: Trace, reading: Reading) -> Story:
+    def of(cls, trace: Trace, reading: Reading) -> EventSequence:
         """Read a trace."""
 
         def key(mode: Key) -> Key:
@@ -97,7 +97,9 @@ class Story:
             np.concatenate([[t_end], sizes, sizes]),
         )
 
-    def rounded(self, trace: Trace, conditions: Sequence[float | None], known: float) -> Story:
+    def rounded(
+        self, trace: Trace, conditions: Sequence[float | None], known: float
+    ) -> EventSequence:
         """Note at every event what it makes of states known to the part `known`, and its rates."""
         rounded, events = 0.0, []
         pairs = zip_longest(self.events, conditions[: len(self.events)])
@@ -106,7 +108,7 @@ class Story:
             events.append(replace(event, rounded=rounded, rates=rates))
         return replace(self, events=tuple(events))
 
-    def shortened(self, t: float, state: Array) -> Story:
+    def shortened(self, t: float, state: Array) -> EventSequence:
         """Return it up to a time, when it has this state."""
         events = tuple(event for event in self.events if event.t <= t)
         first = self.events[0].what[2] if self.events else self.mode
@@ -130,12 +132,12 @@ def _rates(trace: Trace) -> list[Array]:
     return [np.abs(np.concatenate([[0.0], *pair])) for pair in pairs]
 
 
-def without_skipped(stories: list[Story]) -> list[Story]:
+def without_unresolved(sequences: list[EventSequence]) -> list[EventSequence]:
     """Leave out the bounces that at least one run summed up; see `without_summed`."""
-    left = without_summed([story.events for story in stories])
+    left = without_summed([sequence.events for sequence in sequences])
     if left is None:
-        return stories
+        return sequences
     return [
-        replace(story, events=tuple(event.resolved if end else event for event, end in events))
-        for story, events in zip(stories, left, strict=True)
+        replace(sequence, events=tuple(event.resolved if end else event for event, end in events))
+        for sequence, events in zip(sequences, left, strict=True)
     ]
