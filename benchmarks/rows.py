@@ -21,7 +21,7 @@ from statechart import load
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.execution import loops
+from statechart.execution import compiled_loop
 from statechart.sweeps import cells as sweep_cells
 from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Plan
@@ -97,7 +97,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("names", nargs="*")
     asked = parser.parse_args()
-    loops._WORTH = -1  # whatever lies compiled on disk
+    compiled_loop._WORTH = -1  # whatever lies compiled on disk
     bad = 0
     print(f"{f'of {2 * asked.cells}':>41} {'us':>9} {'alone':>9}  differs")
     for name, model in models():

@@ -148,9 +148,7 @@ class Mechanics(Geometry):
     def energy(self) -> sp.Expr:
         """Kinetic energy plus that of gravity."""
         kinetic = [
-            self.mass_matrix[i, k] * self.v[i] * self.v[k] / 2
-            for i in range(len(self.q))
-            for k in range(len(self.q))
+            entry * self.v[i] * self.v[k] / 2 for (i, k), entry in self.mass_matrix.todok().items()
         ]
         gx, gy = self.gravity
         potential = []
@@ -158,6 +156,11 @@ class Mechanics(Geometry):
             (x, y), _ = self.body_frame(name)
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
+
+    def gradient(self, place: sp.Expr) -> list[sp.Expr]:
+        """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
+        used = place.free_symbols
+        return [sp.diff(place, q) if q in used else sp.S.Zero for q in self.q]
 
     @cached_property
     def gravity(self) -> Vector:
@@ -196,8 +199,9 @@ class Mechanics(Geometry):
         for name, body in self.scene.bodies.items():
             (x, y), _ = self.body_frame(name)
             mass = self._formula(body.mass)
-            for i, q in enumerate(self.q):
-                total[i] += mass * (gx * sp.diff(x, q) + gy * sp.diff(y, q))
+            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
+                if dx != 0 or dy != 0:
+                    total[i] += mass * (gx * dx + gy * dy)
         return tuple(total)
 
     @cached_property
@@ -211,7 +215,7 @@ class Mechanics(Geometry):
             (x, y), angle = self.body_frame(name)
             mass, inertia = self.inertia(name, body)
             for weight, position in ((mass, x), (mass, y), (inertia, angle)):
-                gradient = [sp.diff(position, q) for q in self.q]
+                gradient = self.gradient(position)
                 moving = [i for i, g in enumerate(gradient) if g != 0]
                 drift = self.rate(self.rate(position)).xreplace(at_rest)
                 for i in moving:
@@ -226,11 +230,14 @@ class Mechanics(Geometry):
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
-            left = sp.Add(*(self.mass_matrix[i, k] * a for k, a in enumerate(self.a)))
+            left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
             contact_forces = sp.Add(
-                *(c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H for c in geometry)
+                *(c.jacobian_n[i] * c.symbols.V for c in geometry if c.jacobian_n[i] != 0),
+                *(c.jacobian_t[i] * c.symbols.H for c in geometry if c.jacobian_t[i] != 0),
             )
-            joint_forces = sp.Add(*(row.jacobian[i] * row.force for row in self.joint_rows))
+            joint_forces = sp.Add(
+                *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
+            )
             result.append(left - right - contact_forces - joint_forces)
         for row in self.joint_rows:
             held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
@@ -430,6 +437,10 @@ class Mechanics(Geometry):
             bent(along),
         )
 
+    def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """Return the terms of a row of coefficients times the accelerations."""
+        return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = centre = self._in_frame(surface, self.point(contact.point))
@@ -437,11 +448,18 @@ class Mechanics(Geometry):
         around = self._surroundings(surface, rim.radius, centre)
         normal, rates, drifts = around.normal, around.rates, around.drifts
         tangent = (normal[1], -normal[0])
-        jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
-        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
+        jacobian = list(
+            zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
+        )
+        jacobian_n = tuple(
+            normal[0] * dx + normal[1] * dy if dx != 0 or dy != 0 else sp.S.Zero
+            for dx, dy, _ in jacobian
+        )
         jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * sp.diff(rim.turn, q)
-            for (dx, dy), q in zip(jacobian, self.q, strict=True)
+            tangent[0] * dx + tangent[1] * dy + rim.radius * turn
+            if dx != 0 or dy != 0 or turn != 0
+            else sp.S.Zero
+            for dx, dy, turn in jacobian
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
@@ -451,8 +469,8 @@ class Mechanics(Geometry):
         V, H = self.forces[name]
         anchor, slipping = rim.anchored(centre, tangent)
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
-        normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
-        tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
+        normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
+        tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         symbols = ContactSymbols(
             name, around.gap, around.gap_rate, slip, normal_a, tangential_a, V, H,
             *self._cones[name], (jacobian_n, jacobian_t),

@@ -156,7 +156,11 @@ class ScaleTape:
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
         points += [mechanics.contact(name).point for name in scene.contacts]
         points += [mechanics.point(joint.point) for joint in scene.joints.values()]
-        moves = [[sp.diff(c, q) for point in points for c in point] for q in mechanics.q]
+        moving: dict[sp.Symbol, list[sp.Expr]] = {q: [] for q in mechanics.q}
+        for place in (c for point in points for c in point):
+            for q in moving.keys() & place.free_symbols:
+                moving[q].append(sp.diff(place, q))
+        moves = [found or [sp.S.Zero] for found in moving.values()]
         mass = sp.Add(*map(sp.Abs, masses))
         across, upward = _positions(mechanics)
         gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]

@@ -48,7 +48,7 @@ class ControlledLaws:
     """
 
     # Controllers are asked at every instant.
-    ordinary = None
+    compiled_laws = None
 
     def __init__(
         self,

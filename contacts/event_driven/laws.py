@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
 from contacts.event_driven.accumulation import closed_at_once
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
@@ -25,7 +26,6 @@ from contacts.event_driven.impact_jump import (
     impact_jump,
     shown_roles,
 )
-from contacts.event_driven.ordinary import SceneInstants
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
@@ -40,9 +40,9 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
+    CompiledLaws,
     Flow,
     Instant,
-    Ordinary,
     Setup,
     moving_mode,
     roles_in,
@@ -75,27 +75,42 @@ class SceneLaws:
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
-        self._tape = SnapshotTape(mechanics)
         self.conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self.conditions.present
-        self._projection = Projection(mechanics, self._tape)
         self._switching = Switching(self._names, self.conditions, self._paradox)
-        self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.remarks = Handovers(mechanics).remarks
-        self.ordinary: Ordinary | None = None
-        if not mechanics.joint_rows and numbers.disjoint:
-            self.ordinary = SceneInstants(
-                self._names, numbers, self._tape, self._projection, self.jump
-            )
+
+    # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
+
+    @cached_property
+    def _tape(self) -> SnapshotTape:
+        return SnapshotTape(self._mechanics)
+
+    @cached_property
+    def _projection(self) -> Projection:
+        return Projection(self._mechanics, self._tape)
+
+    @cached_property
+    def _rules(self) -> Rules:
+        return Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
+
+    @cached_property
+    def compiled_laws(self) -> CompiledLaws | None:
+        """What of the laws is compiled; None with joints, and where conditions overlap."""
+        if self._mechanics.joint_rows or not self.numbers.disjoint:
+            return None
+        return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
+        rules, projection = self._rules, self._projection
         laws = copy.copy(self)
+        laws._projection = projection
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = self._rules._replace(tape=tape)
-        laws.ordinary = None
+        laws._rules = rules._replace(tape=tape)
+        laws.compiled_laws = None
         return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:

@@ -148,7 +148,7 @@ class ChartLaws:
     """The laws of a chart (see `statechart.automaton.laws.Laws`)."""
 
     # What its transitions say is not compiled.
-    ordinary = None
+    compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
         self._chart = chart

@@ -20,9 +20,7 @@ from statechart.automaton.trace import Jump, Key
 from statechart.automaton.trace_store import TraceBuffer, event_of
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.engines.mode_table import TAPE, tape_of
-from statechart.execution.ahead import N_MODE, T_HIGH
-from statechart.execution.loops import Packed
-from statechart.execution.rows import (
+from statechart.execution.batch import (
     ARCS,
     ARCS_END,
     EVENTS,
@@ -30,10 +28,10 @@ from statechart.execution.rows import (
     FIRST_MODE,
     HOW,
     STOPPED,
-    Batch,
-    Found,
+    BatchResult,
 )
-from statechart.execution.simulator import Simulator
+from statechart.execution.compiled_loop import N_MODE, T_HIGH, Packed
+from statechart.execution.simulator import Batch, Simulator
 from statechart.kernels.extremes import widen
 from statechart.kernels.jit import entry, kernel, part
 from statechart.kernels.quadrature import integrate_outputs
@@ -110,7 +108,7 @@ class BatchFormulas(NamedTuple):
     Attributes
     ----------
     ints, floats : (..,) array
-        See `statechart.execution.loops.Packed`.
+        See `statechart.execution.compiled_loop.Packed`.
     start, end, integrals : (k, 9) array
         Tapes of the formulas of a group, one for each kind of mode.
     columns : (k, f) array
@@ -373,7 +371,7 @@ def _evaluate(
 
 
 @part
-def _number_of_events(found: Found, row: int) -> int:
+def _number_of_events(found: BatchResult, row: int) -> int:
     """Return the number of events of a run; its stop, which stands in no buffer, is one."""
     count = found.spans[row, EVENTS_END] - found.spans[row, EVENTS]
     return count + (1 if found.ends[row, HOW] == STOPPED else 0)
@@ -383,7 +381,7 @@ def _number_of_events(found: Found, row: int) -> int:
 def _at_events(
     formulas: BatchFormulas,
     block: TraceBuffer,
-    found: Found,
+    found: BatchResult,
     happens: NDArray[np.uint8],
     output: int,
     values: BatchValues,
@@ -433,7 +431,9 @@ def _arc_of(block: TraceBuffer, arc: int, variables: int) -> tuple[Array, Array]
 
 
 @part
-def _integrate(formulas: BatchFormulas, block: TraceBuffer, found: Found, totals: Array) -> None:
+def _integrate(
+    formulas: BatchFormulas, block: TraceBuffer, found: BatchResult, totals: Array
+) -> None:
     """Add up the integrals (m, f) along the arcs of runs."""
     totals[:] = 0.0
     for row in range(found.spans.shape[0]):
@@ -463,7 +463,12 @@ def _include(extremes: Array, value: Array) -> None:
 
 @part
 def _widen_by_arcs(
-    formulas: BatchFormulas, tapes: Ints, block: TraceBuffer, found: Found, row: int, result: Array
+    formulas: BatchFormulas,
+    tapes: Ints,
+    block: TraceBuffer,
+    found: BatchResult,
+    row: int,
+    result: Array,
 ) -> None:
     for arc in range(found.spans[row, ARCS], found.spans[row, ARCS_END]):
         code, constants, outputs, reads, n_fixed = _program(formulas, tapes[block.arcs[arc, 0]])
@@ -476,7 +481,7 @@ def _widen_by_arcs(
 
 @part
 def _extremes(
-    formulas: BatchFormulas, block: TraceBuffer, found: Found, formula: int, result: Array
+    formulas: BatchFormulas, block: TraceBuffer, found: BatchResult, formula: int, result: Array
 ) -> None:
     """Write the least and the greatest value (m, 2) of a formula."""
     tapes, value = formulas.extremes[formula], np.full(1, math.nan)
@@ -505,7 +510,7 @@ def _extremes(
 def batch_outputs(
     formulas: BatchFormulas,
     block: TraceBuffer,
-    found: Found,
+    found: BatchResult,
     happens: NDArray[np.uint8],
     values: BatchValues,
 ) -> None:
@@ -516,7 +521,7 @@ def batch_outputs(
     formulas : BatchFormulas
     block : TraceBuffer
         Holds the arcs and events of the runs.
-    found : Found
+    found : BatchResult
         The runs.
     happens : (e, w) array of uint8
         Which events, run by run, each wait ends.

@@ -1,4 +1,4 @@
-"""What the page of a run shows, as one plain object; arrays are base64 of their bytes."""
+"""Content of the page of a run, as one plain object; arrays are base64 of their bytes."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _NAMES = 4
 def content(
     observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram | None
 ) -> dict[str, Any]:
-    """Return what a page shows of a run."""
+    """Return the content of the page of a run."""
     automaton = observer.automaton
     declared = automaton.declaration.parameters
     seen = kind(automaton.declaration.kind).stage is not None
@@ -66,8 +66,8 @@ def content(
     end = busy_until(trace, drawn, panels)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
-    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
-    events = [event for event in report["events"] if event["t"] <= end][:told]
+    limit = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
+    events = [event for event in report["events"] if event["t"] <= end][:limit]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
     film = None if stage is None else filmed(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
@@ -103,7 +103,7 @@ def content(
 def _regions(
     automaton: Automaton, keys: Sequence[Key], rows: Sequence[int]
 ) -> list[dict[str, Any]]:
-    untold = len(automaton.regions) - len(keys[0])
+    unrecorded = len(automaton.regions) - len(keys[0])
     colours = automaton.colours
     named = zip(automaton.region_names, automaton.states_told(keys[0]), strict=True)
     return [
@@ -112,10 +112,12 @@ def _regions(
             "states": list(states),
             "colours": [colours[name].get(state, GRID) for state in states],
             "state": _packed(
-                np.array([states.index(key[k - untold]) if k >= untold else 0 for key in keys]),
+                np.array(
+                    [states.index(key[k - unrecorded]) if k >= unrecorded else 0 for key in keys]
+                ),
                 np.uint8,
             ),
-            "shown": k - untold in rows,
+            "shown": k - unrecorded in rows,
         }
         for k, (name, states) in enumerate(named)
     ]
@@ -304,10 +306,10 @@ def _followed(
 
 
 def _bare(diagram: Diagram) -> Diagram:
-    """Return a diagram without what the page tells elsewhere: its title, guards and conditions."""
+    """Return a diagram without its title, guards, conditions and actions, for the page."""
 
     def bare(chart: Chart) -> Chart:
-        nodes = tuple(replace(node, invariants=()) for node in chart.nodes)
+        nodes = tuple(replace(node, invariants=(), actions=()) for node in chart.nodes)
         links = tuple(replace(link, guard="", reset="") for link in chart.links)
         axes = None if chart.axes is None else (bare(chart.axes[0]), bare(chart.axes[1]))
         return replace(chart, nodes=nodes, links=links, axes=axes)
@@ -317,18 +319,18 @@ def _bare(diagram: Diagram) -> Diagram:
 
 
 def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, str]:
-    """Return values in words, with their units."""
+    """Return values as text, with their units."""
     return {
-        name: f"{_told(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
+        name: f"{_format(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
         for name, value in values.items()
     }
 
 
-def _told(value: object) -> str:
+def _format(value: object) -> str:
     if value is None:
         return "none"
     if isinstance(value, list):
-        return ", ".join(map(_told, value))
+        return ", ".join(map(_format, value))
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
 
 

@@ -55,7 +55,7 @@ _TALL, _LOW, _MANY = 1.3, 0.95, 5
 
 # In inches: of the picture, at least of axes; around them, between them, of a line of labels.
 _WIDTH, _NARROWEST = 7.2, 3.2
-_LEFT, _RIGHT, _BETWEEN, _BELOW, _TITLE, _LINE = 0.08, 0.1, 0.12, 0.48, 0.28, 0.14
+_LEFT, _RIGHT, _BETWEEN, _BELOW, _TITLE, _ROW = 0.08, 0.1, 0.12, 0.48, 0.28, 0.14
 # Places are on a raster of an inch: letters are, and a picture is to the bit the same.
 _RASTER = 100.0
 # Of a region, by the states that it is in.
@@ -454,11 +454,11 @@ def stack(
     left, right = np.ceil(np.array([left, right]) * _RASTER) / _RASTER
     rows = [max(h, float(size[1])) for h, size in zip(heights, legends, strict=True)]
     # The power of ten of numbers that are very small or large stands above their axis.
-    powers = [_LINE if ax.yaxis.get_offset_text().get_text() else 0.0 for ax in axes]
+    powers = [_ROW if ax.yaxis.get_offset_text().get_text() else 0.0 for ax in axes]
     rows = [max(r, h + 2.0 * p) for r, h, p in zip(rows, heights, powers, strict=True)]
     rows = [np.ceil(row * _RASTER) / _RASTER for row in rows]
     width = max(_WIDTH, left + right + _NARROWEST)
-    above = _TITLE + _LINE * lines
+    above = _TITLE + _ROW * lines
     above += 0.0 if strip is None else strip_height(strip, width) + _BETWEEN
     high = above + sum(rows) + _BETWEEN * len(rows) + _BELOW
     figure.set_size_inches(width, high)

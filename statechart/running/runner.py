@@ -23,8 +23,7 @@ from statechart.engines.budget import Allowance
 from statechart.engines.request import Measured, planned
 from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
-from statechart.execution.rows import RowRunner
-from statechart.execution.simulator import Simulator
+from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.kernels.jit import meanwhile
 from statechart.loading.kind import kind
 from statechart.loading.load import resolved
@@ -211,7 +210,7 @@ class Runner:
         source = _Source(self, setting, found.observer)
         return Result(trace, found.observer, found.error, timings, source, asked, self.study)
 
-    def rows(self, names: Sequence[str]) -> tuple[Observer, RowRunner] | None:
+    def rows(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
         """Return what runs rows of values of some parameters, and what observes such runs.
 
         None where each run is made alone: an accuracy is searched for, time is stepped.
@@ -221,7 +220,7 @@ class Runner:
             return None
         observer = self.observers.at(planner.first)
         assert isinstance(observer.simulator, Simulator)
-        return observer, RowRunner(observer.simulator, names)
+        return observer, BatchRunner(observer.simulator, names)
 
     @checked
     def stream(

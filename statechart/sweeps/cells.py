@@ -26,8 +26,8 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.ahead import T_HIGH
-from statechart.execution.rows import Batch, RowRunner
+from statechart.execution.compiled_loop import T_HIGH
+from statechart.execution.simulator import Batch, BatchRunner
 from statechart.formulas.formula import parse
 from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
@@ -341,7 +341,7 @@ class BatchedCells:
         self._tried, self.through = 0, 0
 
     @cached_property
-    def _rows(self) -> tuple[RowRunner, BatchOutputs] | None:
+    def _rows(self) -> tuple[BatchRunner, BatchOutputs] | None:
         found = self._runner.rows(self._task.names)
         if found is None:
             return None

@@ -1,30 +1,85 @@
-"""The modes of a simulator as arrays, for compiled loops that run from flow to flow.
+"""The compiled loop: modes of a run as arrays, and calls of the loop that the laws have over them.
 
-The loops themselves are those of the laws (`statechart.automaton.laws.Ordinary`), which know what a
-usual instant is.
+The loop is that of the laws (`statechart.automaton.laws.CompiledLaws`), which know which instants
+are unambiguous. It returns why it ended, and the execution alone acts on that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from statechart.arrays import Array, Ints, Ints32
+from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import Flow, Ordinary, Setup, roles_in
+from statechart.automaton.laws import CompiledLaws, Flow, Setup, roles_in
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.automaton.trace_store import Kind, RecordedEvent, TraceBuffer
 from statechart.engines.engine import Engine, Entry, Pace
 from statechart.engines.flow_watch import KINDS
 from statechart.engines.mode_table import COLUMNS, LAWS_AT, TAPE, Program, Scratch, scratch
+from statechart.execution.batch import BatchInputs, BatchResult
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 
-if TYPE_CHECKING:
-    from statechart.execution.rows import Found, Rows
+OVER, FELL, FLOW, FULL, PAUSED, COUNTED, ACCUMULATES = range(7)
+"""Why a compiled loop ends: the run is over; a margin fell, and what follows is to be decided; the
+flow from here has to be made step by step; the pad is full; to be looked at; the jumps are to be
+counted; they accumulate."""
+
+T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
+"""Where a loop is: the clock, when the run ends, how far to look ahead, when the last jump was; the
+time to an accumulation, as it ends."""
+N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
+"""Likewise: the row of its mode, the number of jumps, the most of them, steps and boxes so far;
+1 where an instant is under way, and the laws are to be asked again."""
+
+LOOK_AHEAD = 16.0
+"""How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
+
+
+class LoopResult(NamedTuple):
+    """What a loop has made of a run.
+
+    Attributes
+    ----------
+    kinds : tuple of (Key, Roles)
+        Of the modes.
+    reason, margin : int
+        Why it ended, and the margin that fell, or the series that accumulates.
+    now : (6,) array, place : (6,) array of int64, state : (n,) array
+        Where it has come.
+    entered : (k,) array of bool
+        The kinds that the run has been in.
+    """
+
+    kinds: tuple[Kind, ...]
+    reason: int
+    margin: int
+    now: Array
+    place: Ints
+    state: Array
+    entered: Bools
+
+
+class LoopStart(NamedTuple):
+    """How far a loop has taken a run from its start.
+
+    Attributes
+    ----------
+    kind : (Key, Roles)
+        Of the first mode.
+    made : LoopResult
+    series : (s, ..) array
+        Of jumps, see `statechart.execution.zeno`.
+    """
+
+    kind: Kind
+    made: LoopResult
+    series: Array
+
 
 # Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
 _WORTH = 2000
@@ -55,12 +110,12 @@ class _Worth:
         return self._found or self._asked > _WORTH
 
 
-class Modes:
+class LoopModes:
     """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
 
     Parameters
     ----------
-    ordinary : Ordinary
+    laws : CompiledLaws
         Of the laws.
     engine : Engine
     automaton : Automaton
@@ -72,17 +127,17 @@ class Modes:
         Of every row; those of other flows of the runs stand between them.
     """
 
-    def __init__(self, ordinary: Ordinary, engine: Engine, automaton: Automaton) -> None:
+    def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
-        self._ordinary, self._engine, self._automaton = ordinary, engine, automaton
+        self._laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
         self._loop: Loop | None = None
-        self._worth = _Worth(ordinary.compiled)
-        self._calls: dict[tuple[str, ...], RowCall | None] = {}
-        self._rows_worth = _Worth(ordinary.rows_compiled)
+        self._worth = _Worth(laws.compiled)
+        self._calls: dict[tuple[str, ...], BatchCall | None] = {}
+        self._batch_worth = _Worth(laws.batch_compiled)
 
     def compiled(self, kind: Kind) -> CompiledMode:
         """Return a mode that was added."""
@@ -94,18 +149,18 @@ class Modes:
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the region that an event of a loop is about, and its cause."""
-        return self._ordinary.about(event)
+        return self._laws.about(event)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
         names = self._compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
-        return self._ordinary.jump(setup, event, fired)
+        return self._laws.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
         """Make a mode known, if loops can go through it."""
         kind = mode, roles
-        if kind in self._compiled or self._ordinary.listed(*kind, compiled.names) is None:
+        if kind in self._compiled or self._laws.listed(*kind, compiled.names) is None:
             return
         entry = self._engine.entry(compiled.stepper)
         if entry is not None:
@@ -113,29 +168,29 @@ class Modes:
             self._loop = None
             self._calls.clear()
 
-    def rows(self, names: tuple[str, ...], count: int) -> RowCall | None:
+    def batch(self, names: tuple[str, ...], count: int) -> BatchCall | None:
         """Return the call for so many runs with values of some parameters; None where none is.
 
         As a loop it is compiled once it is worth that.
         """
-        if not self._rows_worth.asked(count) or not self._compiled:
+        if not self._batch_worth.asked(count) or not self._compiled:
             return None
         if names not in self._calls:
             if self._loop is None:
                 self._loop = self._made()
-            self._calls[names] = self._ordinary.rows(self._loop, names, self._engine.tolerance)
+            self._calls[names] = self._laws.batch(self._loop, names, self._engine.tolerance)
         return self._calls[names]
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
         """Whether rows of runs have the numbers that this gives for one."""
-        return self._ordinary.setup == setup
+        return self._laws.setup == setup
 
     def flow(
         self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
     ) -> Flow:
         """Return a usual flow in a mode, from a state."""
         mode, roles = kind
-        tolerances = self._ordinary.tolerances(setup, state, time)
+        tolerances = self._laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
 
     def loop(self, mode: Key, roles: Roles) -> Loop | None:
@@ -160,9 +215,9 @@ class Modes:
                 (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
                 for name, how in compiled.watched
             ]
-            listed = self._ordinary.listed(*kind, compiled.names)
+            listed = self._laws.listed(*kind, compiled.names)
             assert listed is not None
-            within = self._ordinary.within(kind[0])
+            within = self._laws.within(kind[0])
             row = rows[self.kinds.index(kind)]
             row[:] = (
                 entry.address,
@@ -180,7 +235,7 @@ class Modes:
                 *packed.tape(compiled.reconstruction.anchors),
                 packed.ints(compiled.reconstruction.places),
             )
-        tapes = np.array([packed.tape(tape) for tape in self._ordinary.tapes], np.int64)
+        tapes = np.array([packed.tape(tape) for tape in self._laws.tapes], np.int64)
         # Of one engine, and so of one order.
         pace, n = entry.pace, len(self._automaton.variables)
         steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
@@ -199,7 +254,7 @@ class Modes:
         return found
 
 
-class RowCall(Protocol):
+class BatchCall(Protocol):
     """Runs rows of values of some parameters in one call."""
 
     @property
@@ -216,7 +271,7 @@ class RowCall(Protocol):
         """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
         ...
 
-    def run(self, rows: Rows, block: TraceBuffer, found: Found) -> int:
+    def run(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
         """Make runs; return how many of them before the block was full."""
         ...
 
@@ -287,3 +342,66 @@ class Packed:
         """Return whole numbers and floats, one behind the other."""
         ints, floats = [np.zeros(0, np.int32), *self._ints], [np.zeros(0), *self._floats]
         return np.concatenate(ints), np.concatenate(floats)
+
+
+class CompiledLoop:
+    """Calls of the compiled loop for one run.
+
+    Parameters
+    ----------
+    laws : CompiledLaws
+    modes : LoopModes
+        What loops run through.
+    setup : Setup
+        The numbers of the run.
+    floors : (n,) array
+        What is smaller of a variable counts as so large.
+
+    Attributes
+    ----------
+    jumps : tuple of (str, str)
+        Regions and causes of the jumps that it makes.
+    """
+
+    def __init__(self, laws: CompiledLaws, modes: LoopModes, setup: Setup, floors: Array) -> None:
+        self.modes, self._laws, self._setup, self._floors = modes, laws, setup, floors
+        self.jumps = laws.series
+        self._loop: Loop | None = None
+        self._call: Callable[..., tuple[int, int, float]] | None = None
+        self._entered: Bools = np.zeros(0, np.bool_)
+
+    def advance(
+        self, flow: Flow, now: Array, counts: tuple[int, int], state: Array, buffer: TraceBuffer,
+        series: Array,
+    ) -> LoopResult | None:  # fmt: skip
+        """Go on from a flow; None where the loop cannot.
+
+        Parameters
+        ----------
+        now : (6,) array
+            See `T_HIGH`; brought up to date.
+        counts : (int, int)
+            Of jumps so far, and the most of them.
+        state : (n,) array
+            Brought up to date.
+        buffer : TraceBuffer
+            Takes arcs and events.
+        series : (s, ..) array
+            Of jumps, see `statechart.execution.zeno`.
+        """
+        if not self._laws.takes(self._setup, flow, state, now.item(T_HIGH)):
+            return None
+        loop = self.modes.loop(flow.mode, flow.roles)
+        if loop is None:
+            return None
+        if loop is not self._loop or self._call is None:
+            self._loop = loop
+            self._call = self._laws.ready(self._setup, loop, self._floors)
+            self._entered = np.zeros(len(loop.kinds), np.bool_)
+        place = np.array([loop.kinds.index((flow.mode, flow.roles)), *counts, 0, 0, 0])
+        reason, margin, now[T_REST] = self._call(buffer, now, place, state, series, self._entered)
+        return LoopResult(loop.kinds, reason, margin, now, place, state, self._entered)
+
+    def flow(self, kind: Kind, state: Array, time: float, *, settled: bool = True) -> Flow:
+        """Return an unambiguous flow in a mode, from a state."""
+        return self.modes.flow(self._setup, kind, state, time)._replace(settled=settled)

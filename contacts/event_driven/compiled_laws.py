@@ -1,4 +1,4 @@
-"""The usual instants of a scene, compiled (see `statechart.automaton.laws.Ordinary`)."""
+"""The unambiguous instants of a scene, compiled (see `statechart.automaton.laws.CompiledLaws`)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from contacts.dynamics.projection import Projection, unseen_room
 from contacts.dynamics.run_numbers import rules
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
+from contacts.event_driven.batch import BatchCall
 from contacts.event_driven.decision import cause, explained
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.impact_jump import flow_in
-from contacts.event_driven.rows import RowCall
-from contacts.event_driven.run_on import CAUSES, run_on
-from contacts.event_driven.run_rows import INSTANTS, run_rows
+from contacts.event_driven.run_batch import INSTANTS, run_batch
+from contacts.event_driven.run_compiled import CAUSES, run_compiled
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
@@ -32,14 +32,14 @@ from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.automaton.trace_store import RecordedEvent
 from statechart.engines.flow_watch import KINDS, Watch
-from statechart.execution.loops import Loop
+from statechart.execution.compiled_loop import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_ready
 from statechart.kernels.kinds import is_cached
 
 
-class SceneInstants:
-    """The usual instants of a scene without joints.
+class CompiledSceneLaws:
+    """The unambiguous instants of a scene without joints.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class SceneInstants:
 
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk, and it costs nothing to have it."""
-        return is_ready(run_on)
+        return is_ready(run_compiled)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the states of the contacts, and of which conditions the margins are.
@@ -149,17 +149,17 @@ class SceneInstants:
             setup.lowest,
             setup.capture,
         )
-        return partial(run_on, loop.program, loop.pace, watch, loop.memory, scene)
+        return partial(run_compiled, loop.program, loop.pace, watch, loop.memory, scene)
 
-    def rows_compiled(self) -> bool:
+    def batch_compiled(self) -> bool:
         """Whether the call for many runs lies compiled on disk."""
-        return is_cached(run_rows)
+        return is_cached(run_batch)
 
-    def rows(self, loop: Loop, names: Sequence[str], relative: float) -> RowCall | None:
+    def batch(self, loop: Loop, names: Sequence[str], relative: float) -> BatchCall | None:
         """Return the call for runs with values of some parameters."""
         if self._rules is None:
             return None
-        return RowCall(self._numbers, self._rules, loop, names, relative)
+        return BatchCall(self._numbers, self._rules, loop, names, relative)
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the contact that an event is about, and its cause."""

@@ -1,6 +1,6 @@
-"""Arcs and jumps of a run by steps, as what they are made of where somebody looks at them.
+"""Lazy arcs and jumps of a run by steps: made of its steps when they are read.
 
-A run keeps what its steps are, which is a quarter of the polynomials of its arcs.
+The steps take a quarter of the memory of the polynomials of the arcs.
 """
 
 from __future__ import annotations
@@ -30,30 +30,31 @@ def _own(rows: T) -> T:
 
 
 class Steps(NamedTuple):
-    """Consecutive steps as pieces of arcs: one of each, two of one with impacts.
+    """Consecutive steps; each is one piece of an arc, one with impacts two.
 
     Attributes
     ----------
     begin : Clock
-    h : float
+    spans : tuple of (float, int)
+        Their lengths, each with the number of steps that have it.
     coordinates : int
     states : (k + 1, w) array
     solved : (k, u) array
-        Their unknowns.
+        Unknowns.
     felt : (k, r, 2), struck : (k, r) array
-        Impulses of impacts; on whom.
+        Impulses of impacts; the regions struck. Empty where no jumps are made.
     hit : (k,) array of bool
-        Which have some.
+        Which steps have impacts.
     late : (k,) array
-        How long after their middles these are.
+        Time from the middle of a step to its impacts.
     places : (k + 1,) array of int
-        Where the pieces of each begin.
+        First piece of each step.
     halves : (p, u) array or None
-        Unknowns of pieces, where they are not those of their steps.
+        Unknowns of the pieces, where they differ from those of their steps.
     """
 
     begin: Clock
-    h: float
+    spans: tuple[tuple[float, int], ...]
     coordinates: int
     states: Array
     solved: Array
@@ -66,13 +67,28 @@ class Steps(NamedTuple):
 
     @classmethod
     def of(cls, chunk: Chunk, hit: Bools, coordinates: int, begin: Clock) -> Steps:
-        """Return those of a chunk."""
-        places = np.zeros(len(hit) + 1, np.int64)
-        np.cumsum(1 + hit, out=places[1:])
+        """Return the steps of a chunk."""
         return cls(
-            begin, chunk.h, coordinates, _own(chunk.states), _own(chunk.solved),
-            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.late), places,
+            begin, ((chunk.h, len(hit)),), coordinates, _own(chunk.states), _own(chunk.solved),
+            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.late), _places(hit),
         )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence[Steps]) -> Steps:
+        """Return consecutive steps as one block, without impulses."""
+        hit = np.concatenate([part.hit for part in parts])
+        return cls(
+            parts[0].begin,
+            tuple([span for part in parts for span in part.spans]),
+            parts[0].coordinates,
+            np.concatenate([*(part.states[:-1] for part in parts), parts[-1].states[-1:]]),
+            np.concatenate([part.solved for part in parts]),
+            parts[0].felt[:0].copy(),
+            parts[0].struck[:0].copy(),
+            hit,
+            np.concatenate([part.late for part in parts]),
+            _places(hit),
+        )
 
     @property
     def width(self) -> int:
@@ -80,7 +96,7 @@ class Steps(NamedTuple):
         return TERMS * self.states[0].nbytes
 
     def without_forces(self, before: Ints, after: Ints, first: int) -> Steps:
-        """Return them without forces in halves of steps with impacts in which a region is open."""
+        """Return them without the forces of open regions in the halves of steps with impacts."""
         if not self.hit.any():
             return self
         halves = np.repeat(self.solved, 1 + self.hit, axis=0)
@@ -92,9 +108,30 @@ class Steps(NamedTuple):
         return self._replace(halves=halves)
 
     def at(self, step: int, half: int) -> Clock:
-        """Return when a step begins, or its second part."""
-        late = float(self.late[step]) if half else 0.0
-        return self.begin.later(0.5 * self.h * (2 * step + half) + late).short
+        """Return when a step begins, or its second part; all are of one length."""
+        ((h, _),) = self.spans
+        late = 0.5 * h + float(self.late[step]) if half else 0.0
+        return self.begin.later(h * step + late).short
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths (k,) of the steps."""
+        return np.repeat([h for h, _ in self.spans], [count for _, count in self.spans])
+
+    def ends(self, h: Array) -> Array:
+        """Return when pieces begin and end, after `begin`, of steps of lengths `h` (k,)."""
+        times = [np.zeros(1)]
+        for length, count in self.spans:
+            times.append(times[-1][-1] + length * np.arange(1, count + 1))
+        steps = np.concatenate(times)
+        middles = steps[:-1] + (0.5 * h + self.late)
+        return np.insert(steps, np.flatnonzero(self.hit) + 1, middles[self.hit])
+
+
+def _places(hit: Bools) -> Ints:
+    places = np.zeros(len(hit) + 1, np.int64)
+    np.cumsum(1 + hit, out=places[1:])
+    return places
 
 
 class Stretch(NamedTuple):
@@ -106,7 +143,7 @@ class Stretch(NamedTuple):
 
 
 class Line(NamedTuple):
-    """What an arc is made of."""
+    """An arc, as stretches of steps."""
 
     mode: Key
     start: Clock
@@ -115,7 +152,7 @@ class Line(NamedTuple):
 
 
 class Stroke(NamedTuple):
-    """What the jump of a step with impacts is made of."""
+    """A jump, as a step with impacts."""
 
     steps: Steps
     step: int
@@ -127,19 +164,14 @@ class Stroke(NamedTuple):
     target: Key
 
 
-class _Whole:
-    """All pieces of steps: coefficients, when they begin, their unknowns.
+class _Polynomials:
+    """All pieces of some steps: coefficients, ends, unknowns."""
 
-    They begin so many half steps after the first, and so much later.
-    """
-
-    def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array]) -> None:
-        n, hit = steps.coordinates, steps.hit
-        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], steps.h, steps.late, hit, n)
-        self.marks = np.append(0, np.cumsum(np.repeat(2 - hit, 1 + hit)))
-        self.late = np.zeros(len(self.marks))
-        self.late[steps.places[:-1][hit] + 1] = steps.late[hit]
-        halves = steps.halves
+    def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
+        n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
+        late, halves = np.asarray(steps.late), steps.halves
+        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], h[:, None], late, hit, n)
+        self.ends = steps.ends(h)
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy
 
@@ -150,35 +182,38 @@ class _Whole:
         second = self.steps.places[hit] + 1
         times = np.array([self.steps.at(k, 1).high for k in hit.tolist()])
         sides = (self.terms[second - 1].sum(axis=2), self.terms[second, :, 0])
+        assert self._energy is not None
         found = (self._energy(side, times).tolist() for side in sides)
         return dict(zip(hit.tolist(), zip(*found, strict=True), strict=True))
 
 
 class ArcMaker:
-    """Makes arcs and jumps, in order: it remembers all of the steps that it is at.
+    """Makes arcs and jumps; keeps the polynomials of the last steps, as they are read in order.
 
     Parameters
     ----------
     regions : sequence of str
         Their names.
-    energy : callable
-        (states, times) -> energies.
+    energy : callable or None
+        (states, times) -> energies; not needed for arcs.
     """
 
-    def __init__(self, regions: Sequence[str], energy: Callable[[Array, Array], Array]) -> None:
+    def __init__(
+        self,
+        regions: Sequence[str] = (),
+        energy: Callable[[Array, Array], Array] | None = None,
+    ) -> None:
         self._regions, self._energy = regions, energy
-        self._whole: _Whole | None = None
+        self._polynomials: _Polynomials | None = None
 
     def arc(self, kept: Line | Arc) -> Arc:
-        """Return the arc that something is, or is made to."""
+        """Return an arc, made of steps unless it is one."""
         if isinstance(kept, Arc):
             return kept
         ends, reached, terms, unknowns = [np.zeros(1)], 0.0, [], []
         for steps, first, last in kept.stretches:
-            whole = self._all_of(steps)
-            marks = whole.marks[first + 1 : last + 1] - whole.marks[first]
-            late = whole.late[first + 1 : last + 1] - whole.late[first]
-            ends.append(reached + (0.5 * steps.h * marks + late))
+            whole = self._of(steps)
+            ends.append(reached + (whole.ends[first + 1 : last + 1] - whole.ends[first]))
             reached = float(ends[-1][-1])
             terms.append(whole.terms[first:last])
             unknowns.append(whole.unknowns[first:last])
@@ -188,10 +223,10 @@ class ArcMaker:
         )  # fmt: skip
 
     def jump(self, kept: Stroke | Jump) -> Jump:
-        """Return the jump that something is, or is made to."""
+        """Return a jump, made of a step unless it is one."""
         if isinstance(kept, Jump):
             return kept
-        whole, steps = self._all_of(kept.steps), kept.steps
+        whole, steps = self._of(kept.steps), kept.steps
         first = int(steps.places[kept.step])
         felt = steps.felt[kept.step]
         places = np.flatnonzero(felt.any(axis=1))
@@ -205,8 +240,8 @@ class ArcMaker:
             impulse=impulses, energy=whole.energies[kept.step],
         )  # fmt: skip
 
-    def _all_of(self, steps: Steps) -> _Whole:
-        whole = self._whole
-        if whole is None or whole.steps is not steps:
-            whole = self._whole = _Whole(steps, self._energy)
-        return whole
+    def _of(self, steps: Steps) -> _Polynomials:
+        made = self._polynomials
+        if made is None or made.steps is not steps:
+            made = self._polynomials = _Polynomials(steps, self._energy)
+        return made

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart.automaton.trace import Trace
-from statechart.execution import loops
+from statechart.execution import compiled_loop
 from statechart.running.runner import Runner
 
 STICK = {
@@ -40,7 +40,7 @@ CASES = [
 def traced(
     model: str, values: dict[str, float], worth: float, monkeypatch: pytest.MonkeyPatch
 ) -> Trace:
-    monkeypatch.setattr(loops, "_WORTH", worth)
+    monkeypatch.setattr(compiled_loop, "_WORTH", worth)
     runner = Runner(model)
     runner.run(values, throw=False)  # every mode is made known
     return runner.run(values, throw=False).trace
@@ -51,8 +51,8 @@ def test_a_run_is_the_same_to_the_bit(
     model: str, values: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Else it is taken at once where it lies compiled on disk.
-    monkeypatch.setattr(SceneInstants, "compiled", lambda self: False)
-    monkeypatch.setattr(SceneInstants, "rows_compiled", lambda self: False)
+    monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda self: False)
+    monkeypatch.setattr(CompiledSceneLaws, "batch_compiled", lambda self: False)
     made = traced(model, values, -1, monkeypatch)
     alone = traced(model, values, float("inf"), monkeypatch)
     assert_same(made, alone)

@@ -7,7 +7,7 @@ import pytest
 
 from contacts.time_stepping import loop
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.pieces import Steps
+from contacts.time_stepping.lazy_arcs import Steps
 from statechart.automaton.clock import Clock
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.running.runner import Runner

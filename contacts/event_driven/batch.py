@@ -12,22 +12,22 @@ from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.run_numbers import Numbers, Rules, run_buffer
 from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
 from contacts.event_driven.hit import SceneWatch, meaning
-from contacts.event_driven.run_on import CAUSES
-from contacts.event_driven.run_rows import SceneRows, run_rows
+from contacts.event_driven.run_batch import SceneBatch, run_batch
+from contacts.event_driven.run_compiled import CAUSES
 from contacts.modes.fast_classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace_store import TraceBuffer
 from statechart.engines.flow_watch import KINDS, Watch
-from statechart.execution.loops import Loop
-from statechart.execution.rows import Found, Rows
+from statechart.execution.batch import BatchInputs, BatchResult
+from statechart.execution.compiled_loop import Loop
 from statechart.kernels.accumulation import WIDTH
 from statechart.kernels.jit import entry
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
 
 
-class RowCall:
+class BatchCall:
     """The compiled call for rows of values of some parameters.
 
     Parameters
@@ -78,11 +78,11 @@ class RowCall:
             found[:, place] = table[:, column]
         return found
 
-    def run(self, rows: Rows, block: TraceBuffer, found: Found) -> int:
+    def run(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
         """Make runs; return how many of them before the block was full."""
         arguments = *self._given, rows, *self._memory, block, found
         if self._entry is None:
-            self._entry = entry(run_rows, *arguments)
+            self._entry = entry(run_batch, *arguments)
         return self._entry(*arguments)
 
 
@@ -99,7 +99,7 @@ def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
 
 def _declared(
     numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw], relative: float
-) -> SceneRows:
+) -> SceneBatch:
     """Return what is the same whatever the values: what contacts may do, where coefficients are."""
     count = len(laws)
     found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
@@ -107,7 +107,7 @@ def _declared(
     fixed = [[value for _, value in one] for one in found]
     gap, speed, force = tolerated(relative)
     stops = [*numbers.stops]
-    return SceneRows(
+    return SceneBatch(
         loop.tapes,
         rules,
         np.array(places, np.int64).reshape(count, 3),
@@ -130,7 +130,7 @@ def _declared(
 
 
 def _memory(
-    numbers: SceneNumbers, rules: Rules, loop: Loop, scene: SceneRows
+    numbers: SceneNumbers, rules: Rules, loop: Loop, scene: SceneBatch
 ) -> tuple[Numbers, Watch, SceneWatch, Array]:
     """Return where runs are made: of their starts, steps and instants, and series of jumps."""
     variables, parameters = len(loop.memory.state), len(numbers.parameters.names)

@@ -14,7 +14,7 @@ from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import hovers
 from contacts.event_driven.hit import SceneWatch, classified
-from contacts.event_driven.run_on import row_of, run_on
+from contacts.event_driven.run_compiled import row_of, run_compiled
 from contacts.event_driven.switching import switched
 from contacts.states import FREE, OFF_CODE
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -32,7 +32,21 @@ from statechart.engines.mode_table import (
     stands,
     tape_of,
 )
-from statechart.execution.ahead import (
+from statechart.execution.batch import (
+    CLOSING,
+    ENDED,
+    FIRST_MODE,
+    HANDED,
+    HOW,
+    MARGIN,
+    OTHER,
+    REASON,
+    STOPPED,
+    UNUSUAL,
+    BatchInputs,
+    BatchResult,
+)
+from statechart.execution.compiled_loop import (
     FELL,
     FULL,
     N_MODE,
@@ -47,20 +61,6 @@ from statechart.execution.ahead import (
 from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
-from statechart.execution.rows import (
-    CLOSING,
-    ENDED,
-    FIRST_MODE,
-    HANDED,
-    HOW,
-    MARGIN,
-    OTHER,
-    REASON,
-    STOPPED,
-    UNUSUAL,
-    Found,
-    Rows,
-)
 from statechart.kernels.accumulation import HIGH, WIDTH
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel, part
@@ -74,7 +74,7 @@ INSTANTS = 3
 its constraints, its conditions."""
 
 
-class SceneRows(NamedTuple):
+class SceneBatch(NamedTuple):
     """What all rows of a scene have in common.
 
     Attributes
@@ -119,7 +119,7 @@ class SceneRows(NamedTuple):
 
 @part
 def _watches(
-    scene: SceneRows, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
+    scene: SceneBatch, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
 ) -> tuple[Watch, SceneWatch]:
     """Return what a run is watched for, by its numbers; their arrays are filled again."""
     length, speed = numbers.scales[0], numbers.scales[1]
@@ -160,7 +160,7 @@ def _watches(
 @part
 def _start(
     program: Program,
-    scene: SceneRows,
+    scene: SceneBatch,
     watch: Watch,
     instants: SceneWatch,
     scales: Array,
@@ -265,21 +265,21 @@ def _other(values: Array, zeros: Bools) -> bool:
 
 
 @kernel
-def run_rows(
+def run_batch(
     program: Program,
     pace: Pace,
     memory: Scratch,
-    scene: SceneRows,
+    scene: SceneBatch,
     code: Ints32,
     constants: Array,
     outputs: Ints32,
-    rows: Rows,
+    rows: BatchInputs,
     numbers: Numbers,
     first_watch: Watch,
     first_instants: SceneWatch,
     series: Array,
     block: TraceBuffer,
-    found: Found,
+    found: BatchResult,
 ) -> int:
     """Make runs from their numbers to their ends; return how many were made before it was full.
 
@@ -287,15 +287,15 @@ def run_rows(
     ----------
     program, pace, memory
         See `statechart.engines.mode_table`.
-    scene : SceneRows
+    scene : SceneBatch
     code, constants, outputs
         Tape of the parameters.
-    rows : Rows
+    rows : BatchInputs
     numbers, first_watch, first_instants, series
         Memory.
     block : TraceBuffer
         Takes arcs and events of all rows.
-    found : Found
+    found : BatchResult
         To be filled, a row for each; a row that ends as `UNUSUAL` or `OTHER` leaves nothing else.
     """
     used = block.used
@@ -329,7 +329,7 @@ def run_rows(
             series[i, HIGH] = math.nan
         pauses = 0
         while True:
-            reason, margin, now[T_REST] = run_on(
+            reason, margin, now[T_REST] = run_compiled(
                 program, pace, watch, memory, instants, block, now, place, state, series,
                 found.entered[row],
             )  # fmt: skip

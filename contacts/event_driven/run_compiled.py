@@ -8,7 +8,6 @@ import numpy as np
 
 from contacts.dynamics.gates import PER_CONDITION, conditions_at, round_off
 from contacts.dynamics.snapshot import SCALARS
-from contacts.event_driven.arc_record import record_arc
 from contacts.event_driven.hit import SceneWatch, classified, hit
 from contacts.event_driven.switching import hold_conditions, switched
 from contacts.states import FREE, OFF_CODE, PIN
@@ -27,13 +26,13 @@ from statechart.engines.mode_table import (
     tape_of,
 )
 from statechart.engines.whole_flow import ENDED, UNUSUAL, flow_to_event
-from statechart.execution.ahead import (
+from statechart.execution.compiled_loop import (
     ACCUMULATES,
-    AHEAD,
     COUNTED,
     FELL,
     FLOW,
     FULL,
+    LOOK_AHEAD,
     N_ASKED,
     N_BOXES,
     N_JUMPS,
@@ -66,6 +65,35 @@ GOES_ON = -1
 MOST_AT_ONCE = 16
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
+
+
+@part
+def record_arc(
+    block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
+) -> None:
+    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
+    coeffs, used = memory.coefficients, block.used
+    n, width = coeffs.shape[1], coeffs.shape[2]
+    zero = True
+    while zero and width > 1:
+        for i in range(steps):
+            for v in range(n):
+                zero = zero and coeffs[i, v, width - 1] == 0.0
+        if zero:
+            width -= 1
+    arc, at, place = used[ARCS], used[TIMES], used[TERMS]
+    block.arcs[arc, 0], block.arcs[arc, 1] = mode, j
+    block.arcs[arc, 2], block.arcs[arc, 3] = steps, width
+    block.places[arc, 0], block.places[arc, 1] = at, place
+    block.starts[arc, 0], block.starts[arc, 1] = high, low
+    for i in range(steps + 1):
+        block.times[at + i] = memory.times[i]
+    for i in range(steps):
+        for v in range(n):
+            for k in range(width):
+                block.coefficients[place + k] = coeffs[i, v, k]
+            place += width
+    used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 
 @part
@@ -174,8 +202,8 @@ def _instant(
 
     Returns
     -------
-    As `run_on`; `GOES_ON` where that can, with what is asked next in `place`, and in the place of
-    the margin `fired`, if the mode goes on, else 0.
+    As `run_compiled`; `GOES_ON` where that can, with what is asked next in `place`, and
+    in the place of the margin `fired`, if the mode goes on, else 0.
     """
     contacts, n, high, mode = kept.shape[0], state.shape[0] // 2, now[T_HIGH], place[N_MODE]
     code, constants, outputs, _, _ = tape_of(program, scene.numbers)
@@ -268,7 +296,7 @@ def _instant(
 
 
 @kernel
-def run_on(
+def run_compiled(
     program: Program,
     pace: Pace,
     watch: Watch,
@@ -292,7 +320,7 @@ def run_on(
     block : TraceBuffer
         Takes arcs and jumps.
     now : (5,), place : (6,) array
-        Where the run is, see `statechart.execution.ahead`; brought up to date.
+        Where the run is, see `statechart.execution.compiled_loop`; brought up to date.
     state : (n,) array
         Likewise.
     series : (7 c, ..) array
@@ -356,7 +384,7 @@ def run_on(
             now[T_HIGH] = total + error
             now[T_LOW] = error - (now[T_HIGH] - total)
             if elapsed > 0.0:
-                now[T_HORIZON] = AHEAD * max(elapsed, now[T_HIGH] - now[T_SINCE])
+                now[T_HORIZON] = LOOK_AHEAD * max(elapsed, now[T_HIGH] - now[T_SINCE])
         if verdict == ENDED:
             return OVER, -1, 0.0
         high = now[T_HIGH]

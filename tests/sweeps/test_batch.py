@@ -7,15 +7,15 @@ import pickle
 import numpy as np
 import pytest
 
-from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart import Runner, load
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
-from statechart.execution import loops
-from statechart.execution.rows import RowRunner
+from statechart.execution import compiled_loop
+from statechart.execution.simulator import BatchRunner
 from statechart.loading.load import interpret
 from statechart.sweeps import cells as sweep_cells
 from statechart.sweeps.cells import CellBlock, run_block
@@ -75,13 +75,13 @@ def compared(
 ) -> int:
     """Run cells together and alone; return how many went through together."""
     # Else they do so where the call lies compiled on disk.
-    monkeypatch.setattr(loops, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
     columns = dict(zip(model.ranges, table.T, strict=True))
     plan = Plan(model, Setting(), columns, grid=False, until=until)
     sweep_cells._cells.cache_clear()
     with monkeypatch.context() as patch:
         patch.setattr(sweep_cells, "_MAX_BATCH", 1)
-        patch.setattr(RowRunner, "alone", lambda *_: None)
+        patch.setattr(BatchRunner, "alone", lambda *_: None)
         run_block(plan.task, table)  # modes are made known
         alone = run_block(plan.task, table)
         (structure,) = sweep_cells._cells(plan.task)._structures.values()
@@ -137,7 +137,7 @@ def test_conditions_lists_counts_and_plastic_impacts(monkeypatch: pytest.MonkeyP
 def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(loops, "_WORTH", -1)
+    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
     model = interpret(read_text(HAIRY))
     assert isinstance(model, Declaration)
     runner, made = Runner(model), 0
@@ -180,8 +180,8 @@ def test_a_stop_time_that_varies(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(loops, "_WORTH", 300)
-    monkeypatch.setattr(SceneInstants, "rows_compiled", lambda self: False)
+    monkeypatch.setattr(compiled_loop, "_WORTH", 300)
+    monkeypatch.setattr(CompiledSceneLaws, "batch_compiled", lambda self: False)
     model = load("toppling_stick")
     plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
     sweep_cells._cells.cache_clear()
