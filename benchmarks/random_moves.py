@@ -1,4 +1,4 @@
-"""Random scenes with their origin shifted, in other units, and with starts moved by next to nothing.
+"""Random scenes: their origin shifted, in other units, with starts moved by next to nothing.
 
 Events (bounces before a `zeno` left out) and the state at the end have to agree to 1e-9 of the
 scene, or a run has to warn. A start moved by d may move the end by a thousand times d.
@@ -107,7 +107,7 @@ def main(count: int = 300, seed: int = 0) -> int:
                 continue
             wrong += 1
             print(f"{index} {name} {move}: off by {off:.2g}, {base}")
-            print("   ", [e for e in events(want)][:9], "\n   ", [e for e in events(found)][:9])
+            print("   ", events(want)[:9], "\n   ", events(found)[:9])
     print(f"{count} scenes, {tried} moves: {wrong} wrong, {told} differ with a warning")
     return wrong
 
