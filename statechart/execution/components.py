@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.special import comb
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -355,5 +354,4 @@ def _restricted_steps(arc: Arc, begins: Array, lengths: Array) -> Array:
 
 def _binomials(terms: int) -> Array:
     """Return (terms, terms): binom(k, i) in row i, column k; zero where i exceeds k."""
-    i = np.arange(terms)
-    return np.asarray(comb(i[None, :], i[:, None]), float)
+    return np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)], float)
