@@ -21,9 +21,9 @@ from statechart import load
 from statechart.arrays import Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.execution import loops
-from statechart.sweeps import block, together
-from statechart.sweeps.block import Block, run_block
+from statechart.execution import compiled_loop
+from statechart.sweeps import cells as sweep_cells
+from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Plan
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -49,7 +49,7 @@ def cells(model: Declaration, count: int, seed: int) -> Array:
     return np.where(edge, ends, table)
 
 
-def differing(one: Block, other: Block) -> list[str]:
+def differing(one: CellBlock, other: CellBlock) -> list[str]:
     """Return what differs in a bit."""
     found = [
         part
@@ -70,7 +70,7 @@ def differing(one: Block, other: Block) -> list[str]:
     return found
 
 
-def sequences(found: Block) -> list[str]:
+def sequences(found: CellBlock) -> list[str]:
     return [found.sequences[code] if code >= 0 else "" for code in found.modes.tolist()]
 
 
@@ -79,10 +79,10 @@ def compared(model: Declaration, table: Array) -> tuple[int, float, float, list[
     plan = Plan(model, Setting(), dict(zip(model.ranges, table.T, strict=True)), grid=False)
     run_block(plan.task, table)  # modes are made known
     found = run_block(plan.task, table)
-    through = sum(one.together.through for one in block._cells(plan.task)._structures.values())
-    kept, together._MOST = together._MOST, 1
+    through = sum(one.batches.through for one in sweep_cells._cells(plan.task)._structures.values())
+    kept, sweep_cells._MAX_BATCH = sweep_cells._MAX_BATCH, 1
     alone = run_block(plan.task, table)
-    together._MOST = kept
+    sweep_cells._MAX_BATCH = kept
     return (
         through,
         1e6 * float(np.median(found.seconds)),
@@ -97,7 +97,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("names", nargs="*")
     asked = parser.parse_args()
-    loops._WORTH = -1  # whatever lies compiled on disk
+    compiled_loop._WORTH = -1  # whatever lies compiled on disk
     bad = 0
     print(f"{f'of {2 * asked.cells}':>41} {'us':>9} {'alone':>9}  differs")
     for name, model in models():

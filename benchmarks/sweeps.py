@@ -22,7 +22,7 @@ import numpy as np
 
 from statechart import Runner, sweep
 from statechart.documents.setting import Setting
-from statechart.sweeps.block import run_block
+from statechart.sweeps.cells import run_block
 from statechart.sweeps.plan import Plan
 from statechart.sweeps.workers import processes
 

@@ -25,7 +25,7 @@ from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
 from statechart.engines.choice import choose
-from statechart.execution import loops
+from statechart.execution import compiled_loop
 from statechart.execution.simulator import Simulator
 
 _G, _UNTIL = 9.81, 1.0
@@ -189,7 +189,7 @@ def soak(count: int, engine: str, seed: int) -> tuple[Counter[str], float, list[
 def main() -> None:
     """Print the counts."""
     # What is timed are runs in compiled loops, as of runners that make many.
-    loops._WORTH = 0
+    compiled_loop._WORTH = 0
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--terrains", type=int, default=2000)
     parser.add_argument("--engine", choices=["taylor", "scipy"], nargs="+")

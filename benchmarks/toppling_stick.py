@@ -31,8 +31,7 @@ from scipy.integrate import solve_ivp
 
 from statechart.engines.taylor import Taylor
 from statechart.execution import simulator as made_by
-from statechart.execution.rows import RowRunner
-from statechart.execution.simulator import Simulator
+from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
@@ -210,7 +209,7 @@ def ratio(times: Sequence[float], others: Sequence[float]) -> float:
 def shares(trace: Callable[[], object]) -> dict[str, float]:
     """Return what a run spends where, in microseconds; medians, the timers' own time included."""
     places: list[tuple[str, Any, str]] = [
-        ("numbers, first mode, flows and jumps: compiled", RowRunner, "alone"),
+        ("numbers, first mode, flows and jumps: compiled", BatchRunner, "alone"),
         ("the trace", made_by, "trace_of_row"),
     ]
     spent = {what: 0.0 for what, _, _ in places}

@@ -82,7 +82,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     """Return a region for every contact, then one for every controller."""
     from contacts.dynamics.control_guards import controller
-    from contacts.scene.regions import region
+    from contacts.scene.regions import edges, region
 
     scene = mechanics.scene
 
@@ -104,10 +104,14 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             partial(symbols, name),
             partial(gates, name),
             partial(back, name),
-            jams=scene.jams(name),
-            bounces=scene.bounces(name),
-            gate=scene.gate(name),
-            forces=mechanics.forces[name],
+            edges(
+                contact,
+                jams=scene.jams(name),
+                bounces=scene.bounces(name),
+                gate=scene.gate(name),
+            ),
+            scene.gate(name),
+            mechanics.forces[name],
         )
         for name, contact in scene.contacts.items()
     )

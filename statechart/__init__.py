@@ -39,12 +39,12 @@ if TYPE_CHECKING:
         Zeno,
     )
     from statechart.loading.load import load
-    from statechart.running.answer import Asked
-    from statechart.running.asked import Modes, equations, modes
+    from statechart.running.accuracy import AccuracyRequest
     from statechart.running.drawing import draw, graph
+    from statechart.running.inspection import Modes, equations, modes
     from statechart.running.result import Reading, Result
     from statechart.running.runner import Runner, run
-    from statechart.study.record import Study
+    from statechart.study.study import Study
     from statechart.study.trade import trade
     from statechart.sweeps.sweep import sweep
     from statechart.testing.checking import CheckReport, PropertyReport, check
@@ -52,9 +52,9 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "AccuracyRequest",
     "AmbiguousMode",
     "Arc",
-    "Asked",
     "Chart",
     "CheckReport",
     "Count",
@@ -120,16 +120,17 @@ _HOMES = {
     "documents.settings": ("Settings", "Stop"),
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
-    "running.answer": ("Asked",),
-    "running.asked": ("Modes", "equations", "modes"),
+    "running.accuracy": ("AccuracyRequest",),
     "running.drawing": ("draw", "graph"),
+    "running.inspection": ("Modes", "equations", "modes"),
     "running.result": ("Reading", "Result"),
     "running.runner": ("Runner", "run"),
-    "study.record": ("Study",),
+    "study.study": ("Study",),
     "study.trade": ("trade",),
     "sweeps.sweep": ("sweep",),
     "testing.checking": ("CheckReport", "PropertyReport", "check"),
 }
+_RENAMED = {"Asked": "AccuracyRequest"}
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 
@@ -138,6 +139,16 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("contact-statecharts")
+    if name in _RENAMED:
+        from warnings import warn
+
+        new = _RENAMED[name]
+        warn(
+            f"statechart.{name} is now statechart.{new}; the old name goes with version 0.3",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        name = new
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOME.get(name, 'errors')}"), name)

@@ -50,6 +50,12 @@ class Position:
         """Return the place `columns` further right on the same line."""
         return Position(self.source, self.line, self.column + columns)
 
+    def error(self, message: str, advice: str = "") -> DeclarationError:
+        """Return the error of what is wrong here."""
+        return DeclarationError(
+            message, advice=advice, source=self.source, line=self.line, column=self.column
+        )
+
 
 class StatechartError(Exception):
     """Root of every error that this project raises on purpose."""
@@ -131,7 +137,7 @@ class FormulaError(DeclarationError):
 
 
 class DeclarationProblem(ValueError):
-    """What a validator of a model raises to point at a field.
+    """Error of a validator of a model, which points at a field.
 
     Parameters
     ----------

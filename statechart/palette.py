@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Of curves and arrows: Okabe and Ito (2008), told apart by everybody, colour-blind or not."""
+"""Colours of curves and arrows by Okabe and Ito (2008), which colour-blind people distinguish."""
 
 INK, FRAME, FAINT, GRID = "#333333", "#5B6670", "#8A939C", "#E6E6E6"
-"""Of text and arrows; of boxes and what is said besides; of what is not possible; of grids."""
+"""Colours of text and arrows, of boxes and remarks, of the impossible, of grids."""
 
 RUN = LINES[0]
-"""Of what a run did."""
+"""Colour of the states and transitions that a run took."""
 
 PAPER, CLOSED = "#FFFFFF", "#F6F8FA"
-"""Of the background, and of boxes that hold others."""
+"""Colours of the background, and of boxes that hold others."""
 
 # A state keeps its colour from picture to picture, whatever the others of its region are.
 _NAMED = {

@@ -1,4 +1,4 @@
-"""How far work is, as a bar on a terminal; elsewhere whoever works says it in lines."""
+"""Progress bars on a terminal; elsewhere callers report progress in lines."""
 
 from __future__ import annotations
 

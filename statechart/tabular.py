@@ -10,7 +10,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 FEW = 10
-"""Of more things than twice this people are shown as many from each end."""
+"""Items shown from each end of a list that has more than twice as many."""
 
 # What is counted one by one; above it two digits say as much.
 _COUNTED = 10**9

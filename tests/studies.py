@@ -8,8 +8,8 @@ from typing import Any
 
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
-from statechart.study.point import Errors, Point
-from statechart.study.record import Study
+from statechart.study.measurements import Errors, Point
+from statechart.study.study import Study
 from statechart.study.trade import trade
 
 # One event in a long smooth motion, so that the integrator decides the error.

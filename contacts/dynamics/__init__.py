@@ -1,11 +1,11 @@
-"""Equations of motion, and their numbers at a state.
+"""Equations of motion of a scene, and their numbers at a state: M(q) a + b(q, v) = Q + J^T f.
 
-`geometry` says where bodies and surfaces are, `rims` what stays as discs roll, `free_motion` how
-bodies move that nothing touches, `mechanics` makes the equations of that, in the `parameters`, and
-`minimal` those of the coordinates that a mode leaves; `joints` are what joints hold, `gates` the
-relations that keep contacts on, `gate_kernels` their verdicts in compiled code, `conditions` judges
-them, `control_guards` the controllers, and `memory` what these remember. `setup` are the numbers of
-a run, in its own `scales`, with the `contact_law` of each contact, `run_numbers` the same compiled;
-`snapshot` all numbers at one state, which `projection` brings back onto constraints. `components`
-are bodies that nothing couples. `starting` says whether a scene may start as declared.
+Expressions: `geometry` has frames, surfaces and points, `rolling_disc` the anchors of discs that
+roll; `mechanics` derives the equations in the `parameters`, `joints` the rows of joints, `minimal`
+the equations of the coordinates that a mode leaves. `gates` are the relations that keep contacts
+on, and `conditions` judges them; `control_guards` are those of controllers, `controller_state`
+their variables.
+Numbers: `setup` evaluates those of a run, with its `scales` and each `contact_law`, `run_numbers`
+those of a batch; `snapshot` evaluates the equations at a state, `projection` brings a state onto
+the constraints, `starting` checks the start. `components` are bodies that nothing couples.
 """

@@ -10,6 +10,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.scene.modes import Bearing
 from contacts.scene.scene import Scene
@@ -59,9 +61,14 @@ def components(
     parts = split(data, _MOVING, _REGIONS, _reserved)
     try:
         return composed(
-            parts, _form, automaton, lambda made: partial(_restricted, numbers[id(made)]), _shown
+            parts,
+            _form,
+            automaton,
+            lambda made: partial(_restricted, numbers[id(made)]),
+            _shown,
+            joint=True,
         )
-    except StatechartError:
+    except (StatechartError, ValidationError):
         # A part may not be a scene by itself, such as one without anything that moves.
         return ()
 

@@ -20,14 +20,19 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.control_guards import given_in, memory_rates
-from contacts.dynamics.gate_kernels import (
+from contacts.dynamics.gates import (
+    FAILS,
+    HOLDS,
     PER_CONDITION,
+    UNSURE,
+    GateAtom,
     conditions_at,
     judge_atoms,
     margin_bands,
     round_off,
+    tree,
+    truths,
 )
-from contacts.dynamics.gates import FAILS, HOLDS, UNSURE, GateAtom, tree, truths
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.states import OFF

@@ -12,28 +12,15 @@ from statechart.arrays import Array
 
 
 class ContactLaw(NamedTuple):
-    """What a contact may do.
+    """What a contact may do."""
 
-    Attributes
-    ----------
-    name : str
-        Of the contact.
-    states : tuple of str
-        Its region's states.
-    cone_n, cone_t : float
-        Unit edge of the friction cone.
-    restitution : float
-        Coefficient, 0 where the contact is never free.
-    impact : str
-        stronge, newton, poisson or moreau.
-    """
-
-    name: str
-    states: tuple[str, ...]
+    name: str  # Of the contact
+    states: tuple[str, ...]  # Its region's states
+    # `cone_n`, `cone_t`: Unit edge of the friction cone
     cone_n: float
     cone_t: float
-    restitution: float
-    impact: str
+    restitution: float  # Coefficient, 0 where the contact is never free
+    impact: str  # stronge, newton, poisson or moreau
 
 
 @lru_cache(maxsize=1024)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from contacts.dynamics.rims import Rim, Vector
+from contacts.dynamics.rolling_disc import Rim, Vector
 from contacts.scene.joints import Path
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Contact, Pair, Point, Surface
@@ -18,34 +18,26 @@ from statechart.formulas.formula import parse
 
 @dataclass(frozen=True, eq=False)
 class ContactGeometry:
-    """Where a contact point is and how it moves.
+    """Where a contact point is and how it moves."""
 
-    Attributes
-    ----------
-    point : (Expr, Expr)
-        Its position in the frame of the surface (the world's, unless a body carries the surface).
-    anchor, slipping : (Expr, Expr)
-        What stays constant as long as it is pinned, and the direction in which that moves as it
-        slips: the point and the tangent, unless it is on a rim (`contacts.dynamics.rims`).
-    normal, tangent : (Expr, Expr)
-        Unit vectors of the surface there, in that frame; the normal points out of the solid, the
-        tangent is the normal turned clockwise.
-    symbols : ContactSymbols
-        Gap, velocities, accelerations, forces.
-    jacobian_n, jacobian_t : tuple of Expr
-        d(velocity of the point along normal, tangent)/d(rates), one per coordinate.
-    bias_n, bias_t : Expr
-        The parts of the point's accelerations that do not depend on the unknown ones.
-    """
-
+    # Its position in the frame of the surface (the world's, unless a body carries the surface)
     point: Vector
+    # `anchor`, `slipping`: What stays constant as long as it is pinned, and the direction in which
+    # that moves as it slips: the point and the tangent, unless it is on a rim
+    # (`contacts.dynamics.rolling_disc`)
     anchor: Vector
     slipping: Vector
+    # `normal`, `tangent`: Unit vectors of the surface there, in that frame; the normal points out
+    # of the solid, the tangent is the normal turned clockwise
     normal: Vector
     tangent: Vector
-    symbols: ContactSymbols
+    symbols: ContactSymbols  # Gap, velocities, accelerations, forces
+    # `jacobian_n`, `jacobian_t`: d(velocity of the point along normal, tangent)/d(rates), one per
+    # coordinate
     jacobian_n: tuple[sp.Expr, ...]
     jacobian_t: tuple[sp.Expr, ...]
+    # `bias_n`, `bias_t`: The parts of the point's accelerations that do not depend on the unknown
+    # ones
     bias_n: sp.Expr
     bias_t: sp.Expr
 

@@ -19,58 +19,37 @@ _SHARE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class JointRow:
-    """One component of a joint: what it holds at zero, in every mode.
+    """One component of a joint: what it holds at zero, in every mode."""
 
-    Attributes
-    ----------
-    joint, component : str
-        Its name; X or Y.
-    gap, gap_rate, bias : Expr
-        Point less place; its rate; the part of its second derivative that does not depend on the
-        unknown accelerations.
-    jacobian : tuple of Expr
-        d(gap)/d(coordinates).
-    force : Symbol
-        On the body of the point.
-    path_rate : Expr
-        Velocity of the place, where it is driven in time; what the force works on from outside.
-    redundant : Symbol
-        Parameter: 1 where the rows before imply this one in a run, else 0.
-    """
-
+    # `joint`, `component`: Its name; X or Y
     joint: str
     component: str
+    # `gap`, `gap_rate`, `bias`: Point less place; its rate; the part of its second derivative that
+    # does not depend on the unknown accelerations
     gap: sp.Expr
     gap_rate: sp.Expr
     bias: sp.Expr
-    jacobian: tuple[sp.Expr, ...]
-    force: sp.Symbol
+    jacobian: tuple[sp.Expr, ...]  # d(gap)/d(coordinates)
+    force: sp.Symbol  # On the body of the point
+    # Velocity of the place, where it is driven in time; what the force works on from outside
     path_rate: sp.Expr
-    redundant: sp.Symbol
+    redundant: sp.Symbol  # Parameter: 1 where the rows before imply this one in a run, else 0
 
 
 class JointNumbers(NamedTuple):
-    """Numbers of every row of the joints at a state.
+    """Numbers of every row of the joints at a state."""
 
-    Attributes
-    ----------
-    gaps, rates, biases : (m,) array
-        Point less place, its rate, and the part of its second derivative that the unknown
-        accelerations do not enter.
-    jacobian : (m, n) array
-    redundant : (m,) array of bool
-        Rows that those before them imply.
-    """
-
+    # `gaps`, `rates`, `biases`: (m,): Point less place, its rate, and the part of its second
+    # derivative that the unknown accelerations do not enter
     gaps: Array
     rates: Array
     biases: Array
-    jacobian: Array
-    redundant: Bools
+    jacobian: Array  # (m, n)
+    redundant: Bools  # (m,): Rows that those before them imply
 
 
 @dataclass(frozen=True)
-class Block:
+class JointGroup:
     """Rows and coordinates that joints link; coordinates alone where no joint holds them."""
 
     rows: tuple[int, ...]
@@ -79,36 +58,27 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """The velocities that joints allow are ``basis u + velocity``, accelerations alike.
+    """The velocities that joints allow are ``basis u + velocity``, accelerations alike."""
 
-    Attributes
-    ----------
-    basis : (n, k) array
-        What the rows do not see.
-    left : (k, n) array
-        ``left @ basis`` is the identity.
-    velocity, acceleration : (n,) array
-        Particular ones: of driven points, and centripetal.
-    """
-
-    basis: Array
-    left: Array
+    basis: Array  # (n, k): What the rows do not see
+    left: Array  # (k, n): ``left @ basis`` is the identity
+    # `velocity`, `acceleration`: (n,): Particular ones: of driven points, and centripetal
     velocity: Array
     acceleration: Array
 
 
-def blocks(pattern: Bools) -> tuple[Block, ...]:
+def joint_groups(pattern: Bools) -> tuple[JointGroup, ...]:
     """Return the parts that joints link; `pattern` (m, n) is where the Jacobian has entries."""
     labels = connected(pattern.T @ pattern)
     found = []
     for label in np.unique(labels):
         columns = np.flatnonzero(labels == label)
         rows = np.flatnonzero(pattern[:, columns].any(axis=1))
-        found.append(Block(tuple(rows.tolist()), tuple(columns.tolist())))
+        found.append(JointGroup(tuple(rows.tolist()), tuple(columns.tolist())))
     return tuple(found)
 
 
-def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[Block]) -> Motions:
+def motions(numbers: JointNumbers, velocity: Array, parts: Sequence[JointGroup]) -> Motions:
     """Return what the joints allow at a state with rates `velocity` (n,)."""
     size = len(velocity)
     driven = numbers.rates - numbers.jacobian @ velocity

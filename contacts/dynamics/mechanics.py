@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import sympy as sp
 
-from contacts.dynamics.free_motion import FreeMotion
 from contacts.dynamics.gates import Gate, gate_of
-from contacts.dynamics.geometry import ContactGeometry, surface_frame
+from contacts.dynamics.geometry import ContactGeometry, Geometry, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
-from contacts.dynamics.rims import Vector
+from contacts.dynamics.rolling_disc import Vector
 from contacts.scene.modes import ContactSymbols
-from contacts.scene.parts import Contact, Surface
+from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
@@ -29,31 +28,23 @@ from statechart.formulas.writer import compile_tape
 
 
 class _Surroundings(NamedTuple):
-    """A surface as a point sees it.
+    """A surface as a point sees it."""
 
-    Attributes
-    ----------
-    function, gap, gap_rate : Expr
-        What is zero on the surface; the distance, and its derivative in time.
-    bias : Expr
-        The second derivative of the gap where nothing accelerates.
-    normal, rates, drifts : (Expr, Expr)
-        And the point's velocity, and acceleration where nothing accelerates, along x and y.
-    turned : Expr
-        What the turning of the tangent adds to the derivative of the slip.
-    """
-
+    # `function`, `gap`, `gap_rate`: What is zero on the surface; the distance, and its derivative
+    # in time
     function: sp.Expr
     gap: sp.Expr
     gap_rate: sp.Expr
-    bias: sp.Expr
+    bias: sp.Expr  # The second derivative of the gap where nothing accelerates
+    # `normal`, `rates`, `drifts`: And the point's velocity, and acceleration where nothing
+    # accelerates, along x and y
     normal: Vector
     rates: Vector
     drifts: Vector
-    turned: sp.Expr
+    turned: sp.Expr  # What the turning of the tangent adds to the derivative of the slip
 
 
-class Mechanics(FreeMotion):
+class Mechanics(Geometry):
     """The equations of a scene.
 
     Parameters
@@ -81,7 +72,8 @@ class Mechanics(FreeMotion):
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
-        super().__init__(scene, given, {**symbols, **controls, **self.memory})
+        super().__init__(scene, {**symbols, **controls, **self.memory})
+        self.parameters = given
         cones = friction_cones(scene, symbols)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
@@ -143,16 +135,109 @@ class Mechanics(FreeMotion):
         )
 
     @cached_property
+    def mass_matrix(self) -> sp.Matrix:
+        """(n, n): of the kinetic energy ``v^T M v / 2``."""
+        return self._inertia[0]
+
+    @cached_property
+    def generalised_forces(self) -> tuple[sp.Expr, ...]:
+        """(n,): ``Q - b``, so that ``M a`` equals it where no contact is closed."""
+        return tuple(q - b for q, b in zip(self._applied, self._inertia[1], strict=True))
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        """Kinetic energy plus that of gravity."""
+        kinetic = [
+            entry * self.v[i] * self.v[k] / 2 for (i, k), entry in self.mass_matrix.todok().items()
+        ]
+        gx, gy = self.gravity
+        potential = []
+        for name, body in self.scene.bodies.items():
+            (x, y), _ = self.body_frame(name)
+            potential.append(-self._formula(body.mass) * (gx * x + gy * y))
+        return sp.Add(*kinetic, *potential)
+
+    def gradient(self, place: sp.Expr) -> list[sp.Expr]:
+        """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
+        used = place.free_symbols
+        return [sp.diff(place, q) if q in used else sp.S.Zero for q in self.q]
+
+    @cached_property
+    def gravity(self) -> Vector:
+        """Acceleration of gravity."""
+        declared = self.scene.gravity
+        if isinstance(declared, tuple):
+            gx, gy = (self._formula(text) for text in declared)
+            return gx, gy
+        return sp.S.Zero, -self._formula(declared)
+
+    def inertia(self, name: str, body: Body) -> tuple[sp.Expr, sp.Expr]:
+        """Return the mass of a body, and its moment of inertia; 0 where it has none."""
+        mass = self._formula(body.mass)
+        if body.inertia is None:
+            return mass, sp.S.Zero
+        return mass, self.parameters.symbols[f"{name}.inertia"]
+
+    @cached_property
+    def applied_forces(self) -> tuple[sp.Expr, ...]:
+        """(n,): what the declared forces do to every coordinate."""
+        total = [sp.S.Zero] * len(self.q)
+        for force in self.scene.forces.values():
+            point = self.point(Point(body=force.body, at=force.at))
+            _, angle = self.body_frame(force.body)
+            components = [self._formula(text) for text in force.force]
+            moment = self._formula(force.moment)
+            for i, q in enumerate(self.q):
+                work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
+                total[i] += sp.Add(*work, moment * sp.diff(angle, q))
+        return tuple(total)
+
+    @cached_property
+    def _applied(self) -> tuple[sp.Expr, ...]:
+        total = list(self.applied_forces)
+        gx, gy = self.gravity
+        for name, body in self.scene.bodies.items():
+            (x, y), _ = self.body_frame(name)
+            mass = self._formula(body.mass)
+            for i, (dx, dy) in enumerate(zip(self.gradient(x), self.gradient(y), strict=True)):
+                if dx != 0 or dy != 0:
+                    total[i] += mass * (gx * dx + gy * dy)
+        return tuple(total)
+
+    @cached_property
+    def _inertia(self) -> tuple[sp.Matrix, tuple[sp.Expr, ...]]:
+        """Mass matrix and bias forces, summed over the bodies."""
+        size = len(self.q)
+        matrix = sp.zeros(size, size)
+        bias = [sp.S.Zero] * size
+        at_rest = dict.fromkeys(self.a, sp.S.Zero)
+        for name, body in self.scene.bodies.items():
+            (x, y), angle = self.body_frame(name)
+            mass, inertia = self.inertia(name, body)
+            for weight, position in ((mass, x), (mass, y), (inertia, angle)):
+                gradient = self.gradient(position)
+                moving = [i for i, g in enumerate(gradient) if g != 0]
+                drift = self.rate(self.rate(position)).xreplace(at_rest)
+                for i in moving:
+                    bias[i] += weight * gradient[i] * drift
+                    for k in moving:
+                        matrix[i, k] += weight * gradient[i] * gradient[k]
+        return matrix, tuple(bias)
+
+    @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + joints,): each = 0, in the unknown accelerations and forces."""
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
-            left = sp.Add(*(self.mass_matrix[i, k] * a for k, a in enumerate(self.a)))
+            left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
             contact_forces = sp.Add(
-                *(c.jacobian_n[i] * c.symbols.V + c.jacobian_t[i] * c.symbols.H for c in geometry)
+                *(c.jacobian_n[i] * c.symbols.V for c in geometry if c.jacobian_n[i] != 0),
+                *(c.jacobian_t[i] * c.symbols.H for c in geometry if c.jacobian_t[i] != 0),
             )
-            joint_forces = sp.Add(*(row.jacobian[i] * row.force for row in self.joint_rows))
+            joint_forces = sp.Add(
+                *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
+            )
             result.append(left - right - contact_forces - joint_forces)
         for row in self.joint_rows:
             held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
@@ -352,6 +437,10 @@ class Mechanics(FreeMotion):
             bent(along),
         )
 
+    def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """Return the terms of a row of coefficients times the accelerations."""
+        return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
         x, y = centre = self._in_frame(surface, self.point(contact.point))
@@ -359,11 +448,18 @@ class Mechanics(FreeMotion):
         around = self._surroundings(surface, rim.radius, centre)
         normal, rates, drifts = around.normal, around.rates, around.drifts
         tangent = (normal[1], -normal[0])
-        jacobian = [(sp.diff(x, q), sp.diff(y, q)) for q in self.q]
-        jacobian_n = tuple(normal[0] * dx + normal[1] * dy for dx, dy in jacobian)
+        jacobian = list(
+            zip(self.gradient(x), self.gradient(y), self.gradient(rim.turn), strict=True)
+        )
+        jacobian_n = tuple(
+            normal[0] * dx + normal[1] * dy if dx != 0 or dy != 0 else sp.S.Zero
+            for dx, dy, _ in jacobian
+        )
         jacobian_t = tuple(
-            tangent[0] * dx + tangent[1] * dy + rim.radius * sp.diff(rim.turn, q)
-            for (dx, dy), q in zip(jacobian, self.q, strict=True)
+            tangent[0] * dx + tangent[1] * dy + rim.radius * turn
+            if dx != 0 or dy != 0 or turn != 0
+            else sp.S.Zero
+            for dx, dy, turn in jacobian
         )
         rolling = self.rate(rim.radius * rim.turn)
         slip = tangent[0] * rates[0] + tangent[1] * rates[1] + rolling
@@ -373,8 +469,8 @@ class Mechanics(FreeMotion):
         V, H = self.forces[name]
         anchor, slipping = rim.anchored(centre, tangent)
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
-        normal_a = sp.Add(bias_n, *(j * a for j, a in zip(jacobian_n, self.a, strict=True)))
-        tangential_a = sp.Add(bias_t, *(j * a for j, a in zip(jacobian_t, self.a, strict=True)))
+        normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
+        tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
         symbols = ContactSymbols(
             name, around.gap, around.gap_rate, slip, normal_a, tangential_a, V, H,
             *self._cones[name], (jacobian_n, jacobian_t),

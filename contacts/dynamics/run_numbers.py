@@ -26,50 +26,29 @@ LIMITS, SCALES, MOTIONS, STOPS = range(4)
 
 
 class Rules(NamedTuple):
-    """How the numbers of a run follow from the values of a scene's parameters.
+    """How the numbers of a run follow from the values of a scene's parameters."""
 
-    Attributes
-    ----------
-    inertias : (b,) array of int64
-        Place of every body's moment of inertia among the values; -1 where it has none.
-    least, most : (l,) array
-        Between which limits lie.
-    begins : (g + 1,) array of int64
-    places, gravity, paths : int
-        See `contacts.dynamics.scales.ScaleTape`.
-    forced : (s,) array of bool
-        Which stop conditions have no value before forces are known.
-    """
-
+    # (b,): Place of every body's moment of inertia among the values; -1 where it has none
     inertias: Ints
+    # `least`, `most`: (l,): Between which limits lie
     least: Array
     most: Array
-    begins: Ints
+    begins: Ints  # (g + 1,)
+    # `places`, `gravity`, `paths`: See `contacts.dynamics.scales.ScaleTape`
     places: int
     gravity: int
     paths: int
-    forced: Bools
+    forced: Bools  # (s,): Which stop conditions have no value before forces are known
 
 
 class Numbers(NamedTuple):
-    """The numbers of a run.
+    """The numbers of a run."""
 
-    Attributes
-    ----------
-    values : (p,) array
-        Of the parameters.
-    initial : (n,) array
-    scales : (5,), sizes : (n,) array
-        See `contacts.dynamics.scales.Scales`.
-    bands : (s,) array
-        How near zero stop conditions count as met.
-    """
-
-    values: Array
-    initial: Array
-    scales: Array
+    values: Array  # (p,): Of the parameters
+    initial: Array  # (n,)
+    scales: Array  # (5,), sizes : (n,): See `contacts.dynamics.scales.Scales`
     sizes: Array
-    bands: Array
+    bands: Array  # (s,): How near zero stop conditions count as met
 
 
 def rules(numbers: SceneNumbers) -> Rules | None:
@@ -88,7 +67,7 @@ def rules(numbers: SceneNumbers) -> Rules | None:
     )
 
 
-def room(parameters: int, variables: int, rules: Rules) -> Numbers:
+def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
     """Return memory for the numbers of a run."""
     return Numbers(
         np.empty(parameters),

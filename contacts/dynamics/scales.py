@@ -29,30 +29,24 @@ _FAST, _NOISE = 1e-2, 2.0
 # A turning surface moves a point by at most so many times its distance from the pivot.
 _TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
-_LEAST, _MOST = 1e-100, 1e100
+_MIN_SIZE, _MAX_SIZE = 1e-100, 1e100
 
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute.
+    """The sizes that a scene's numbers are compared with; no tolerance of ours is absolute."""
 
-    Attributes
-    ----------
-    length, speed, acceleration, force : float
-        In the scene's units. A shift of the origin does not change them.
-    rounding : float
-        Round-off of positions, in the unit of length: units in the last place of the largest
-        coordinate.
-    sizes : (2 n,) array
-        How large each coordinate and each rate is: what moves a point by the length, in the time
-        that this takes at the speed.
-    """
-
+    # `length`, `speed`, `acceleration`, `force`: In the scene's units. A shift of the origin does
+    # not change them
     length: float
     speed: float
     acceleration: float
     force: float
+    # Round-off of positions, in the unit of length: units in the last place of the largest
+    # coordinate
     rounding: float
+    # (2 n,): How large each coordinate and each rate is: what moves a point by the length, in the
+    # time that this takes at the speed
     sizes: Array
 
     @property
@@ -74,9 +68,9 @@ class Scales:
 
 def check_range(number: float, what: str, loc: tuple[str, ...]) -> None:
     """Raise `DeclarationProblem` where the square of a length, a speed or the like is no float."""
-    if abs(number) > _MOST:
+    if abs(number) > _MAX_SIZE:
         raise DeclarationProblem(
-            f"{what} must be at most {_MOST:g}, not {number:g}".lstrip(),
+            f"{what} must be at most {_MAX_SIZE:g}, not {number:g}".lstrip(),
             advice="take larger units",
             loc=loc,
         )
@@ -162,7 +156,11 @@ class ScaleTape:
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
         points += [mechanics.contact(name).point for name in scene.contacts]
         points += [mechanics.point(joint.point) for joint in scene.joints.values()]
-        moves = [[sp.diff(c, q) for point in points for c in point] for q in mechanics.q]
+        moving: dict[sp.Symbol, list[sp.Expr]] = {q: [] for q in mechanics.q}
+        for place in (c for point in points for c in point):
+            for q in moving.keys() & place.free_symbols:
+                moving[q].append(sp.diff(place, q))
+        moves = [found or [sp.S.Zero] for found in moving.values()]
         mass = sp.Add(*map(sp.Abs, masses))
         across, upward = _positions(mechanics)
         gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
@@ -306,7 +304,7 @@ def mass_unit(acceleration: float, force: float) -> float:
 def horizon(numbers: Array, begins: Ints) -> float:
     """Return how long a run is by its numbers at the start, between bounds whose squares exist."""
     duration = abs(numbers[begins[DURATION]])
-    return min(max(duration, _LEAST), _MOST) if duration < math.inf else _MOST
+    return min(max(duration, _MIN_SIZE), _MAX_SIZE) if duration < math.inf else _MAX_SIZE
 
 
 @seldom
@@ -343,7 +341,7 @@ def measure(
     inside = True
     for i in range(begins[GRAVITY + gravity]):
         if i < places or i >= begins[GRAVITY]:
-            inside = inside and abs(numbers[i]) <= _MOST
+            inside = inside and abs(numbers[i]) <= _MAX_SIZE
     duration, levers = horizon(numbers, begins), begins[LEVERS + 1] - begins[LEVERS]
     coordinates, reach, swift = max(largest[PLACES], largest[ACROSS], largest[UPWARD]), 0.0, 0.0
     for i in range(paths):
@@ -385,7 +383,7 @@ def measure(
         period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))
     # A start that is off zero by rounding of what the run covers has no length.
-    if extent <= _LEAST and length <= max(_LEAST, _EPS * farthest):
+    if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, _EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
         length = max(length, min(start * duration, start * start / acceleration))

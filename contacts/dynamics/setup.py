@@ -15,9 +15,9 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, mass_unit
 from contacts.scene.checks import check_finite, check_physical, physical_limits
+from contacts.scene.lint import lint
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
-from contacts.scene.unlikely import unlikely
 from contacts.solvers.dependence import implied
 from contacts.states import implied_joints
 from statechart.arrays import Array
@@ -51,35 +51,21 @@ LOOK_AHEAD = 64.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneSetup(Setup):
-    """The numbers of one run of a scene.
+    """The numbers of one run of a scene."""
 
-    Attributes
-    ----------
-    scales : Scales
-        Of this run.
-    contacts : tuple of ContactLaw
-        With this run's coefficients.
-    capture : float
-        Rebounds slower than this are summed instead of simulated.
-    lowest, fast : float
-        Bounces lower than the first are summed, too; none is that is faster than the second.
-    bands : mapping
-        Stop condition -> how near zero its margin counts as met; from its value at the start.
-    start_depth : float
-        How deep bodies with shapes start in what they touch.
-    rounded : float
-        What steps leave of what rests, in parts of the size of each number: of impulses of points
-        their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
-        their impulses miss by.
-    """
-
-    scales: Scales
-    contacts: tuple[ContactLaw, ...]
-    capture: float
+    scales: Scales  # Of this run
+    contacts: tuple[ContactLaw, ...]  # With this run's coefficients
+    capture: float  # Rebounds slower than this are summed instead of simulated
+    # `lowest`, `fast`: Bounces lower than the first are summed, too; none is that is faster than
+    # the second
     lowest: float
     fast: float
+    # Stop condition -> how near zero its margin counts as met; from its value at the start
     bands: Mapping[str, float]
-    start_depth: float = 0.0
+    start_depth: float = 0.0  # How deep bodies with shapes start in what they touch
+    # What steps leave of what rests, in parts of the size of each number: of impulses of points
+    # their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
+    # their impulses miss by
     rounded: float = 1e-12
 
     @property
@@ -152,7 +138,7 @@ class SceneNumbers:
             [entry for row in rows for entry in row.jacobian],
         )
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._unlikely = (*unlikely(scene), *_unpressed(mechanics))
+        self._unlikely = (*lint(scene), *_unpressed(mechanics))
         self.limits: Tape | None = None
         limits = physical_limits(scene)
         if limits is not None:

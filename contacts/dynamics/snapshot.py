@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.joints import Block, JointNumbers, blocks, motions
+from contacts.dynamics.joints import JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
@@ -25,34 +25,22 @@ UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths
 
 
 class PerContact(NamedTuple):
-    """One contact's numbers.
+    """One contact's numbers."""
 
-    Attributes
-    ----------
-    gap : float
-        Distance from the surface, to first order.
-    gap_rate, slip : float
-        Normal and tangential velocity.
-    x, y : float
-        Position of the point.
-    tx, ty : float
-        Unit tangent of the surface there.
-    bias_n, bias_t : float
-        Accelerations of the point that the unknown ones do not enter.
-    jacobian : (2, n) array
-        Rows: normal, tangential.
-    """
-
-    gap: float
+    gap: float  # Distance from the surface, to first order
+    # `gap_rate`, `slip`: Normal and tangential velocity
     gap_rate: float
     slip: float
+    # `x`, `y`: Position of the point
     x: float
     y: float
+    # `tx`, `ty`: Unit tangent of the surface there
     tx: float
     ty: float
+    # `bias_n`, `bias_t`: Accelerations of the point that the unknown ones do not enter
     bias_n: float
     bias_t: float
-    jacobian: Array
+    jacobian: Array  # (2, n): Rows: normal, tangential
 
 
 class Snapshot(NamedTuple):
@@ -61,34 +49,16 @@ class Snapshot(NamedTuple):
     Where there are joints, `n` counts the motions that they allow: mass, forces, velocity,
     Jacobians and biases are those of the bodies held together, so that nothing that is computed
     of them needs to know of joints.
-
-    Attributes
-    ----------
-    mass : (n, n) array
-        Mass matrix.
-    forces : (n,) array
-        Right-hand side of ``M a = forces`` without contacts.
-    velocity : (n,) array
-        Rates of the coordinates, or of the motions.
-    energy : float
-        Kinetic plus gravity's.
-    contacts : tuple of PerContact
-        In the order of the declaration.
-    jacobians : (c, 2, n) array
-    biases : (c, 2) array
-        Of all contacts.
-    held : Held or None
-        None where there are no joints.
     """
 
-    mass: Array
-    forces: Array
-    velocity: Array
-    energy: float
-    contacts: tuple[PerContact, ...]
-    jacobians: Array
-    biases: Array
-    held: Held | None = None
+    mass: Array  # (n, n): Mass matrix
+    forces: Array  # (n,): Right-hand side of ``M a = forces`` without contacts
+    velocity: Array  # (n,): Rates of the coordinates, or of the motions
+    energy: float  # Kinetic plus gravity's
+    contacts: tuple[PerContact, ...]  # In the order of the declaration
+    jacobians: Array  # (c, 2, n)
+    biases: Array  # (c, 2): Of all contacts
+    held: Held | None = None  # None where there are no joints
 
     @property
     def whole(self) -> Snapshot:
@@ -124,23 +94,12 @@ class Snapshot(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The numbers of joints at one state.
+    """The numbers of joints at one state."""
 
-    Attributes
-    ----------
-    whole : Snapshot
-        As if there were no joints.
-    joints : JointNumbers
-    basis : (coordinates, motions) array
-        What the motions do to the coordinates.
-    drift : (coordinates,) array
-        How the coordinates accelerate where the motions do not.
-    """
-
-    whole: Snapshot
+    whole: Snapshot  # As if there were no joints
     joints: JointNumbers
-    basis: Array
-    drift: Array
+    basis: Array  # (coordinates, motions): What the motions do to the coordinates
+    drift: Array  # (coordinates,): How the coordinates accelerate where the motions do not
 
 
 class SnapshotTape:
@@ -174,7 +133,7 @@ class SnapshotTape:
         self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
         self.joints = len(rows)
-        self._blocks: tuple[Block, ...] = blocks(
+        self._blocks: tuple[JointGroup, ...] = joint_groups(
             np.array([[j != 0 for j in row.jacobian] for row in rows], dtype=np.bool_).reshape(
                 self.joints, self.size
             )
@@ -227,7 +186,7 @@ class SnapshotTape:
         return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
 
 
-def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[Block]) -> Snapshot:
+def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:
     """Return the numbers of the motions that joints allow."""
     allowed = motions(joints, whole.velocity, parts)
     basis = allowed.basis
@@ -259,19 +218,9 @@ def solve_kkt(
     The saddle-point form is kept: the Delassus matrix ``J M^-1 J^T`` is wrong by 7 % at a moment
     of inertia of 1e-16 and does not exist at 0, where this one is exact.
 
-    Parameters
-    ----------
-    mass : (n, n), right : (n,)
-    rows : (m, n)
-        What is asked of the accelerations, or of changes of velocity.
-    columns : (m, n)
-        What the forces, or impulses, do to the coordinates.
-    constants : (m,)
-
-    Returns
-    -------
-    (a, f) or None
-        None where the system is singular: the mode does not determine the motion.
+    `rows` (m, n) times the accelerations, or changes of velocity, are the `constants` (m,); forces,
+    or impulses, act along `columns` (m, n). None where the system is singular: the mode does not
+    determine the motion.
 
     Raises
     ------

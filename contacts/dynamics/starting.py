@@ -9,13 +9,16 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.scene.parts import Point, Surface
+from contacts.scene.scene import Scene
 from contacts.solvers.dependence import least
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
+from statechart.kernels.jit import seldom
 
 _ITERATIONS = 50
 # Of the accelerations: contradictory ones are off by their own size, consistent ones by rounding.
@@ -23,6 +26,44 @@ _ACCELERATION = 1e-8
 # Joints whose part in a contradiction is smaller than this take none.
 _PART = 1e-6
 _MOST_NAMED = 6
+# A start no higher above a surface than this part of the length, and no faster than what would
+# throw it so high, is at rest on it but for rounded coordinates.
+_HOVERING = 1e-6
+
+
+@seldom
+def hovers(gap: float, rate: float, near: float, length: float, speed: float) -> bool:
+    """Whether a contact starts off its surface by next to nothing, but more than `near`."""
+    slow = rate * rate <= _HOVERING * (speed * speed)
+    return near < gap and gap <= _HOVERING * length and slow
+
+
+def hovering(
+    scene: Scene,
+    scales: Scales,
+    near: float,
+    names: Sequence[str],
+    moves: Sequence[Sequence[float]],
+) -> list[str]:
+    """Return a warning for each contact that starts off its surface by next to nothing.
+
+    Parameters
+    ----------
+    scene : Scene
+    scales : Scales
+    near : float
+        A contact is closed up to this gap.
+    names : sequence of str
+        The contacts that are not off.
+    moves : sequence of sequences of float
+        Their gaps, and the rates of these.
+    """
+    return [
+        f"contact {name!r} starts {move[0]:.3g} off surface {scene.contacts[name].surface!r}: "
+        "write the exact coordinate if it should rest there"
+        for name, move in zip(names, moves, strict=True)
+        if hovers(move[0], move[1], near, scales.length, scales.speed)
+    ]
 
 
 def check_places(names: Sequence[str], snapshot: Snapshot) -> None:
@@ -46,17 +87,8 @@ def check_start(
 ) -> None:
     """Refuse a contact that starts inside its surface, or free though it does not list that.
 
-    Parameters
-    ----------
-    surface : Surface
-        What is touched.
-    law : ContactLaw
-    moves : sequence of float
-        Gap, its rate and slip at the start, of a contact that is not off.
-    depth : float
-        A start may be inside by so much.
-    near, slow : float
-        Tolerances of gap and speed.
+    It moves by its gap, the rate of that and its slip. A start may be inside by `depth`; `near` and
+    `slow` are the tolerances of gap and speed.
 
     Raises
     ------

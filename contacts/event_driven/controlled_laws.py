@@ -15,8 +15,8 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.control_guards import Controllers
+from contacts.dynamics.controller_state import ControllerState
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
@@ -48,7 +48,7 @@ class ControlledLaws:
     """
 
     # Controllers are asked at every instant.
-    ordinary = None
+    compiled_laws = None
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class ControlledLaws:
         self._count = len(regions) - len(self._names)
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
-        self._memory = Memory(mechanics)
+        self._memory = ControllerState(mechanics)
         variables = (*mechanics.variables, *mechanics.memory.values())
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time

@@ -12,8 +12,8 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, jammed
 from contacts.modes.classification import Before, Choice, choose
-from contacts.modes.doubt import Doubt
 from contacts.modes.fast_classification import ENDLESS
+from contacts.modes.force_uncertainty import ForceUncertainty
 from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Resolution
 from contacts.states import OFF, cause_of, superstates_of
@@ -27,7 +27,7 @@ def decide(
     touching: Sequence[bool],
     paradox: Resolution,
     before: Before | None = None,
-    doubt: Doubt | None = None,
+    uncertainty: ForceUncertainty | None = None,
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
 
@@ -35,7 +35,7 @@ def decide(
     ----------
     before : Before, optional
         What held before.
-    doubt : Doubt, optional
+    uncertainty : ForceUncertainty, optional
         What the state may be off by, where contacts may have come to rest.
 
     Raises
@@ -47,7 +47,7 @@ def decide(
     still = 2.0 * setup.tolerances["speed"]
     try:
         choice = choose(
-            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, doubt
+            snapshot, setup.contacts, touching, setup.scales, setup.tie, still, before, uncertainty
         )
     except NoConsistentMode as error:
         jam = jammed(snapshot, setup.contacts, touching, still)

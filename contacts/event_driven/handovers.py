@@ -10,7 +10,7 @@ import sympy as sp
 from contacts.dynamics.control_guards import given_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.handovers import NEARLY, stays_off
+from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.automaton.laws import Setup
@@ -49,7 +49,7 @@ class Handovers:
 
         def end(contact: int) -> None:
             first, last = depths.pop(contact, (0.0, 0.0))
-            if last > first and first <= NEARLY * setup.scales.length:
+            if last > first and first <= NEARLY_MEETING * setup.scales.length:
                 found.setdefault(contact, first)
 
         for arc in arcs if self._goes_below(setup, arcs) else ():

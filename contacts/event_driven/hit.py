@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.bounces import DIGITS, EPS
-from contacts.impacts.impact import MEANINGS
-from contacts.impacts.path import ENDED, RAISES, strike
-from contacts.impacts.plastic import together
-from contacts.modes.fast_classification import classify
+from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
+from contacts.impacts.plastic import strike_group
+from contacts.modes.fast_classification import ModeRules, classify
 from contacts.scene.parts import MOREAU
 from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.saddle_point import SOLVED
@@ -78,6 +77,15 @@ class SceneWatch(NamedTuple):
 
 
 @part
+def rules_of(scene: SceneWatch) -> ModeRules:
+    """Return what of a scene decides the modes of its contacts."""
+    return ModeRules(
+        scene.allowed, scene.cones, scene.near, scene.creep, scene.gap, scene.speed, scene.tie,
+        scene.doubtful, scene.force, scene.acceleration,
+    )  # fmt: skip
+
+
+@part
 def classified(
     scene: SceneWatch,
     numbers: Array,
@@ -88,24 +96,7 @@ def classified(
     taken: Ints,
 ) -> bool:
     """Classify every contact; False where the instant is not a usual one."""
-    return classify(
-        numbers,
-        n,
-        scene.allowed,
-        scene.cones,
-        under_way,
-        kept,
-        lowest,
-        scene.near,
-        scene.creep,
-        scene.gap,
-        scene.speed,
-        scene.tie,
-        scene.doubtful,
-        scene.force,
-        scene.acceleration,
-        taken,
-    )
+    return classify(rules_of(scene), numbers, n, under_way, kept, lowest, taken)
 
 
 @part
@@ -149,8 +140,7 @@ def _alone(
     status, normal, tangential, path, _, _ = strike(
         mass,
         jacobian,
-        approach,
-        slip,
+        (approach, slip),
         scene.cones[c],
         scene.meanings[c],
         scene.restitution[c],
@@ -253,7 +243,7 @@ def hit(
         The first that strikes; -1, and nothing changed but the numbers, where this is not so
         simple.
     path : int
-        Code of its path, or of the states of several (see `together`).
+        Code of its path, or of the states of several (see `strike_group`).
     group : int
         These several, a bit each; 0 where it is alone.
     """
@@ -272,10 +262,9 @@ def hit(
     if count == 1:
         path = _alone(scene, mass, numbers, at, place, c, after[n:], impulse)
     else:
-        path = together(
-            mass, numbers, n, scene.allowed, scene.cones, scene.restitution, group[:count],
-            scene.force / scene.acceleration, scene.speed, after[n:], impulse,
-        )  # fmt: skip
+        path = strike_group(
+            rules_of(scene), numbers, scene.restitution, group[:count], after[n:], impulse
+        )
         for k in range(count):
             bits |= 1 << group[k]
     if path == 0:

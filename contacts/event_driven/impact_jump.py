@@ -18,7 +18,7 @@ from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bou
 from contacts.impacts.jamming import Jam, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before
-from contacts.modes.doubt import Doubt
+from contacts.modes.force_uncertainty import ForceUncertainty
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -34,7 +34,7 @@ class Rules(NamedTuple):
     simultaneous: Simultaneous
     paradox: Resolution
 
-    def doubt(self, here: Landing, after: Array | None = None) -> Doubt | None:
+    def uncertainty(self, here: Landing, after: Array | None = None) -> ForceUncertainty | None:
         """Return what a state may be off by where a flow has just ended, or after an impact there.
 
         None where a mode has been chosen meanwhile.
@@ -58,7 +58,7 @@ class Rules(NamedTuple):
             )
         ]
         state = at.state if after is None else after
-        return Doubt(numbers, here.setup, state, sure, fell)
+        return ForceUncertainty(numbers, here.setup, state, sure, fell)
 
 
 class Landing(NamedTuple):
@@ -259,9 +259,9 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     if not any(touching):
         flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
-    doubt = rules.doubt(here, struck.state)
+    uncertainty = rules.uncertainty(here, struck.state)
     before = Before.flow(here.at.flow.roles)
-    choice = decide(setup, following, touching, rules.paradox, before, doubt)
+    choice = decide(setup, following, touching, rules.paradox, before, uncertainty)
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)

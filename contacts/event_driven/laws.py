@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
 from contacts.dynamics.setup import SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_places, check_start
+from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
 from contacts.event_driven.accumulation import closed_at_once
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
@@ -25,13 +26,12 @@ from contacts.event_driven.impact_jump import (
     impact_jump,
     shown_roles,
 )
-from contacts.event_driven.ordinary import SceneInstants
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
-from contacts.modes.configuration import judged
 from contacts.modes.fast_classification import fast_mode
+from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -40,9 +40,9 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
+    CompiledLaws,
     Flow,
     Instant,
-    Ordinary,
     Setup,
     moving_mode,
     roles_in,
@@ -75,27 +75,42 @@ class SceneLaws:
         self._paradox = mechanics.scene.paradox
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
-        self._tape = SnapshotTape(mechanics)
         self.conditions = self.numbers.conditions
         # Without joints and conditions, an instant may be a usual one.
         self._plain = not mechanics.joint_rows and not self.conditions.present
-        self._projection = Projection(mechanics, self._tape)
         self._switching = Switching(self._names, self.conditions, self._paradox)
-        self._rules = Rules(self._tape, mechanics.scene.simultaneous, self._paradox)
         self.remarks = Handovers(mechanics).remarks
-        self.ordinary: Ordinary | None = None
-        if not mechanics.joint_rows and numbers.disjoint:
-            self.ordinary = SceneInstants(
-                self._names, numbers, self._tape, self._projection, self.jump
-            )
+
+    # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
+
+    @cached_property
+    def _tape(self) -> SnapshotTape:
+        return SnapshotTape(self._mechanics)
+
+    @cached_property
+    def _projection(self) -> Projection:
+        return Projection(self._mechanics, self._tape)
+
+    @cached_property
+    def _rules(self) -> Rules:
+        return Rules(self._tape, self._mechanics.scene.simultaneous, self._paradox)
+
+    @cached_property
+    def compiled_laws(self) -> CompiledLaws | None:
+        """What of the laws is compiled; None with joints, and where conditions overlap."""
+        if self._mechanics.joint_rows or not self.numbers.disjoint:
+            return None
+        return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
+        rules, projection = self._rules, self._projection
         laws = copy.copy(self)
+        laws._projection = projection
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
-        laws._rules = self._rules._replace(tape=tape)
-        laws.ordinary = None
+        laws._rules = rules._replace(tape=tape)
+        laws.compiled_laws = None
         return laws
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
@@ -108,7 +123,7 @@ class SceneLaws:
         state = setup.initial
         if self._plain and not self._modes:
             mode = fast_mode(setup, self._tape, state, 0.0, None)
-            if mode is not None:
+            if mode is not None and not self._hovering(setup, state, mode[0]):
                 return flow_in(setup, mode[0]), state
         flow, state = self._begun(setup, state)
         if self.conditions.present:
@@ -144,19 +159,31 @@ class SceneLaws:
             state = landed(key, snapshot, state, setup.tolerances)
         if state is not setup.initial:
             snapshot = hidden(self._tape.at(setup.values, state, 0.0), off)
+        above = self._hovering(setup, state, off)
         choice = decide(setup, snapshot, touching, self._paradox, Before())
         if isinstance(choice, Jam):
             starts = listed(choice.sliding, setup.contacts, snapshot.contacts, 2.0 * slow)
-            return flow_in(setup, starts, roles_in(choice.sliding), settled=False), state
+            roles = roles_in(choice.sliding)
+            return flow_in(setup, starts, roles, None, above, settled=False), state
         check_declared(self._modes, self._names, choice, snapshot, touching, failing)
         taken = choice.taken
         settled = not any(
             shut and c.gap_rate < -slow for shut, c in zip(closed, snapshot.contacts, strict=True)
         )
         starts = listed(taken.states, setup.contacts, snapshot.contacts, 2.0 * slow)
-        return flow_in(
-            setup, starts, taken.roles, None, choice.warning, settled, choice.notes
-        ), state
+        warning = "; ".join(filter(None, (above, choice.warning)))
+        return flow_in(setup, starts, taken.roles, None, warning, settled, choice.notes), state
+
+    def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
+        """Return the warnings about contacts that start off their surfaces by next to nothing."""
+        contacts = self._tape.at(setup.values, state, 0.0).contacts
+        on = [i for i, name in enumerate(mode) if name != OFF]
+        return "; ".join(
+            hovering(
+                self._mechanics.scene, setup.scales, setup.tolerances["gap"],
+                [self._names[i] for i in on], [contacts[i][:2] for i in on],
+            )
+        )  # fmt: skip
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
@@ -192,9 +219,9 @@ class SceneLaws:
         if hitting:
             return self._impact(here, hitting)
         touching = [shut and c.gap_rate <= slow for shut, c in zip(closed, contacts, strict=True)]
-        doubt = self._rules.doubt(here)
+        uncertainty = self._rules.uncertainty(here)
         before = Before.flow(at.flow.roles, here.moving)
-        choice = decide(setup, here.snapshot, touching, self._paradox, before, doubt)
+        choice = decide(setup, here.snapshot, touching, self._paradox, before, uncertainty)
         if isinstance(choice, Jam):
             if all(choice.sliding[i] == here.moving[i] for i in choice.places):
                 # A contact that slid on to where none can: p fell to zero on the way.
@@ -397,7 +424,7 @@ class SceneLaws:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
         failing = self.conditions.failing(setup, state, time)
-        return judged(regions, setup, self.snapshot(setup, state, time), failing)
+        return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
-from contacts.dynamics.gate_kernels import conditions_at, judge_atoms, margin_bands
-from contacts.dynamics.gates import FAILS, UNSURE, truths
+from contacts.dynamics.gates import FAILS, UNSURE, conditions_at, judge_atoms, margin_bands, truths
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.event_driven.decision import decide

@@ -1,7 +1,6 @@
 """Laws of impact.
 
-`impact` is one contact (Routh's `path`; Stronge, Newton, Poisson), `impulses` are several as a
-complementarity problem, of which `plastic` solves the simple ones in compiled runs; `simultaneous`
-combines them, `work` bounds their energy. `jamming` is an impact without collision, `bounces` the
-sum of those that accumulate.
+`impact` is one contact (Routh's path; Stronge, Newton, Poisson), `impulses` several as a
+complementarity problem, `plastic` the kernel of its unambiguous cases; `simultaneous` combines
+them. `jamming` is an impact without collision, `bounces` the sum of those that accumulate.
 """

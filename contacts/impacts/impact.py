@@ -10,6 +10,7 @@ Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,24 +19,21 @@ import numpy as np
 from contacts.dynamics import snapshot as numbers
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impacts.path import (
-    ENDLESS,
-    NEWTON,
-    POISSON,
-    POWERLESS,
-    SLIP,
-    SLIP_MINUS,
-    SLIP_PLUS,
-    STICK,
-    STRONGE,
-    UNTRUSTED,
-    WEDGE,
-    WEDGED,
-    strike,
-)
 from contacts.scene.parts import MOREAU
+from contacts.solvers.mode_solver import dot
+from contacts.solvers.saddle_point import INEXACT, SOLVED, saddle
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, SingularMode
+from statechart.kernels.jit import part, seldom
+
+ENDED, WEDGED, ENDLESS, POWERLESS, UNTRUSTED = range(5)
+"""How a path ends: as it should, wedged and led on, not, nowhere, in what cannot be solved."""
+
+NEWTON, POISSON, STRONGE = range(3)
+"""What restitution means."""
+
+SLIP, SLIP_PLUS, SLIP_MINUS, STICK, WEDGE = range(1, 6)
+"""Pieces of a path, in its code digits of base 8, the first the lowest."""
 
 MEANINGS: Mapping[str, int] = {
     "newton": NEWTON,
@@ -46,19 +44,194 @@ MEANINGS: Mapping[str, int] = {
 """Law of a contact to what its restitution means."""
 _PIECES = {SLIP: "slip", SLIP_PLUS: "slip+", SLIP_MINUS: "slip-", STICK: "stick", WEDGE: "wedge"}
 
+_MAX_PIECES = 8
+RAISES = 1e-9
+"""An impact that raises the energy by more than this part of the terms of its work is told of."""
+# Of the terms of a rate: less is no error that an impulse should mend.
+_ROUNDING = 8 * 2.0**-52
+
+
+@part
+def _along(
+    mass: Array, jacobian: Array, n: float, t: float, change: Array
+) -> tuple[int, float, float, float, float]:
+    """Impulse along (n, t), forwards; scaled to a unit change of normal velocity.
+
+    Where it does not change that (a particle under infinite friction), to one of slip. Returns a
+    status, the rates of both velocities, and the impulse.
+    """
+    size = len(change)
+    right, ones, column = np.zeros(size), np.ones(1), np.empty((1, size))
+    for i in range(size):
+        column[0, i] = n * jacobian[0, i] + t * jacobian[1, i]
+    for direction in range(2):
+        status, x = saddle(mass, right, jacobian[direction : direction + 1], column, ones)
+        if status == INEXACT:
+            return UNTRUSTED, 0.0, 0.0, 0.0, 0.0
+        if status != SOLVED:
+            continue
+        # Where pressing makes the approach faster (Painleve), the impulse still grows.
+        amount = x[size]
+        forwards = 1.0 if amount >= 0.0 else -1.0
+        for i in range(size):
+            change[i] = forwards * x[i]
+        u_n = forwards if direction == 0 else 0.0
+        return ENDED, u_n, dot(jacobian[1], change), abs(amount) * n, abs(amount) * t
+    return POWERLESS, 0.0, 0.0, 0.0, 0.0
+
+
+@part
+def _guided(jacobian: Array) -> bool:
+    """Whether the point can move along its normal alone: then friction has nothing to hold."""
+    for i in range(jacobian.shape[1]):
+        if abs(jacobian[1, i]) > _ROUNDING * abs(jacobian[0, i]):
+            return False
+    return True
+
+
+@part
+def _piece(
+    mass: Array, jacobian: Array, cone_n: float, cone_t: float, u_t: float, change: Array
+) -> tuple[int, int, float, float, float, float]:
+    """Piece that follows; `WEDGE` where friction keeps the point from going anywhere."""
+    if cone_t == 0.0 or (u_t == 0.0 and _guided(jacobian)):
+        status, un, ut, normal, along = _along(mass, jacobian, cone_n, 0.0, change)
+        return status, SLIP, un, ut, normal, along
+    if u_t == 0.0:
+        size = len(change)
+        status, x = saddle(mass, np.zeros(size), jacobian, jacobian, np.array([1.0, 0.0]))
+        if status == INEXACT:
+            return UNTRUSTED, STICK, 0.0, 0.0, 0.0, 0.0
+        if status == SOLVED and cone_n * abs(x[size + 1]) <= cone_t * x[size]:
+            for i in range(size):
+                change[i] = x[i]
+            return ENDED, STICK, 1.0, 0.0, x[size], x[size + 1]
+    for sign in (1.0, -1.0):
+        if u_t * sign < 0.0:
+            continue
+        status, un, ut, normal, along = _along(mass, jacobian, cone_n, -sign * cone_t, change)
+        if status != ENDED or u_t != 0.0 or sign * ut > 0.0:
+            return status, SLIP_PLUS if sign > 0.0 else SLIP_MINUS, un, ut, normal, along
+    return ENDED, WEDGE, 0.0, 0.0, 0.0, 0.0
+
+
+@part
+def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
+    """Solve ``normal (u_n s + u_n' s^2 / 2) = left`` for s >= 0."""
+    if left <= 0.0 or normal <= 0.0:
+        return 0.0
+    # Divided by the impulse: of masses above 1e154 its square is no float.
+    share = left / normal
+    inside = u_n * u_n + 2.0 * rate * share
+    root = math.sqrt(inside) if inside > 0.0 else 0.0
+    return 2.0 * share / (u_n + root) if u_n + root > 0.0 else math.inf
+
+
+@seldom
+def strike(
+    mass: Array,
+    jacobian: Array,
+    rates: tuple[float, float],
+    cone: Array,
+    meaning: int,
+    restitution: float,
+    braking: bool,
+    velocity: Array,
+) -> tuple[int, float, float, int, float, float]:
+    """Let one contact be hit.
+
+    Parameters
+    ----------
+    mass : (n, n), jacobian : (2, n) array
+    rates : (float, float)
+        Of the gap, and along the surface.
+    cone : (2,) array
+        cone_n, cone_t.
+    meaning : int
+        NEWTON, POISSON or STRONGE.
+    restitution : float
+    braking : bool
+        Slip is stopped first, though the contact does not approach.
+    velocity : (n,) array
+        Rates of the coordinates; brought up to date.
+
+    Returns
+    -------
+    status : int
+    normal, tangential : float
+        Impulse on the body.
+    path : int
+        Code of its pieces.
+    u_n, u_t : float
+        Rates of the gap and along the surface where it ended.
+    """
+    size, cone_n, cone_t = len(velocity), cone[0], cone[1]
+    before, change = velocity.copy(), np.empty(len(velocity))
+    approach, u_t = rates
+    u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
+    compressed, stored, compressing = 0.0, 0.0, True
+    path, place, last = 0, 0, 0
+    for _ in range(_MAX_PIECES):
+        status, name, un, ut, pn, pt = _piece(mass, jacobian, cone_n, cone_t, u_t, change)
+        if status != ENDED:
+            return status, normal, tangential, path, u_n, u_t
+        terms = 0.0
+        for i in range(size):
+            terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
+        if name != last:
+            path += name << 3 * place
+            place, last = place + 1, name
+        if name == WEDGE:
+            # What has one way to move only stops with both velocities zero at once; friction may
+            # then keep it from going back.
+            led = u_n < -_ROUNDING * terms
+            return WEDGED if led else ENDED, normal, tangential, path, u_n, u_t
+        to_stop = -u_t / ut if u_t * ut < 0.0 else math.inf
+        if braking and u_t != 0.0:
+            to_end = math.inf
+        elif compressing:
+            to_end = max(-u_n / un, 0.0) if un > 0.0 else math.inf
+        elif meaning == NEWTON:
+            to_end = (-restitution * approach - u_n) / un if un > 0.0 else math.inf
+        elif meaning == POISSON:
+            left = (1.0 + restitution) * compressed - normal
+            to_end = left / pn if pn > 0.0 else 0.0
+        else:
+            to_end = _energetic(un, pn, u_n, restitution * restitution * stored - work)
+        length = min(to_stop, to_end)
+        if not length < math.inf:
+            break
+        work += pn * length * (u_n + 0.5 * un * length)
+        for i in range(size):
+            velocity[i] += change[i] * length
+        normal += pn * length
+        tangential += pt * length
+        u_n = 0.0 if compressing and to_end <= to_stop else u_n + un * length
+        u_t = 0.0 if to_stop <= to_end else u_t + ut * length
+        if to_end <= to_stop:
+            if not compressing or restitution == 0.0:
+                # Pieces that cancel leave their own rounding in what the law prescribes.
+                terms = made = 0.0
+                for i in range(size):
+                    terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
+                    made += jacobian[0, i] * (velocity[i] - before[i])
+                missing = u_n - (approach + made)
+                if abs(missing) > _ROUNDING * terms:
+                    for i in range(size):
+                        velocity[i] += change[i] * un * missing
+                    normal += pn * un * missing
+                    tangential += pt * un * missing
+                return ENDED, normal, tangential, path, u_n, u_t
+            compressing, compressed = False, normal
+            stored, work = -work, 0.0
+    return ENDLESS, normal, tangential, path, u_n, u_t
+
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """What an impact does.
+    """An impact: the rates (n,) after it, the impulse on the body, and the pieces of its path.
 
-    Attributes
-    ----------
-    velocity : (n,) array
-        Rates of the coordinates after it.
-    normal, tangential : float
-        Impulse on the body.
-    path : tuple of str
-        slip+, slip-, stick in the order of the path, and wedge where friction stops it for good.
+    Pieces are slip+, slip-, stick; the last is wedge where friction stops the point for good.
     """
 
     velocity: Array
@@ -77,19 +250,8 @@ def impact(
 ) -> Impact:
     """Return the outcome of an impact at `contact`, the only closed one.
 
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The state's numbers, before.
-    contact : PerContact
-        With ``gap_rate < 0``.
-    law : ContactLaw
-        Friction and the meaning of restitution.
-    restitution : float
-        Coefficient, 0 to 1.
-    braking : bool
-        Slip is stopped first, though the contact does not approach (see
-        `contacts.impacts.jamming`).
+    With `braking` slip is stopped first, though the contact does not approach (see
+    `contacts.impacts.jamming`).
 
     Raises
     ------
@@ -103,8 +265,7 @@ def impact(
     status, normal, tangential, code, u_n, u_t = strike(
         np.ascontiguousarray(snapshot.mass),
         np.ascontiguousarray(contact.jacobian),
-        contact.gap_rate,
-        contact.slip,
+        (contact.gap_rate, contact.slip),
         np.array([law.cone_n, law.cone_t]),
         MEANINGS[law.impact],
         restitution,

@@ -18,7 +18,6 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import Snapshot
 from contacts.impacts.plastic import STEEP
-from contacts.impacts.work import work_of
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.dependence import independent
@@ -31,9 +30,9 @@ from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Ints
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
-_ENUMERATED = 4
+_MAX_ENUMERATED = 4
 # Up to here it is the last resort: inertias that differ by more than 1e12 ruin Lemke's matrix.
-_ENUMERATED_LAST = 7
+_MAX_LAST_RESORT = 7
 _ON_EDGE = 1e-9
 # Relative to the terms of each inequality: what rounding makes of equality, and what is refused.
 _EXACT, _TIE = 1e-13, 1e-11
@@ -54,27 +53,14 @@ _NAMES = {**STATES, _PRESS: "stick"}
 
 @dataclass(frozen=True, eq=False)
 class Impulses:
-    """One solution of the impact's complementarity problem.
+    """One solution of the impact's complementarity problem."""
 
-    Attributes
-    ----------
-    change : (n,) array
-        Of the rates of the coordinates.
-    impulses : (c, 2) array
-        V and H on the body; zero where a contact is not closed.
-    states : tuple of str
-        open, stick, slip+, slip- or slip (no friction), per contact.
-    indeterminate : tuple of bool
-        Contacts whose impulses the motion does not determine; the smallest are given.
-    violation : float
-        The largest relative to the terms of its inequality.
-    """
-
-    change: Array
-    impulses: Array
-    states: tuple[str, ...]
+    change: Array  # (n,): Of the rates of the coordinates
+    impulses: Array  # (c, 2): V and H on the body; zero where a contact is not closed
+    states: tuple[str, ...]  # open, stick, slip+, slip- or slip (no friction), per contact
+    # Contacts whose impulses the motion does not determine; the smallest are given
     indeterminate: tuple[bool, ...]
-    violation: float
+    violation: float  # The largest relative to the terms of its inequality
 
 
 def collisions(
@@ -94,9 +80,9 @@ def collisions(
     group = [i for i, shut in enumerate(closed) if shut]
     problem = _Problem.of(snapshot, laws, group, restitution)
     agree: list[Impulses] = []
-    if len(group) > _ENUMERATED:
+    if len(group) > _MAX_ENUMERATED:
         agree = problem.solve(problem.by_lemke())
-    if not agree and len(group) <= _ENUMERATED_LAST:
+    if not agree and len(group) <= _MAX_LAST_RESORT:
         agree = problem.solve(list(product(*(_choices(laws[i]) for i in group))))
     found: list[Impulses] = []
     for collision in sorted(agree, key=_preference):
@@ -116,32 +102,17 @@ def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The contacts of a group, and the coordinates that they move.
+    """The contacts of a group, and the coordinates that they move."""
 
-    Attributes
-    ----------
-    group : list of int
-        Contacts.
-    moved : (m,) array of int
-        Coordinates, of `size`.
-    mass : (m, m), jacobians : (g, 2, m), cones : (g, 2)
-    start : (g, 2)
-        What v_n + e min(v_n-, 0) and v_t are without impulses.
-    velocity : (m,)
-        Before.
-    plastic : bool
-        Whether nothing rebounds: then no impulses can raise the energy.
-    """
-
-    group: list[int]
-    moved: Ints
+    group: list[int]  # Contacts
+    moved: Ints  # (m,): Coordinates, of `size`
     size: int
-    mass: Array
+    mass: Array  # (m, m), jacobians : (g, 2, m), cones : (g, 2)
     jacobians: Array
     cones: Array
-    start: Array
-    velocity: Array
-    plastic: bool
+    start: Array  # (g, 2): What v_n + e min(v_n-, 0) and v_t are without impulses
+    velocity: Array  # (m,): Before
+    plastic: bool  # Whether nothing rebounds: then no impulses can raise the energy
 
     @classmethod
     def of(
@@ -367,4 +338,44 @@ def _preference(collision: Impulses) -> tuple[bool, int, int, tuple[str, ...]]:
         states.count("open"),
         len(states) - states.count("stick"),
         states,
+    )
+
+
+def work_of(
+    jacobians: Array,
+    mass: Array,
+    velocity: Array,
+    before: Array,
+    changes: Array,
+    impulses: Array,
+) -> tuple[Array, Array]:
+    """Return the work of impulses against the surfaces, and the size of the terms it is made of.
+
+    At the contacts, or of the bodies' momenta, whichever is made of smaller terms: where impulses
+    are huge and cancel, rounding hides it in the one, and where bodies are fast in the other.
+
+    Of (.., n) changes by (.., g, 2) impulses, from the rates `velocity` (n,) of the coordinates and
+    `before` (g, 2) of the contacts.
+    """
+    means = 0.5 * changes
+    rates = np.einsum("gdn,...n->...gd", jacobians, means)
+    spread = np.einsum("gdn,...n->...gd", np.abs(jacobians), np.abs(changes))
+    momenta, receding = changes @ mass, before - jacobians @ velocity
+    works = np.array(
+        [
+            (impulses * (before + rates)).sum(axis=(-2, -1)),
+            (momenta * (velocity + means)).sum(axis=-1) + (impulses * receding).sum(axis=(-2, -1)),
+        ]
+    )
+    sizes = np.array(
+        [
+            (np.abs(impulses) * (np.abs(before) + spread)).sum(axis=(-2, -1)),
+            (np.abs(momenta) * (np.abs(velocity) + np.abs(means))).sum(axis=-1)
+            + (np.abs(impulses) * np.abs(receding)).sum(axis=(-2, -1)),
+        ]
+    )
+    smaller = sizes.argmin(axis=0)[None]
+    return (
+        np.take_along_axis(works, smaller, axis=0)[0],
+        np.take_along_axis(sizes, smaller, axis=0)[0],
     )

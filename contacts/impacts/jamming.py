@@ -31,23 +31,12 @@ _NOTHING = 1e-9
 
 @dataclass(frozen=True)
 class Jam:
-    """Contacts that friction presses in: an impact without collision resolves it.
+    """Contacts that friction presses in: an impact without collision resolves it."""
 
-    Attributes
-    ----------
-    why : str
-        Which contacts, and by what numbers.
-    places : tuple of int
-        They.
-    sliding : tuple of str
-        The mode in which they do.
-    considered : mapping
-        Mode -> why it does not agree with the state.
-    """
-
-    why: str
-    places: tuple[int, ...]
-    sliding: Key
+    why: str  # Which contacts, and by what numbers
+    places: tuple[int, ...]  # They
+    sliding: Key  # The mode in which they do
+    # Mode -> why it does not agree with the state
     considered: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:

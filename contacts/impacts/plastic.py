@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from contacts.dynamics.snapshot import SCALARS
+from contacts.modes.fast_classification import ModeRules
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import solve_modes
 from contacts.solvers.redundancy import connected, mode_columns
@@ -17,7 +18,7 @@ from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import part
 
-MOST = 4
+MAX_CONTACTS = 4
 """Contacts in one impact."""
 STEEP = 1e3
 """Above this mu a cone's edges alone do not span it in double precision."""
@@ -61,32 +62,21 @@ def _explained(mass: Array, jacobians: Array, change: Array, impulses: Array) ->
 
 
 @part
-def together(
-    mass: Array,
-    numbers: Array,
-    n: int,
-    allowed: Bools,
-    cones: Array,
-    restitution: Array,
-    group: Ints,
-    inertia: float,
-    slow: float,
-    velocity: Array,
+def strike_group(
+    rules: ModeRules, numbers: Array, restitution: Array, group: Ints, velocity: Array,
     impulse: Array,
-) -> int:
+) -> int:  # fmt: skip
     """Let a group of contacts be hit that do not rebound, and that all feel each other.
 
     Parameters
     ----------
-    mass : (n, n) array
+    rules : ModeRules
+        Of all contacts.
     numbers : (o,) array
         The scene's (`contacts.dynamics.snapshot.SnapshotTape`).
-    allowed, cones, restitution
-        Of all contacts.
+    restitution : (c,) array
     group : (g,) array of int64
-        Those that are closed.
-    inertia, slow : float
-        A mass of the scene's size, and the tolerance of speeds.
+        The contacts that are closed.
     velocity : (n,) array
         Rates of the coordinates; brought up to date.
     impulse : (c, 2) array
@@ -98,15 +88,17 @@ def together(
         Modes that agree, in digits of base 8 above 1, the first contact the lowest; 0 where there
         is not one that is clear.
     """
+    n, allowed, cones = velocity.shape[0], rules.allowed, rules.cones
+    mass = numbers[: n * n].reshape((n, n))
     count, contacts = group.shape[0], allowed.shape[0]
-    if count > MOST:
+    if count > MAX_CONTACTS:
         return 0
     at = n * n + n + 1
     scalars = at + (2 * n + 2) * contacts
     jacobians, start = np.empty((count, 2, n)), np.empty((count, 2))
     edges, choices = np.empty((count, 2)), np.empty((count, 4), np.int64)
     counts = np.empty(count, np.int64)
-    total, fastest = 1, slow
+    total, fastest = 1, rules.speed
     linked = mass != 0.0
     for g in range(count):
         c = group[g]
@@ -150,7 +142,7 @@ def together(
         codes,
         everywhere,
         everywhere,
-        inertia * fastest,
+        rules.force / rules.acceleration * fastest,
         fastest,
         status,
         changes,

@@ -18,10 +18,8 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impacts.impact import Impact, impact
-from contacts.impacts.impulses import Impulses, collisions, coupled
-from contacts.impacts.path import RAISES
-from contacts.impacts.work import work_of
+from contacts.impacts.impact import RAISES, Impact, impact
+from contacts.impacts.impulses import Impulses, collisions, coupled, work_of
 from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE, shares
 from statechart.arrays import Array
@@ -34,31 +32,16 @@ _ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """What the impacts of an instant do.
+    """What the impacts of an instant do."""
 
-    Attributes
-    ----------
-    velocity : (n,) array
-        Rates of the coordinates after them.
-    impulses : (c, 2) array
-        V and H on the body.
-    path : tuple of str
-        What was done, in order.
-    share : float
-        Of the way from the plastic impulse to the one with restitution; the smallest where
-        several groups of contacts are hit, 1 where no group needs it.
-    indeterminate : tuple of bool
-        See `contacts.impacts.impulses.Impulses`.
-    warning : str
-        "" or sentences.
-    """
-
-    velocity: Array
-    impulses: Array
-    path: tuple[str, ...]
+    velocity: Array  # (n,): Rates of the coordinates after them
+    impulses: Array  # (c, 2): V and H on the body
+    path: tuple[str, ...]  # What was done, in order
+    # Of the way from the plastic impulse to the one with restitution; the smallest where several
+    # groups of contacts are hit, 1 where no group needs it
     share: float
-    indeterminate: tuple[bool, ...]
-    warning: str = ""
+    indeterminate: tuple[bool, ...]  # See `contacts.impacts.impulses.Impulses`
+    warning: str = ""  # "" or sentences
 
 
 class _Done(NamedTuple):

@@ -52,28 +52,15 @@ _EXACT = 1e-13
 
 
 class Case(NamedTuple):
-    """A state whose mode is asked for.
+    """A state whose mode is asked for."""
 
-    Attributes
-    ----------
-    snapshot : Snapshot
-        Its numbers.
-    laws : sequence of ContactLaw
-        One per contact.
-    closed, still : sequence of bool
-        Whether the contact's gap is closed; whether its slip is zero.
-    scales : Scales
-        For judging inequalities.
-    tie : float
-        Violations up to this (relative) count as boundary cases, not as violations.
-    """
-
-    snapshot: Snapshot
-    laws: Sequence[ContactLaw]
+    snapshot: Snapshot  # Its numbers
+    laws: Sequence[ContactLaw]  # One per contact
+    # `closed`, `still`: Whether the contact's gap is closed; whether its slip is zero
     closed: Sequence[bool]
     still: Sequence[bool]
-    scales: Scales
-    tie: float = 0.0
+    scales: Scales  # For judging inequalities
+    tie: float = 0.0  # Violations up to this (relative) count as boundary cases, not as violations
 
 
 Undetermined = tuple[tuple[str, ...], str]
@@ -81,29 +68,15 @@ Undetermined = tuple[tuple[str, ...], str]
 
 
 class Candidate(NamedTuple):
-    """One assignment of modes to the contacts, solved.
+    """One assignment of modes to the contacts, solved."""
 
-    Attributes
-    ----------
-    states : tuple of str
-        Per contact.
-    accelerations : (n,) array
-    forces : (c, 2) array
-        V and H per contact.
-    violation : float
-        The largest inequality it breaks, in units of the scales; <= 0: none.
-    broken : (str, int, float)
-        That inequality: contact, which (as `contacts.states` numbers them), its
-        number.
-    share : Share or None
-        How the contacts share the forces, where the motion does not determine them.
-    """
-
-    states: tuple[str, ...]
-    accelerations: Array
-    forces: Array
-    violation: float
+    states: tuple[str, ...]  # Per contact
+    accelerations: Array  # (n,)
+    forces: Array  # (c, 2): V and H per contact
+    violation: float  # The largest inequality it breaks, in units of the scales; <= 0: none
+    # That inequality: contact, which (as `contacts.states` numbers them), its number
     broken: tuple[str, int, float]
+    # How the contacts share the forces, where the motion does not determine them
     share: Share | None = None
 
     @property

@@ -29,7 +29,7 @@ from contacts.modes.candidates import (
     openness,
     same_motion,
 )
-from contacts.modes.doubt import Doubt
+from contacts.modes.force_uncertainty import ForceUncertainty
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank
 from contacts.scene.modes import OWN
 from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
@@ -66,41 +66,22 @@ def _verdicts(
 
 
 class Choice(NamedTuple):
-    """The candidate taken, what was considered, and what a reader must know.
-
-    Attributes
-    ----------
-    taken : Candidate
-    considered : mapping
-        Mode -> why it was taken or not.
-    warning : str
-        "" or a sentence, such as for an indeterminate contact.
-    notes : tuple of str
-        What is to be known of the mode whenever it is taken.
-    doubted : bool
-        Whether its forces may be beyond their bounds by what the run is off by.
-    """
+    """The candidate taken, what was considered, and what a reader must know."""
 
     taken: Candidate
-    considered: Mapping[str, str]
-    warning: str = ""
-    notes: tuple[str, ...] = ()
-    doubted: bool = False
+    considered: Mapping[str, str]  # Mode -> why it was taken or not
+    warning: str = ""  # "" or a sentence, such as for an indeterminate contact
+    notes: tuple[str, ...] = ()  # What is to be known of the mode whenever it is taken
+    doubted: bool = False  # Whether its forces may be beyond their bounds by what the run is off by
 
 
 class Before(NamedTuple):
-    """What held before: what goes on, and which forces are there.
+    """What held before: what goes on, and which forces are there."""
 
-    Attributes
-    ----------
-    mode : tuple of str or None
-        The mode that the state comes from: of several that agree the one is taken that moves on as
-        it did. None after an impact, and at the start.
-    bearing : frozenset of int
-        Contacts that may bear. What presses others against each other comes without cause.
-    """
-
+    # The mode that the state comes from: of several that agree the one is taken that moves on as it
+    # did. None after an impact, and at the start
     mode: tuple[str, ...] | None = None
+    # Contacts that may bear. What presses others against each other comes without cause
     bearing: frozenset[int] = frozenset()
 
     @classmethod
@@ -117,23 +98,13 @@ def choose(
     tie: float,
     still_below: float,
     before: Before | None = None,
-    doubt: Doubt | None = None,
+    uncertainty: ForceUncertainty | None = None,
 ) -> Choice:
     """Return the mode that the state calls for.
 
-    Parameters
-    ----------
-    closed : sequence of bool
-        Which contacts touch; the others are free.
-    tie : float
-        Violations up to this (relative) count as boundary cases, not as violations.
-    still_below : float
-        Slip speeds up to this count as zero.
-    before : Before, optional
-        What held before. Where contacts share a load its mode goes on as long as some forces
-        explain it, whatever else agrees, if these are of contacts that bore. Not given: all may.
-    doubt : Doubt, optional
-        What the state may be off by, where contacts may have come to rest.
+    Violations up to `tie` (relative) are boundary cases, slip speeds up to `still_below` are zero.
+    Where contacts share a load the mode of `before` goes on as long as some forces explain it,
+    whatever else agrees, if these are of contacts that bore; without `before` all may.
 
     Raises
     ------
@@ -172,7 +143,7 @@ def choose(
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
     taken, warning = _rivals(_continuing(agreeing, tried, scales, before), case, before)
-    doubted = None if many or doubt is None else doubt.sticking(case, options, taken)
+    doubted = None if many or uncertainty is None else uncertainty.sticking(case, options, taken)
     if doubted is not None:
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
@@ -182,11 +153,11 @@ def choose(
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
     notes += _carried(snapshot, laws, closed, taken.states)
-    if doubt is not None and doubted is not None:
+    if uncertainty is not None and doubted is not None:
         notes += tuple(
             f"{law.name} comes to rest where that takes just the force that friction gives, as far "
             "as the tolerance tells: it sticks, and might slip on"
-            for law, state, was in zip(laws, taken.states, doubt.sure, strict=True)
+            for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
             if state == "pin" and was != "pin"
         )
     considered = LazyMapping(partial(_verdicts, laws, tried, taken, tie))

@@ -7,6 +7,7 @@ step (`contacts.event_driven.laws`).
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,58 +17,74 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, SnapshotTape
 from contacts.solvers.mode_solver import solve_modes
 from contacts.states import CODES, FREE, OFF, OFF_CODE, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
-from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace import Key
 from statechart.kernels.jit import part, seldom
-from statechart.kernels.tapes import tape_values
 
 _NAMES = {code: name for name, code in CODES.items() if name != OFF}
+
+
+class ModeRules(NamedTuple):
+    """What decides the modes of a run's contacts.
+
+    Attributes
+    ----------
+    allowed : (c, 5) array
+        Whether a contact may be in the state of that code.
+    cones : (c, 2) array
+        cone_n, cone_t.
+    near, creep : float
+        A closed contact's gap and velocities that need no projection.
+    gap, speed : float
+        Their tolerances.
+    tie, force, acceleration : float
+        See `contacts.solvers.mode_solver.solve_modes`; the last two are the scales.
+    doubtful : float
+        Forces of a contact that comes to rest are no nearer to a bound
+        (`contacts.modes.force_uncertainty`).
+    """
+
+    allowed: Bools
+    cones: Array
+    near: float
+    creep: float
+    gap: float
+    speed: float
+    tie: float
+    doubtful: float
+    force: float
+    acceleration: float
+
+
+def mode_rules(setup: SceneSetup) -> ModeRules:
+    """Return the rules of a run."""
+    return ModeRules(
+        allowed(tuple([law.states for law in setup.contacts])),
+        cones(setup.contacts),
+        *landing(setup.tolerances),
+        setup.tolerances["gap"],
+        setup.tolerances["speed"],
+        setup.tie,
+        setup.doubtful,
+        setup.scales.force,
+        setup.scales.acceleration,
+    )
 
 
 def fast_mode(
     setup: SceneSetup, tape: SnapshotTape, state: Array, time: float, flow: Key | None
 ) -> tuple[Key, float] | None:
-    """Return the mode that the state calls for and the energy; None where the instant is not usual.
+    """Return the mode that the state calls for and the energy; None where that is not as simple.
 
-    Parameters
-    ----------
-    setup : SceneSetup
-        The numbers of the run.
-    tape : SnapshotTape
-        Of a scene without joints.
-    state : (2 n,) array
-        Left as it is.
-    time : float
-        When.
-    flow : tuple of str or None
-        The mode that led here; None at the start of a run.
+    `flow` is the mode that led here, None at the start of a run. The scene has no joints.
     """
-    contacts, tolerances = setup.contacts, setup.tolerances
-    near, creep = landing(tolerances)
-    codes = np.empty(len(contacts), np.int64)
-    numbers = np.empty(len(tape.tape.outputs))
-    found = usual(
-        *tape.tape.program,
-        state,
-        setup.values,
-        time,
-        allowed(tuple([law.states for law in contacts])),
-        cones(contacts),
-        *_kept(flow, len(contacts)),
-        near,
-        creep,
-        tolerances["gap"],
-        tolerances["speed"],
-        setup.tie,
-        setup.doubtful,
-        setup.scales.force,
-        setup.scales.acceleration,
-        numbers,
-        codes,
-    )
-    if not found:
+    numbers, size = tape.tape.at(state, setup.values, time), tape.size
+    count = len(setup.contacts)
+    codes, kept = np.empty(count, np.int64), _kept(flow, count)
+    rules = mode_rules(setup)
+    lowest = np.where(kept == FREE, 0.0, -rules.near)
+    if not classify(rules, numbers, size, flow is not None, kept, lowest, codes):
         return None
-    size = tape.size
     return tuple([_NAMES[code] for code in codes.tolist()]), numbers.item(size * size + size)
 
 
@@ -83,77 +100,15 @@ def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
 
 
 @lru_cache(maxsize=1024)
-def _kept(flow: Key | None, count: int) -> tuple[bool, Ints]:
-    """Return whether a flow led here, and in which state it kept every contact."""
-    if flow is None:
-        return False, np.full(count, FREE)
-    return True, np.array([FREE if s in OPEN else CODES[s] for s in flow], np.int64)
+def _kept(flow: Key | None, count: int) -> Ints:
+    """Return the state in which a flow, where one led here, kept every contact."""
+    return np.array([FREE if s in OPEN else CODES[s] for s in flow or [OFF] * count], np.int64)
 
 
 # In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.
 ENDLESS = 1e13
 # More combinations of states are left to the laws.
-_MOST = 64
-
-
-@seldom
-def usual(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    state: Array,
-    parameters: Array,
-    time: float,
-    allowed: Bools,
-    cones: Array,
-    under_way: bool,
-    kept: Ints,
-    near: float,
-    creep: float,
-    close: float,
-    slow: float,
-    tie: float,
-    doubtful: float,
-    force_scale: float,
-    acceleration_scale: float,
-    numbers: Array,
-    taken: Ints,
-) -> bool:
-    """Classify every contact; False where the instant is not a usual one.
-
-    Parameters
-    ----------
-    code, constants, outputs
-        Tape of the scene's numbers (`contacts.dynamics.snapshot.SnapshotTape`).
-    state, parameters, time
-        Where.
-    numbers : (o,) array
-        To be filled with the scene's numbers.
-    allowed, cones, under_way, kept, near, creep, close, slow, tie, doubtful
-        See `classify`, as for the scales and `taken`.
-    """
-    tape_values(code, constants, outputs, state, parameters, time, numbers)
-    lowest = np.empty(taken.shape[0])
-    for c in range(taken.shape[0]):
-        lowest[c] = 0.0 if kept[c] == FREE else -near
-    return classify(
-        numbers,
-        state.shape[0] // 2,
-        allowed,
-        cones,
-        under_way,
-        kept,
-        lowest,
-        near,
-        creep,
-        close,
-        slow,
-        tie,
-        doubtful,
-        force_scale,
-        acceleration_scale,
-        taken,
-    )
+_MAX_COMBINATIONS = 64
 
 
 @part
@@ -169,52 +124,35 @@ def _doubted(
     return False
 
 
-@part
+@seldom
 def classify(
+    rules: ModeRules,
     numbers: Array,
     n: int,
-    allowed: Bools,
-    cones: Array,
     under_way: bool,
     kept: Ints,
     lowest: Array,
-    near: float,
-    creep: float,
-    close: float,
-    slow: float,
-    tie: float,
-    doubtful: float,
-    force_scale: float,
-    acceleration_scale: float,
     taken: Ints,
 ) -> bool:
     """Classify every contact; False where that is not as simple.
 
     Parameters
     ----------
+    rules : ModeRules
     numbers : (o,) array
         The scene's.
     n : int
         Number of coordinates.
-    allowed : (c, 5) array
-        Whether a contact may be in the state of that code.
-    cones : (c, 2) array
-        cone_n, cone_t.
     under_way, kept
         Whether a flow led here, and in which state (c,) it kept each contact; what is off stays so.
     lowest : (c,) array
         Of the gaps.
-    near, creep : float
-        A closed contact's gap and velocities that need no projection.
-    close, slow : float
-        Tolerances of gap and speed.
-    tie, force_scale, acceleration_scale : float
-        See `contacts.solvers.mode_solver.solve_modes`.
-    doubtful : float
-        Forces of a contact that comes to rest are no nearer to a bound (`contacts.modes.doubt`).
     taken : (c,) array
         To be filled: the state of every contact.
     """
+    allowed, near, creep, slow, tie = (
+        rules.allowed, rules.near, rules.creep, rules.speed, rules.tie,
+    )  # fmt: skip
     contacts = taken.shape[0]
     at = n * n + n + 1
     biases_at = at + 2 * n * contacts
@@ -229,7 +167,7 @@ def classify(
             continue
         place = scalars + SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        shut = gap <= close
+        shut = gap <= rules.gap
         if not gap >= lowest[c] or (shut and rate < -slow):
             return False
         lasting = kept[c] != FREE
@@ -253,7 +191,7 @@ def classify(
                 options[c, counts[c]] = s
                 counts[c] += 1
         total *= counts[c]
-    if total == 0 or total > _MOST:
+    if total == 0 or total > _MAX_COMBINATIONS:
         return False
     codes = np.empty((total, contacts), np.int64)
     for k in range(total):
@@ -268,12 +206,12 @@ def classify(
         numbers[n * n : n * n + n],
         numbers[at:biases_at].reshape((contacts, 2, n)),
         numbers[biases_at:scalars].reshape((contacts, 2)),
-        cones,
+        rules.cones,
         codes,
         closed,
         still,
-        force_scale,
-        acceleration_scale,
+        rules.force,
+        rules.acceleration,
         status,
         np.empty((total, n)),
         forces,
@@ -282,11 +220,11 @@ def classify(
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False
-    if _doubted(codes, kept, closed, still, verdicts, doubtful):
+    if _doubted(codes, kept, closed, still, verdicts, rules.doubtful):
         return False
     for c in range(contacts):
         for force in forces[agreeing, c]:
-            if abs(force) > ENDLESS * force_scale:
+            if abs(force) > ENDLESS * rules.force:
                 return False
         place = scalars + SCALARS * c
         taken[c] = OFF_CODE if kept[c] == OFF_CODE else codes[agreeing, c]

@@ -32,31 +32,20 @@ _SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """The smallest forces that explain a motion.
+    """The smallest forces that explain a motion."""
 
-    Attributes
-    ----------
-    forces : (c, 2) array
-        V and H per contact.
-    zones : tuple of str
-        Per contact; OWN where the motion determines its force.
-    rows : tuple of str
-        Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones.
-    carriers : tuple of str
-        Which of the contact's forces, along normal and tangent ("n", "t") or along its edge
-        ("e"), are enough to move the bodies like that.
-    coordinates, joints : tuple of int
-        Those whose displacements y are enough, and the rows of the joints that hold for them.
-    violation : float
-        How far the worst contact is outside its zone, in units of force; <= 0: not at all.
-    """
-
-    forces: Array
-    zones: tuple[str, ...]
+    forces: Array  # (c, 2): V and H per contact
+    zones: tuple[str, ...]  # Per contact; OWN where the motion determines its force
+    # Which of the contact's constraints ("nt", "n", "t", "") are among the independent ones
     rows: tuple[str, ...]
+    # Which of the contact's forces, along normal and tangent ("n", "t") or along its edge ("e"),
+    # are enough to move the bodies like that
     carriers: tuple[str, ...]
+    # `coordinates`, `joints`: Those whose displacements y are enough, and the rows of the joints
+    # that hold for them
     coordinates: tuple[int, ...]
     joints: tuple[int, ...]
+    # How far the worst contact is outside its zone, in units of force; <= 0: not at all
     violation: float
 
     def roles(self, states: Sequence[str]) -> Roles:
@@ -85,16 +74,9 @@ def share(
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 
-    Parameters
-    ----------
-    code : (c,) array of int
-        Modes, as `contacts.states` numbers them.
-    snapshot : Snapshot
-    cones : (c, 2), forces : (c, 2)
-        Which explain the motion, in their cones or not.
-    inward : float
-        Forces this small inside the cones are added when zones are looked for, so that on the
-        boundary of what can be explained the zones still determine the forces.
+    The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
+    their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
+    looked for: on the boundary of what can be explained the zones then still determine the forces.
     """
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)

@@ -24,27 +24,15 @@ _NONE = 1e-14
 
 @dataclass(frozen=True)
 class Paradox:
-    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open.
-
-    Attributes
-    ----------
-    contact : str
-    p : float
-        Normal acceleration per unit of normal force V while it slides; per unit of the force
-        along the cone's edge where mu is infinite. In 1/mass.
-    b : float
-        Normal acceleration without force.
-    mu : float
-        Coefficient of friction.
-    critical : float
-        The mu at which p = 0.
-    """
+    """A sliding contact with p <= 0 (or nearly so), the other contacts seen as open."""
 
     contact: str
+    # Normal acceleration per unit of normal force V while it slides; per unit of the force along
+    # the cone's edge where mu is infinite. In 1/mass
     p: float
-    b: float
-    mu: float
-    critical: float
+    b: float  # Normal acceleration without force
+    mu: float  # Coefficient of friction
+    critical: float  # The mu at which p = 0
 
     @property
     def kind(self) -> str:
@@ -69,18 +57,8 @@ def paradoxes(
 ) -> dict[int, Paradox]:
     """Return the touching contacts that slide with p <= 0, or pressed with next to none.
 
-    Parameters
-    ----------
-    snapshot : Snapshot
-        The state's numbers.
-    laws : sequence of ContactLaw
-        One per contact.
-    touching : sequence of bool
-        Which contacts are closed.
-    still_below : float
-        Slip speeds up to this count as zero.
-    nearly : float
-        Those that are pressed with p up to this part of the response to a normal force, too.
+    Slip speeds up to `still_below` are zero; p up to `nearly`, in parts of the response to a normal
+    force, is next to none.
     """
     found: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):

@@ -1,6 +1,5 @@
-"""What a scene looks like: its bodies, surfaces and contacts as plain shapes at instants of a run.
+"""Pictures of scenes: bodies, surfaces and contacts as plain shapes at instants of a run.
 
-`stage` makes a film of a scene, of the shapes of `bodies`, the `links`
-between them, and `grounds`; `window` says what part
-of the plane is shown.
+`stage` makes a film of a scene, from the shapes of `bodies`, the `links` between them, and the
+`grounds` (surfaces); `window` chooses the part of the plane that is shown.
 """

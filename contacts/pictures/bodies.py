@@ -1,9 +1,8 @@
-"""Bodies as shapes: those that they declare, else what their points and masses tell."""
+"""Shapes of bodies: declared ones, else shapes that follow from points and masses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 import sympy as sp
@@ -31,14 +30,8 @@ class BodyShapes:
     not enclose it. All mass in one point, without an inertia, is drawn as that, with bars to its
     points. What is fixed to a body that declares a shape is part of that, and not drawn.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        Of the scene.
-    automaton : Automaton
-        Made of it, whose variables and parameters may be more.
-    known : mapping of str to float
-        Values of the automaton's parameters, in order.
+    The automaton of the scene may have more variables and parameters than the mechanics; `known`
+    are values of its parameters, in order.
     """
 
     def __init__(
@@ -52,7 +45,7 @@ class BodyShapes:
     def shapes(self, idle: frozenset[str]) -> tuple[Shape, ...]:
         """Return the shapes, from back to front.
 
-        Contacts that are `idle` tell no points, but of a body that has no others.
+        Points of `idle` contacts count only for a body that has no others.
         """
         bare = [name for name, body in self._scene.bodies.items() if not body.shape]
         fixed = self._fixed(bare) if bare else {}
@@ -65,7 +58,7 @@ class BodyShapes:
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
-                found += [*rims, *self._told(name, body, [*points, *fixed[name]], rims)]
+                found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
         return (*self._links.shapes(), *found, *self._joints())
 
     def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
@@ -77,7 +70,7 @@ class BodyShapes:
         return Shape("outline", points, frame, frame, region=region, name=name)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
-        """Return the places in a body's frame that the scene speaks of."""
+        """Return the places in a body's frame that the scene names."""
         scene = self._scene
         touching = scene.contacts.items()
         points = [c.point for key, c in touching if key not in idle and c.radius is None]
@@ -104,7 +97,7 @@ class BodyShapes:
             found.append(Shape("outline", spoke, frame, frame, name=name))
         return found
 
-    def _told(
+    def _inferred(
         self, name: str, body: Body, points: Sequence[tuple[float, float]], rims: Sequence[Shape]
     ) -> list[Shape]:
         frame = self._frames[name]
@@ -199,9 +192,9 @@ class BodyShapes:
 
 
 def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float], float]) -> float:
-    """Return the radius of a disc that is drawn to touch with its rim where its centre is said to.
+    """Return the radius of a disc whose centre is declared to touch, and whose rim is drawn to.
 
-    0 where it is none: its contact is where it is declared to be.
+    0 where the point of the contact is no centre of a disc.
     """
     if contact.radius is not None:
         return 0.0
@@ -231,28 +224,28 @@ def _line(points: Array) -> tuple[tuple[Array, Array], bool]:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull, counter-clockwise (Andrew 1979)."""
+    """Return the corners of the convex hull, counter-clockwise (Andrew 1979).
+
+    Points on a line have one, too, which Qhull refuses.
+    """
     ordered = sorted({(float(x), float(y)) for x, y in points})
 
     def half(chain: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
         kept: list[tuple[float, float]] = []
-        for point in chain:
-            while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0.0:
+        for x, y in chain:
+            while len(kept) > 1:
+                (a, b), (c, d) = kept[-2:]
+                if (c - a) * (y - b) - (d - b) * (x - a) > 0.0:
+                    break
                 kept.pop()
-            kept.append(point)
+            kept.append((x, y))
         return kept[:-1]
 
     return np.array([*half(ordered), *half(ordered[::-1])])
 
 
-def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
 def _encloses(hull: Array) -> bool:
-    """Whether the origin is well inside a polygon, counter-clockwise."""
-    closed = [*hull, hull[0]]
+    """Return whether the origin is well inside a polygon, counter-clockwise."""
+    (x, y), (u, v) = hull.T, np.roll(hull, -1, axis=0).T
     size = float(np.abs(hull).max())
-    return len(hull) > 2 and all(
-        _turn(a, b, (0.0, 0.0)) > SAME * size**2 for a, b in pairwise(closed)
-    )
+    return len(hull) > 2 and bool((x * v - y * u > SAME * size**2).all())

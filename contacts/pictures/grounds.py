@@ -27,20 +27,10 @@ def grounds(
     box: tuple[Array, Array],
     unit: float,
 ) -> tuple[Shape, ...]:
-    """Return the surfaces of a scene.
+    """Return the surfaces of a scene, for values `known` of its parameters.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its bodies one by one.
-    known : mapping of str to float
-        Parameters.
-    frames : mapping of str to int
-        Surface -> frame that moves it.
-    box : two (2,) arrays
-        The corners of all that is ever seen, in the world and in the frames of what is displaced.
-    unit : float
-        The width of a picture.
+    `frames` maps each surface to the frame that moves it, `box` are the corners of all that is ever
+    seen, in the world and in the frames of what is displaced, and `unit` is the width of a picture.
     """
 
     def number(text: str | int | float) -> float:
@@ -63,10 +53,10 @@ def grounds(
             centre = [number(text) for text in surface.circle]
             points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
             lift = 0.0
-        elif surface.height is not None and "x" in parse(surface.height).names:
-            points = _graph(surface.height, known, box, unit)
+        elif not is_straight(surface):
+            points = _graph(surface.height or 0, known, box, unit)
         else:
-            start, direction = _line(surface, number)
+            start, direction = line_of(surface, number)
             start = start + lift * np.array([direction[1], -direction[0]])
             straight.append((len(found), start, direction))
             found.append(_ground(name, _through(start, direction, box), frame))
@@ -99,7 +89,7 @@ def _carried(
     elif surface.edge is not None:
         points = np.array([[number(x), number(y)] for x, y in surface.edge])
     else:
-        start, direction = _line(surface, number)
+        start, direction = line_of(surface, number)
         # Beside the body's centre.
         start = start - (start @ direction) * direction
         points = np.array(
@@ -115,7 +105,13 @@ def _lift(scene: Scene, name: str, number: Callable[[str | int | float], float])
     return radii.pop() if len(radii) == 1 else 0.0
 
 
-def _line(surface: Surface, number: Callable[[str | int | float], float]) -> tuple[Array, Array]:
+def is_straight(surface: Surface) -> bool:
+    """Return whether a surface is a straight line without ends."""
+    graph = surface.height is not None and "x" in parse(surface.height).names
+    return not graph and surface.edge is None and surface.circle is None
+
+
+def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> tuple[Array, Array]:
     """Return a point of a straight surface and its direction, the solid on the right."""
     if surface.height is not None:
         slope = parse(surface.height)

@@ -1,4 +1,4 @@
-"""What holds bodies together without touching: pendulum rods, springs, dampers, other reactions."""
+"""Links that hold bodies together without contact: pendulum rods, springs, dampers, reactions."""
 
 from __future__ import annotations
 
@@ -19,26 +19,18 @@ from statechart.formulas.writer import compile_tape
 from statechart.pictures.film import WORLD, Shape, ShapeKind
 
 SAME = 1e-9
-"""What is so small beside what it belongs to is rounding."""
-# Configurations at which it is tried what holds at all.
+"""A length, relative to the size of its body or scene, that counts as round-off."""
+# Number of configurations at which an identity is tried.
 _TRIED = 5
-# By how much variables are moved, to see what forces follow, and of what share they do.
+# Step of the numerical derivatives of forces, and the share of a force that counts as a change.
 _MOVED, _FOLLOWS = 1e-4, 1e-6
 
 
 class Links:
-    """The links between the bodies of a scene, for values of its parameters.
+    """The links between the bodies of a scene, for values `known` of the automaton's parameters.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        Of the scene.
-    automaton : Automaton
-        Made of it, whose variables and parameters may be more.
-    known : mapping of str to float
-        Values of the automaton's parameters, in order.
-    frames : mapping of str to int
-        Body -> its frame.
+    The automaton may have more variables and parameters than the mechanics; `frames` maps bodies to
+    their frames.
     """
 
     def __init__(

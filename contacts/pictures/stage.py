@@ -1,8 +1,8 @@
-"""A scene as something to look at: from states of a run to a film."""
+"""The stage of a scene: a film from the states of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.rims import Vector
+from contacts.dynamics.rolling_disc import Vector
 from contacts.pictures.bodies import BodyShapes, disc_of
-from contacts.pictures.grounds import grounds
+from contacts.pictures.grounds import grounds, is_straight, line_of
 from contacts.pictures.links import compiled
 from contacts.pictures.window import ahead, beside, cloud_of, window
 from contacts.scene.scene import Scene
@@ -34,13 +34,7 @@ _FEW = 0.9
 
 
 class SceneStage:
-    """A scene as a stage; see `statechart.pictures.stage.Stage`.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Of the scene.
-    """
+    """The scene of an automaton as a stage; see `statechart.pictures.stage.Stage`."""
 
     def __init__(self, automaton: Automaton) -> None:
         scene = automaton.declaration
@@ -61,11 +55,11 @@ class SceneStage:
         """Return what the scene looks like at instants of a run; see `Stage`."""
         scene, regions = self._scene, self._automaton.regions
         key = moments.keys[0]
-        states, untold = tuple(self._automaton.states_told(key)), len(regions) - len(key)
+        states, unrecorded = tuple(self._automaton.states_told(key)), len(regions) - len(key)
         modes = np.zeros((len(moments.times), len(regions)), dtype=np.intp)
         for instant, key in enumerate(moments.keys):
-            pairs = zip(states[untold:], key, strict=True)
-            modes[instant, untold:] = [known.index(state) for known, state in pairs]
+            pairs = zip(states[unrecorded:], key, strict=True)
+            modes[instant, unrecorded:] = [known.index(state) for known, state in pairs]
         never = frozenset(
             region.name
             for k, region in enumerate(regions)
@@ -85,21 +79,11 @@ class SceneStage:
         poses = self._held(poses, moments, HATCH * unit)
         carried = self._grounds(moments, poses, centres, 1.05 * np.array(half))
         trails = tuple(self._bodies.values()) if len(self._bodies) <= _MOST_TRAILS else ()
+        names = tuple(region.name for region in regions)
         return Film(
-            title=self._automaton.name,
-            times=moments.times,
-            jumps=moments.jumps,
-            regions=tuple(region.name for region in regions),
-            states=states,
-            modes=modes,
-            shapes=(*carried, *shapes),
-            poses=poses,
-            touches=touches,
-            centres=centres,
-            half=half,
-            force=force,
-            trails=trails,
-        )
+            self._automaton.name, moments.times, moments.jumps, names, states, modes,
+            (*carried, *shapes), poses, touches, centres, half, force, trails,
+        )  # fmt: skip
 
     def _window(
         self,
@@ -194,18 +178,9 @@ class SceneStage:
         result = poses.copy()
         for name, frame in self._moved.items():
             surface = self._scene.surfaces[name]
-            if surface.turn != 0:
+            if surface.turn != 0 or not is_straight(surface):
                 continue
-            if surface.line is not None:
-                one, two = (self._pair(end, moments.parameters) for end in surface.line)
-                direction = (two - one) / np.hypot(*(two - one))
-            elif surface.incline is not None:
-                angle = parse(surface.incline).value(moments.parameters)
-                direction = np.array([np.cos(angle), np.sin(angle)])
-            elif surface.height is not None and "x" not in parse(surface.height).names:
-                direction = np.array([1.0, 0.0])
-            else:
-                continue
+            _, direction = line_of(surface, lambda text: parse(text).value(moments.parameters))
             along = result[:, frame, :2] @ direction
             whole = spacing * np.round(along / spacing)
             result[:, frame, :2] -= whole[:, None] * direction
@@ -220,7 +195,7 @@ class SceneStage:
         names = [region.name for region in self._automaton.regions]
         region = names.index(name)
         nothing = np.zeros(len(moments.times))
-        # Of what is not told forces are seen that steps found.
+        # Contacts whose modes are not recorded show the forces that steps found.
         place = region - len(names)
         open_ = np.array([len(key) >= -place and key[place] in OPEN for key in moments.keys])
         normal, tangential = (
@@ -234,10 +209,6 @@ class SceneStage:
             held = np.inf if contact.friction is None and "pin" in contact.kinds else 0.0
             friction = np.full(len(nothing), moments.parameters.get(f"{name}.friction", held))
         return Touch(name, region, places, normals, forces, friction)
-
-    @staticmethod
-    def _pair(pair: tuple[str | int | float, ...], known: Mapping[str, float]) -> Array:
-        return np.array([parse(text).value(known) for text in pair])
 
 
 def _usual(touches: tuple[Touch, ...]) -> float:

@@ -1,4 +1,4 @@
-"""Which part of the plane is shown: all of a run, or what follows the bodies."""
+"""The window of a picture: the whole of a run, or a part that follows the bodies."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
 def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     """Return a cloud with the surfaces that end not far from it.
 
-    Such as a drum around its grains, or a floor between walls; not those that go on.
+    A drum around its grains or a floor between walls counts; a surface without ends does not.
     """
     low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
     middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0

@@ -1,9 +1,7 @@
-"""What is declared: bodies, surfaces, contacts with their modes, forces, joints.
+"""The declaration of a scene: bodies, surfaces, contacts with their modes, forces, joints.
 
-`parts`, `joints` and `shapes` are what a scene consists of, `modes` the equations of free, slide
-and pin, `controls` the controllers. `fields` puts them together; `checks`, `collision_checks` and
-`polygons` say what their numbers and formulas must be, `unlikely` what they hardly are
-and `handovers` where one surface should follow another, `elsewhere`
-which names stand where they cannot. `scene` is the whole, `regions` are its statecharts,
-`other_laws` what time stepping replaces.
+`parts`, `joints` and `shapes` are its parts, `modes` the equations of free, slide and pin,
+`controls` the controllers; `fields` are its keys, and `scene` is the whole, with its statecharts
+in `regions`. `checks`, `collision_checks`, `polygons` and `misplaced_names` refuse mistakes, `lint`
+warns of what was hardly meant, `replaced_laws` of the laws that time stepping replaces.
 """

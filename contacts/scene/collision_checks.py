@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from contacts.scene.elsewhere import check_elsewhere
 from contacts.scene.fields import SceneFields
+from contacts.scene.misplaced_names import check_misplaced_names
 from contacts.scene.polygons import check_polygon
 from contacts.scene.shapes import INDEX, Shape
 from statechart.documents.document import Loc
@@ -188,7 +188,7 @@ def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str,
 
 
 def _check_names(scene: SceneFields, text: FormulaText, *loc: str | int) -> None:
-    check_elsewhere(scene, parse(text), scene.parameters, *loc)
+    check_misplaced_names(scene, parse(text), scene.parameters, *loc)
     check_names(parse(text), scene.parameters, *loc)
 
 

@@ -84,18 +84,10 @@ class Controller(ControlRegion):
 
 @dataclass(frozen=True)
 class Controls:
-    """What the controllers of a scene set.
+    """What the controllers of a scene set."""
 
-    Attributes
-    ----------
-    declared : mapping
-        Control -> its value where no state sets it.
-    regions : mapping
-        Name -> controller.
-    """
-
-    declared: Mapping[str, FormulaText]
-    regions: Mapping[str, Controller]
+    declared: Mapping[str, FormulaText]  # Control -> its value where no state sets it
+    regions: Mapping[str, Controller]  # Name -> controller
 
     @cached_property
     def flat(self) -> Mapping[str, FlatRegion]:

@@ -19,46 +19,31 @@ FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 
 @dataclass(frozen=True, eq=False)
 class ContactSymbols:
-    """A contact's quantities as expressions; lengths, speeds, forces in the scene's units.
+    """A contact's quantities as expressions; lengths, speeds, forces in the scene's units."""
 
-    Attributes
-    ----------
-    name : str
-        Of the contact.
-    gap : Expr
-        Distance from the surface, to first order; >= 0.
-    gap_rate, slip : Expr
-        Normal and tangential velocity of the point relative to the surface.
-    normal_acceleration, tangential_acceleration : Expr
-        Their rates, in the unknown accelerations.
-    V, H : Symbol
-        Normal and tangential force on the body.
-    cone_n, cone_t : Expr
-        The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values.
-        Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide.
-    jacobian : (tuple of Expr, tuple of Expr)
-        d(normal, tangential velocity)/d(rates): what the forces do to each coordinate.
-    joints : tuple of tuple of Expr
-        Jacobian of the scene's joints, row by row.
-    joint_forces : tuple of Symbol
-        Of these rows.
-    closing, sticking : Hold
-        What a closed gap holds in place, and what a point does that does not move.
-    """
-
-    name: str
-    gap: sp.Expr
+    name: str  # Of the contact
+    gap: sp.Expr  # Distance from the surface, to first order; >= 0
+    # `gap_rate`, `slip`: Normal and tangential velocity of the point relative to the surface
     gap_rate: sp.Expr
     slip: sp.Expr
+    # `normal_acceleration`, `tangential_acceleration`: Their rates, in the unknown accelerations
     normal_acceleration: sp.Expr
     tangential_acceleration: sp.Expr
+    # `V`, `H`: Normal and tangential force on the body
     V: sp.Symbol
     H: sp.Symbol
+    # `cone_n`, `cone_t`: The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are
+    # ordinary values. Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1)
+    # without slide
     cone_n: sp.Expr
     cone_t: sp.Expr
+    # (tuple of Expr, tuple of Expr): d(normal, tangential velocity)/d(rates): what the forces do to
+    # each coordinate
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
-    joints: tuple[tuple[sp.Expr, ...], ...]
-    joint_forces: tuple[sp.Symbol, ...]
+    joints: tuple[tuple[sp.Expr, ...], ...]  # Jacobian of the scene's joints, row by row
+    joint_forces: tuple[sp.Symbol, ...]  # Of these rows
+    # `closing`, `sticking`: What a closed gap holds in place, and what a point does that does not
+    # move
     closing: Hold
     sticking: Hold
 
@@ -114,28 +99,18 @@ def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
 
 
 class Bearing(NamedTuple):
-    """What of a contact's equations to use where contacts share their load.
+    """What of a contact's equations to use where contacts share their load."""
 
-    Attributes
-    ----------
-    zone : str
-        Where it is on its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion
-        determines its force.
-    rows : str
-        Which of its constraints, along normal and tangent ("n", "t"), the others do not imply.
-    carriers : str
-        Which of its forces, along normal and tangent or along its edge ("e"), may carry the load
-        in the equations of motion.
-    coordinates : tuple of int
-        Those whose displacements determine the forces.
-    joints : tuple of int
-        The rows of joints that these displacements keep; named once in a mode.
-    """
-
+    # Where it is on its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion determines
+    # its force
     zone: str
+    # Which of its constraints, along normal and tangent ("n", "t"), the others do not imply
     rows: str
+    # Which of its forces, along normal and tangent or along its edge ("e"), may carry the load in
+    # the equations of motion
     carriers: str = ""
-    coordinates: tuple[int, ...] = ()
+    coordinates: tuple[int, ...] = ()  # Those whose displacements determine the forces
+    # The rows of joints that these displacements keep; named once in a mode
     joints: tuple[int, ...] = ()
 
 

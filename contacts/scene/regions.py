@@ -55,32 +55,14 @@ def region(
     symbols: Callable[[], ContactSymbols],
     gates: Callable[[], tuple[Margin, ...]],
     back: Callable[[], tuple[Margin, ...]],
-    *,
-    jams: bool,
-    bounces: bool,
+    arrows: tuple[Edge, ...],
     gate: str,
     forces: tuple[sp.Symbol, ...],
 ) -> Region:
     """Return the region of a contact.
 
-    Parameters
-    ----------
-    name : str
-        Of the contact.
-    contact : Contact
-        As declared.
-    symbols : callable
-        Its quantities as expressions, asked for when a state is built.
-    gates, back : callable
-        Margins that take it off, and that bring it back, likewise.
-    jams : bool
-        Whether friction may press the point into the surface (see `Scene.jams`).
-    bounces : bool
-        Whether impacts may accumulate (see `Scene.bounces`).
-    gate : str
-        Conditions without which it is off; "" where it has none (see `Scene.gate`).
-    forces : tuple of Symbol
-        Its normal and tangential force.
+    Its quantities, and the margins that take it off (`gates`) and bring it `back`, are asked for
+    when a state is built. Its transitions are `arrows` (see `edges`), its `gate` is `Scene.gate`.
     """
     modes = {mode.mode: mode for mode in contact.modes}
 
@@ -105,7 +87,6 @@ def region(
         return (Claim(f"{name} is enabled", (*contact.enabled, outside), holds=False),)
 
     names = states(contact, gate=gate)
-    arrows = edges(contact, jams=jams, bounces=bounces, gate=gate)
     return Region(
         name,
         names,
@@ -120,7 +101,10 @@ def region(
 
 
 def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Edge, ...]:
-    """Return the transitions of a contact's statechart; see `region`."""
+    """Return the transitions of a contact's statechart.
+
+    `jams`: friction may press the point in; `bounces`: impacts may accumulate (see `Scene`).
+    """
     present = states(contact, gate="")
     closed = [s for s in present if s not in OPEN]
     sliding = [s for s in closed if s != "pin"]

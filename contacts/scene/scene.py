@@ -10,12 +10,12 @@ from pydantic import model_validator
 
 from contacts.scene.checks import check_finite, check_kinks, check_physical, check_rim
 from contacts.scene.collision_checks import check_carrier, check_collisions, check_copies
-from contacts.scene.elsewhere import check_elsewhere
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
-from contacts.scene.other_laws import replaced
+from contacts.scene.misplaced_names import check_misplaced_names
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
+from contacts.scene.replaced_laws import replaced
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
@@ -284,7 +284,7 @@ class Scene(SceneFields):
             with found:
                 if text is not None:
                     controls = {*parameters, *self.controls}
-                    check_elsewhere(self, parse(text), controls, *at, key)
+                    check_misplaced_names(self, parse(text), controls, *at, key)
                     self.controlled.check_coefficient(text, parameters, *at, key)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         for place, text in enumerate(contact.enabled):
@@ -384,7 +384,7 @@ class Scene(SceneFields):
             where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
             with found:
                 formula = parse(text)
-                check_elsewhere(self, formula, known, *where)
+                check_misplaced_names(self, formula, known, *where)
                 check_names(formula, known, *where)
 
 

@@ -2,8 +2,8 @@
 
 `scene_properties` and `body_properties` are what must hold, computed from the scene's own
 quantities and not from the guards that were run; `assertions` is what they share. `symmetry`
-mirrors and rescales scenes, `relations` compares their runs, `violations` measures by how much a
-run misses what must hold.
+mirrors and rescales scenes and compares their runs, `violations` measures by how much a run misses
+what must hold.
 """
 
 from contacts.dynamics.mechanics import Mechanics

@@ -1,4 +1,4 @@
-"""What properties of scenes share: cones, the growth of energy, steps and what is between."""
+"""Assertions that properties of scenes share: friction cones, growth of energy, ends of steps."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.trace import Arc, Trace
 from statechart.execution.simulator import Simulator
+from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.subject import Subject
 
-_ROUNDING, _EPSILON = 1e-13, 2.0**-52
+_EPSILON = 2.0**-52
 
 
 def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
@@ -50,7 +51,7 @@ def assert_in_cone(
         If it does not.
     """
     normal, tangential = impulse
-    allowed = 100.0 * _ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
+    allowed = 100.0 * ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
     assert normal >= -allowed, f"the impulse {where} pulls: {normal:.6g}"
     outside = edge[0] * abs(tangential) - edge[1] * normal
     assert outside <= allowed, (

@@ -20,12 +20,12 @@ from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, s
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
 from statechart.kernels.tapes import tape_table
+from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.properties import Property, each
-from statechart.testing.subject import Case, Subject
+from statechart.testing.subject import Subject
 
-_ROUNDING = 1e-13
 # Points of a graph beside a disc at which its distance is looked at.
-_TRIED = 65
+GRAPH_SAMPLES = 65
 
 
 def assert_depths(
@@ -41,7 +41,7 @@ def assert_depths(
     pieces = numbers.pieces
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
     frames = None if paths is None else paths(times, memories)
-    allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING)
+    allowed = trace.tolerances["gap"] * (1.0 + ROUNDING)
     for p, q in _meeting(numbers):
         b = int(pieces.bodies[p])
         if q < len(pieces.bodies):
@@ -136,7 +136,7 @@ def _above(surfaces: SurfaceNumbers, s: int, outline: Array, radius: float) -> A
     if kind == PLATE:
         return _between(outline, radius, np.tile([[a, b], [c, d]], (len(outline), 1, 1)), 0.0)
     # No point of the graph that is tried is nearer than its nearest one.
-    tried = np.linspace(-radius, radius, _TRIED) if radius > 0.0 else np.zeros(1)
+    tried = np.linspace(-radius, radius, GRAPH_SAMPLES) if radius > 0.0 else np.zeros(1)
     x = outline[..., 0, None] + tried
     heights = tape_table(
         surfaces.code, surfaces.constants, surfaces.outputs, 0, x.reshape(-1, 1), surfaces.values,
@@ -171,7 +171,7 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
         rates = arc.coefficients[whole, 3 * count : 6 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
         # What presses less than that, at the end of its arm, is told of nothing.
-        allowed = LEAST * np.abs(fall).max() * arms[free] + _ROUNDING * speeds / trace.step
+        allowed = LEAST * np.abs(fall).max() * arms[free] + ROUNDING * speeds / trace.step
         if (off > allowed).any():
             b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
             raise AssertionError(
@@ -207,22 +207,29 @@ def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace)
     size = max((abs(e) for _, e, _ in points), default=0.0)
     weights = float(numbers.gravity @ numbers.gravity) / numbers.inverse[:, 0]
     rate = trace.step / 8.0 * float(weights.sum())
-    no_growth(points, 100.0 * _ROUNDING * size + rate * trace.step, rate)
+    no_growth(points, 100.0 * ROUNDING * size + rate * trace.step, rate)
+
+
+def _scene(subject: Subject) -> Scene:
+    assert isinstance(subject.model, Scene)
+    return subject.model
 
 
 def _numbers(subject: Subject, trace: Trace) -> BodyNumbers:
-    model = subject.model
-    assert isinstance(model, Scene)
-    values = {name: trace.parameters[name] for name in model.parameters}
-    return body_numbers(model, model.values(values))
+    scene = _scene(subject)
+    return body_numbers(scene, scene.values(_values(scene, trace)))
+
+
+def _values(scene: Scene, trace: Trace) -> dict[str, float]:
+    return {name: trace.parameters[name] for name in scene.parameters}
 
 
 def _depths(subject: Subject, trace: Trace) -> None:
-    model = subject.model
-    assert isinstance(model, Scene)
-    values = {name: trace.parameters[name] for name in model.parameters}
-    paths, numbers = Paths(model), _numbers(subject, trace)
-    assert_depths(numbers, trace, lambda times, w: paths.at(values, times, w).frames)
+    scene = _scene(subject)
+    paths, values = Paths(scene), _values(scene, trace)
+    assert_depths(
+        _numbers(subject, trace), trace, lambda times, w: paths.at(values, times, w).frames
+    )
 
 
 def _energy(subject: Subject, trace: Trace) -> None:
@@ -237,25 +244,21 @@ def _fall(subject: Subject, trace: Trace) -> None:
         assert_free_fall(_numbers(subject, trace), trace)
 
 
+def _impulses(subject: Subject, trace: Trace) -> None:
+    assert_impulses_of_bodies(_numbers(subject, trace), trace)
+
+
 def _pushed(subject: Subject) -> bool:
-    """Whether more than gravity and contacts acts on bodies."""
-    model = subject.model
-    assert isinstance(model, Scene)
-    return bool(model.forces or model.joints)
+    """Return whether more than gravity and contacts acts on bodies."""
+    scene = _scene(subject)
+    return bool(scene.forces or scene.joints)
 
 
 def body_properties() -> tuple[Property, ...]:
     """Return what holds for every scene of colliding bodies."""
-
-    def of(check: Callable[[BodyNumbers, Trace], None]) -> Callable[[Case], None]:
-        return each(lambda subject, trace: check(_numbers(subject, trace), trace))
-
     return (
         Property("no body is deeper than a step takes it", each(_depths)),
         Property("no force without contact", each(_fall)),
-        Property("impulses push, within friction", of(assert_impulses_of_bodies)),
-        Property(
-            "energy grows by no more than the scheme's bound",
-            each(_energy),
-        ),
+        Property("impulses push, within friction", each(_impulses)),
+        Property("energy grows by no more than the scheme's bound", each(_energy)),
     )

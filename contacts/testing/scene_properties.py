@@ -6,8 +6,8 @@ automaton that was run. See `statechart.testing` for how to use them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
+from functools import cache, partial
 
 import numpy as np
 import sympy as sp
@@ -17,19 +17,19 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
 from contacts.states import OPEN
 from contacts.testing.assertions import (
-    _ROUNDING,
     assert_in_cone,
     largest_of,
     missed_by_slopes,
     no_growth,
     step_ends,
 )
-from contacts.testing.relations import relations
+from contacts.testing.symmetry import image_properties
 from contacts.testing.violations import cone_edges
 from statechart.arrays import Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.testing.guards import dense
+from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
@@ -54,7 +54,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     for arc, tau in dense(trace):
         states = arc.mode[: len(gaps)]
         size = float(np.abs(arc.coefficients[:, :, 0]).max())
-        allowed = trace.tolerances["gap"] * (1.0 + _ROUNDING) + _ROUNDING * size
+        allowed = trace.tolerances["gap"] * (1.0 + ROUNDING) + ROUNDING * size
         closed = [state not in OPEN for state in states]
         free = [state == "free" for state in states]
         between = (
@@ -82,18 +82,17 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    for arc, times, forces in _forces(scene, subject, trace):
-        edges = cone_edges(scene, trace, arc.mode)
-        for k, (name, state) in enumerate(_states(scene, arc)):
-            if state in OPEN:
-                continue
-            # A mode of steps that all hold an impulse has no force of its own.
-            told = ~np.isnan(forces[:, 2 * k]) | (trace.step is None)
-            V, H, at = forces[told, 2 * k], forces[told, 2 * k + 1], times[told]
-            n, t = edges[name]
-            allowed = trace.tolerances["force"] + _ROUNDING * np.hypot(V, H)
-            _no_less(V, -allowed, f"{name}.V", at, state)
-            _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", at, state)
+    cones = cache(partial(cone_edges, scene, trace))
+    for arc, name, state, times, V, H in _forces(scene, subject, trace):
+        if state in OPEN:
+            continue
+        # A mode of steps that all hold an impulse has no force of its own.
+        known = ~np.isnan(V) | (trace.step is None)
+        V, H, times = V[known], H[known], times[known]
+        n, t = cones(arc.mode)[name]
+        allowed = trace.tolerances["force"] + ROUNDING * np.hypot(V, H)
+        _no_less(V, -allowed, f"{name}.V", times, state)
+        _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
@@ -104,10 +103,9 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    for arc, times, forces in _forces(scene, subject, trace):
-        for k, (name, state) in enumerate(_states(scene, arc)):
-            if state in OPEN and (forces[:, 2 * k : 2 * k + 2] != 0.0).any():
-                raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
+    for _, name, state, times, V, H in _forces(scene, subject, trace):
+        if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
+            raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
@@ -178,10 +176,10 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     jumps(len(trace.jumps))
     if trace.step is not None:
         growth = _step_growth(mechanics, subject, trace)
-        allowed = _ENERGY * _ROUNDING * size + growth * trace.step
+        allowed = _ENERGY * ROUNDING * size + growth * trace.step
     else:
         growth = 0.0
-        error = max(trace.counts["steps"] * trace.tolerance, _ROUNDING)
+        error = max(trace.counts["steps"] * trace.tolerance, ROUNDING)
         # At rest there is no energy to be relative to: what a force does over the gap's tolerance.
         names = mechanics.scene.parameters
         overrides = {name: trace.parameters[name] for name in names}
@@ -264,7 +262,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     if scene.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(), *relations(scene))
+        return (*body_properties(), *image_properties(scene))
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
@@ -285,7 +283,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
             "energy never grows",
             each(partial(assert_energy, mechanics)),
         ),
-        *relations(scene),
+        *image_properties(scene),
     )
 
 
@@ -294,15 +292,16 @@ def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
         yield arc, tau, arc.start.high + (arc.start.low + tau)
 
 
-def _forces(scene: Scene, subject: Subject, trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
-    """Yield arcs with times and V, H of every contact at them."""
-    expressions: Sequence[sp.Expr] = [
-        subject.automaton.observables[f"{name}.{force}"]
-        for name in scene.contacts
-        for force in ("V", "H")
-    ]
+def _forces(
+    scene: Scene, subject: Subject, trace: Trace
+) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
+    """Yield every contact in every arc: its name and mode, times, and V and H at them."""
+    known = subject.automaton.observables
+    expressions = [known[f"{name}.{force}"] for name in scene.contacts for force in ("V", "H")]
     for arc, tau, times in _points(trace):
-        yield arc, times, subject.solved(trace, arc, tau, expressions)
+        forces = iter(subject.solved(trace, arc, tau, expressions).T)
+        for (name, state), V, H in zip(_states(scene, arc), forces, forces, strict=True):
+            yield arc, name, state, times, V, H
 
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:

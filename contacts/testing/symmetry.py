@@ -9,7 +9,7 @@ units, and what it gives is turned into the new ones, so that no formula needs t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -25,10 +25,14 @@ from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
 from statechart.documents.settings import Stop
+from statechart.errors import DeclarationError
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tree import names_in
-from statechart.testing.stories import Reading
+from statechart.testing.agreement import assert_same, identical
+from statechart.testing.event_sequences import Reading
+from statechart.testing.properties import Property
+from statechart.testing.subject import Case, Subject
 
 T = TypeVar("T", FormulaText, FormulaText | None)
 
@@ -303,3 +307,50 @@ class _Change:
 def _times(text: T, factor: float) -> T | str:
     """Return a formula times a factor; nothing, and zero, as they are."""
     return text if text is None or factor == 1.0 or text == 0 else f"({text})*({factor!r})"
+
+
+def image_properties(scene: Scene) -> tuple[Property, ...]:
+    """Return what holds of the runs of a scene and of those of its images."""
+    return (
+        image_property("the mirror image moves as the image", scene, mirrored),
+        image_property("other units give the same motion", scene, rescaled),
+    )
+
+
+def image_property(
+    name: str, scene: Scene, transform: Callable[[Scene], tuple[Scene, Reading]]
+) -> Property:
+    """Return the property that the transformed scene has the transformed runs."""
+    changed: dict[Subject, tuple[Subject, Reading]] = {}
+
+    def compare(case: Case) -> None:
+        own = case.subject
+        assert isinstance(own.model, Scene)
+        if own not in changed:
+            turned, reading = transform(own.model)
+            changed[own] = Subject(turned), reading
+        subject, reading = changed[own]
+        trace = case.sound[0]
+        image = subject.fresh(case.parameters).trace
+        assert image.outcome is trace.outcome, f"the changed scene ends: {image.message}"
+        if not identical(trace, image, reading):
+            assert_same(trace, image, case.sensitivity, reading=reading)
+
+    try:
+        transform(scene)
+    except DeclarationError as error:
+        reason = error.message
+        return Property(name, lambda case: None, f"the scene cannot be transformed: {reason}")
+
+    def holds(case: Case) -> None:
+        try:
+            compare(case)
+        except AssertionError:
+            finer = case.subject.finer
+            if finer is None:
+                raise
+            # What impulses miss their laws by is in no variable's size, nor the image's in the
+            # image: runs that miss less tell whether it was that.
+            compare(finer.case(case.parameters))
+
+    return Property(name, holds)

@@ -17,8 +17,8 @@ from typing import Protocol
 import numpy as np
 
 from contacts.dynamics.control_guards import Controllers
+from contacts.dynamics.controller_state import ControllerState
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.memory import Memory
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.active_states import ActiveStates
 from contacts.time_stepping.chunk import Chunk
@@ -101,7 +101,7 @@ class StepControl:
         self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
         self._states, self._setup, self._scene = controllers, setup, scene
-        self._switch, self._memory = switch, Memory(mechanics)
+        self._switch, self._memory = switch, ControllerState(mechanics)
         self._listening = Listening(regions, self._controllers)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)

@@ -23,7 +23,7 @@ from contacts.states import (
     undetermined,
 )
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.pieces import ArcMaker, Line, Steps, Stretch, Stroke
+from contacts.time_stepping.lazy_arcs import ArcMaker, Line, Steps, Stretch, Stroke
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.lazy import LazySequence

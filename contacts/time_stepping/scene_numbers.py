@@ -101,6 +101,8 @@ class ContactMemory(NamedTuple):
         an impact; the mode of the last step.
     off : (c,)
         Whether its condition keeps it off.
+    behind : (c,)
+        Whether it was closed as it went off, and its point has not left its surface yet.
     past : (c, 3)
         Condition, gap and its rate in the middle of the last step.
     missed : (c, 3)
@@ -119,6 +121,7 @@ class ContactMemory(NamedTuple):
     settling: Ints
     shown: Ints
     off: Bools
+    behind: Bools
     past: Array
     missed: Array
     light: Bools
@@ -136,6 +139,7 @@ class ContactMemory(NamedTuple):
             np.zeros(count, dtype=np.int64),
             np.full(count, FREE),
             off.copy(),
+            np.zeros(count, dtype=np.bool_),
             np.full((count, 3), np.nan),
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
@@ -168,8 +172,10 @@ class Met(NamedTuple):
 
     Attributes
     ----------
-    active, hit : (c,) array of bool
-        Who takes part, who is struck.
+    active, hit, leaving : (c,) array of bool
+        Who takes part, who is struck, whose condition ceases to hold while it lasts.
+    entered : (c,)
+        The gap of a contact that is off where its point leaves another surface in this step.
     wanted, before, free : (c, 2) array
         What velocities may not fall below, negated; what they are before the step, and after it
         without impulses.
@@ -177,6 +183,8 @@ class Met(NamedTuple):
 
     active: Bools
     hit: Bools
+    leaving: Bools
+    entered: Array
     wanted: Array
     before: Array
     free: Array

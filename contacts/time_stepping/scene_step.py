@@ -25,7 +25,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
 )
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
-from contacts.time_stepping.facing import close_faced
+from contacts.time_stepping.opposed_contacts import close_opposed
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -50,8 +50,13 @@ from contacts.time_stepping.step_contacts import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import beside, part, stepwise
+from statechart.kernels.jit import beside, late, part, stepwise
 from statechart.kernels.tapes import tape_values
+
+# The way out of a surface bends by less than this part of it.
+_BENT = 0.01
+# A condition that falls by less than this part of itself in a step does not fall.
+_AT_REST = 1e-9
 
 
 @part
@@ -133,6 +138,92 @@ def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Arr
         state[2 * scene.size + i] += h * rates[i]
 
 
+@part
+def _follow(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, there: Array, met: Met, near: float
+) -> None:
+    """Turn contacts on whose surfaces follow one that a point leaves.
+
+    The point is moved out of that, by as much as its landing has left: `there` are the numbers of
+    the tape. Between two edges that meet at an angle a point that lies deep is beyond both.
+    """
+    for i in range(len(memory.off)):
+        at = tape.first + tape.per * i + 2 * tape.size
+        moved = there[at + 2] - tape.numbers[at + 2]
+        holds = there[at + 5] > 0.0 and met.entered[i] + moved >= -near
+        if memory.off[i] and not met.leaving[i] and holds and scene.held[i] == 0:
+            memory.off[i] = False
+
+
+@late
+def keep_leaving(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, factors: Array,
+    order: Ints, middle: Array, state: Array, time: float, k: int, met: Met, chunk: Chunk,
+) -> bool:  # fmt: skip
+    """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
+
+    In a valley each side leads back to the other, and both hold at the kink. So a contact stays on
+    in a step in which it bears a force, beside the others, and its condition falls no further. The
+    parameters are those of `step_scene` in its step k.
+    """
+    n, h, stays = tape.size, chunk.h, False
+    level, closed = memory.level.copy(), memory.closed.copy()
+    taking_part(scene, memory, tape, change, k, met, chunk)
+    close_opposed(scene, memory, tape, h, met)
+    which = indices(met.active)
+    problem = contact_problem(scene, tape, factors, order, which, met)
+    bears = np.zeros(len(which), np.bool_)
+    there, ahead = middle.copy(), np.empty_like(tape.numbers)
+    for at_rest in (False, True):
+        for a in range(len(which) if at_rest else 0):
+            # Gaps that landings have left move the point, too, to where it is to rest.
+            if not met.hit[which[a]]:
+                problem.wanted[a, 0] = 0.0
+        good, _, _, pushes, _ = solve_impacts(
+            problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
+            problem.cones, problem.rebounds, guessed(problem, memory.bases), np.zeros(0), AS_ASKED,
+        )  # fmt: skip
+        for a in range(len(which)):
+            bears[a] = good and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
+        for j in range(n if at_rest else 0):
+            there[n + j] = state[n + j] + change[j]
+            for a in range(len(which)):
+                for d in range(2):
+                    there[n + j] += problem.columns[2 * a + d, j] * pushes[a, d]
+            there[j] += h * there[n + j]
+    _flowed(scene, time, middle, h, there)
+    tape_values(*scene.equations, there, scene.parameters, time + h, ahead)
+    for i in range(len(closed)):
+        memory.off[i] = memory.off[i] or met.leaving[i]
+    for a in range(len(which)):
+        i = which[a]
+        if not met.leaving[i]:
+            continue
+        at = tape.first + tape.per * i + 2 * n + 5
+        now, then = tape.numbers[at], ahead[at]
+        # At rest conditions fall by round-off.
+        falls = now - then > _AT_REST * abs(now) + h * scene.rounding
+        memory.off[i] = falls or not bears[a]
+        stays = stays or not memory.off[i]
+    for a in range(len(which)):
+        i, row = which[a], tape.first + tape.per * which[a]
+        if not (met.leaving[i] and memory.off[i]):
+            continue
+        deep = min(tape.numbers[row + 2 * n + 2], 0.0)
+        there = middle.copy()
+        for j in range(n):
+            there[j] -= deep / problem.delassus[2 * a, 2 * a] * problem.columns[2 * a, j]
+        tape_values(*scene.equations, there, scene.parameters, time, ahead)
+        _follow(scene, memory, tape, ahead, met, scene.near - _BENT * deep)
+    for i in range(len(closed)):
+        gap = tape.numbers[tape.first + tape.per * i + 2 * n + 2]
+        chunk.gaps[k, i] = math.inf if memory.off[i] else gap
+        memory.closed[i] = closed[i]
+    put(level, memory.level)
+    chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
+    return stays
+
+
 @beside
 def _settled(
     scene: SceneNumbers, memory: ContactMemory, time: float, middle: Array, state: Array,
@@ -199,13 +290,17 @@ def step_scene(
             chunk.solved[k, forces + 2 * c + i - set_at] = numbers[i]
         chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
         met = Met(
-            np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros((c, 2)), np.zeros((c, 2)),
-            np.zeros((c, 2)),
+            np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
+            np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switched(scene, memory, tape, k, chunk):
+        if not switched(scene, memory, tape, k, met, chunk):
             return k, NOT_FINITE, nothing, none, none
+        if met.leaving.any():
+            keep_leaving(
+                scene, memory, tape, change, factors, order, middle, state, time, k, met, chunk
+            )
         taking_part(scene, memory, tape, change, k, met, chunk)
-        close_faced(scene, memory, tape, h, met)
+        close_opposed(scene, memory, tape, h, met)
         which, total, lasting, blurred = indices(met.active), change, change.copy(), False
         chunk.efforts[k, CONTACTS] = len(which)
         nothing_borne(memory.off, forces, k, chunk)

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.control_guards import given
+from contacts.dynamics.controller_state import ControllerState
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.memory import Memory
-from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.setup import ROUNDING, SceneNumbers, SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.dynamics.starting import check_joints, check_start
+from contacts.dynamics.starting import check_joints, check_start, hovering
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
-from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import CHOSEN, Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.effort import INDETERMINATE
+from contacts.time_stepping.run_inputs import RunInputs
 from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
@@ -67,7 +67,7 @@ class SceneStepper(Stepper):
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
-    ) -> Begun:
+    ) -> RunInputs:
         try:
             return self._checked(overrides, allowed)
         except SimulationError as error:
@@ -83,7 +83,7 @@ class SceneStepper(Stepper):
         allowed: float,
         warnings: tuple[str, ...],
         failure: SimulationError | None = None,
-    ) -> Begun:
+    ) -> RunInputs:
         scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
         control = None
 
@@ -101,12 +101,12 @@ class SceneStepper(Stepper):
 
             control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
         able = None if self._scene.regions else change
-        return Begun(setup, scene, codes, warnings, control, failure, able)
+        return RunInputs(setup, scene, codes, warnings, control, failure, able)
 
-    def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
+    def _checked(self, overrides: Mapping[str, float], allowed: float) -> RunInputs:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
-        memory = Memory(self._mechanics)
+        memory = ControllerState(self._mechanics)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
@@ -114,6 +114,7 @@ class SceneStepper(Stepper):
         failing = self._numbers.conditions.failing(within, within.initial, 0.0)
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
+        closed = max(ROUNDING * setup.scales.length, setup.scales.rounding)
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
@@ -122,6 +123,7 @@ class SceneStepper(Stepper):
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)
+                warnings += hovering(self._scene, setup.scales, closed, [law.name], [row])
         h = _TRIAL * setup.scales.length / setup.scales.speed
 
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T

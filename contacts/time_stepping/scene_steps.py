@@ -9,12 +9,12 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.setup import ROUNDING, SceneSetup
-from contacts.scene.handovers import NEARLY, stays_off
+from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, JAMMED, Chunk, stepped
+from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.limits import Swings, check_swing, remarks
-from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.refused import depth_left
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
@@ -66,7 +66,7 @@ class SteppedScene:
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
         self._still = setup.tolerances["speed"]
-        self._nearly = NEARLY * setup.scales.length
+        self._nearly = NEARLY_MEETING * setup.scales.length
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self.switch(source, setup.contacts)
@@ -78,7 +78,7 @@ class SteppedScene:
         )
         self._kept = self._memory.copy()
         self._swing = self._length = 0.0
-        self._misses = Misses(setup.scales)
+        self._misses = DiscretisationError(setup.scales)
         self._misses_kept = self._misses.copy()
 
     def change(self, setup: SceneSetup) -> None:
@@ -243,6 +243,7 @@ class SteppedScene:
         # What was off comes back no deeper than what lasts.
         deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
+        deep[0] &= ~(self._kept.contacts.past[:, 1] <= 0.0)
         for k, i in np.argwhere(deep).tolist():
             state = lines[k].sum(axis=1)
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]

@@ -66,8 +66,8 @@ def taking_part(
     for i in range(len(scene.cones)):
         row = tape.first + tape.per * i
         gap = numbers[row + 2 * n + 2]
+        met.active[i] = met.hit[i] = False
         if scene.held[i] > 0 or off[i]:
-            level[i] = 0.0
             continue
         before, free = met.before[i], met.free[i]
         for d in range(2):

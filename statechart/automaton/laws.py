@@ -203,7 +203,7 @@ class Laws(Protocol):
     """What happens at the instants between flows; the executor knows nothing else."""
 
     @property
-    def ordinary(self) -> Ordinary | None:
+    def compiled_laws(self) -> CompiledLaws | None:
         """What of it is compiled."""
         ...
 
@@ -263,8 +263,8 @@ class Laws(Protocol):
         ...
 
 
-class Ordinary(Protocol):
-    """Usual instants in compiled code: runs on from flow to flow until one is not usual."""
+class CompiledLaws(Protocol):
+    """Unambiguous instants in compiled code: a loop goes on until one needs words or cases."""
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
@@ -278,7 +278,7 @@ class Ordinary(Protocol):
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
-        """What gives the numbers of a run that `rows` make many of."""
+        """What gives the numbers of a run that `batch` makes many of."""
         ...
 
     def compiled(self) -> bool:
@@ -304,17 +304,17 @@ class Ordinary(Protocol):
     def ready(
         self, setup: Setup, loop: Any, floors: Array
     ) -> Callable[..., tuple[int, int, float]]:
-        """Return the loop for the numbers of a run; see `statechart.execution.ahead`."""
+        """Return the loop for the numbers of a run; see `statechart.execution.compiled_loop`."""
         ...
 
-    def rows_compiled(self) -> bool:
+    def batch_compiled(self) -> bool:
         """Whether the call for many runs lies compiled on disk; if not, that takes a while."""
         ...
 
-    def rows(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
+    def batch(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
         """Return the call for runs with values of some parameters; None where there is none.
 
-        See `statechart.execution.loops.RowCall`.
+        See `statechart.execution.compiled_loop.BatchCall`.
         """
         ...
 

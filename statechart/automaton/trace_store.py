@@ -11,7 +11,7 @@ import tempfile
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -236,26 +236,107 @@ def copied(buffer: TraceBuffer) -> TraceBuffer:
     )  # fmt: skip
 
 
-class TraceRecorder:
-    """Records arcs and jumps of a run in blocks.
+class TraceStore:
+    """Arcs and jumps of a run in blocks, made when they are read.
 
     Parameters
     ----------
     variables : int
         Of a state.
     kinds : list of (Key, Roles)
-        The kinds to which blocks refer by number; grows.
+        The kinds to which blocks refer by number; may grow.
     buffer : TraceBuffer
-        Written by the run.
+        What follows the blocks, while a run writes it.
     jump : callable, optional
-        Makes the jump of an event that a loop has written, when it is read.
-    begun : bool
-        Whether the buffer holds the beginning of the run already.
+        Makes the jump of an event that a loop has written.
 
     Attributes
     ----------
     made : dict
         Number of jumps before it -> a jump stored as an object.
+    last : callable or None
+        Makes the jump that follows all events.
+    """
+
+    def __init__(
+        self,
+        variables: int,
+        kinds: list[Kind],
+        buffer: TraceBuffer,
+        jump: Callable[[RecordedEvent], Jump] | None = None,
+    ) -> None:
+        self.buffer, self.variables = buffer, variables
+        self._kinds, self._jump = kinds, jump
+        self.made: dict[int, Jump] = {}
+        self.last: Callable[[], Jump] | None = None
+        self._blocks = Blocks[TraceBuffer]()
+        # Numbers of arcs and events before each block.
+        self._arcs, self._events = [0], [0]
+
+    @classmethod
+    def of(
+        cls,
+        block: TraceBuffer,
+        kinds: list[Kind],
+        jump: Callable[[RecordedEvent], Jump],
+        last: Callable[[], Jump] | None,
+    ) -> TraceStore:
+        """Return the store of a whole run in one block."""
+        variables = block.states.shape[2]
+        store = cls(variables, kinds, _no_buffer(variables), jump)
+        store.add(block)
+        store.last = last
+        return store
+
+    def sequences(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
+        """Return the arcs and the jumps so far; they grow with the run."""
+        return LazySequence(self._arc, self._arc_count), LazySequence(self._event, self._count)
+
+    def add(self, block: TraceBuffer) -> None:
+        """Append a block."""
+        self._blocks.add(block)
+        arcs, _, _, events = block.used.tolist()
+        self._arcs.append(self._arcs[-1] + arcs)
+        self._events.append(self._events[-1] + events)
+
+    def _arc_count(self) -> int:
+        return self._arcs[-1] + int(self.buffer.used[ARCS])
+
+    def _count(self) -> int:
+        return self._events[-1] + int(self.buffer.used[EVENTS]) + (self.last is not None)
+
+    def _arc(self, place: int) -> Arc:
+        block, row = self._found(self._arcs, place)
+        arc = arc_of(block, row, self.variables, self._kinds)
+        if block is self.buffer:  # a later arc overwrites it
+            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
+        return arc
+
+    def _event(self, j: int) -> Jump:
+        made = self.made.get(j)
+        if made is not None:
+            return made
+        if self.last is not None and j == self._count() - 1:
+            return self.last()
+        assert self._jump is not None
+        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
+
+    def _found(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
+        """Return the block and the row of one item of a sequence."""
+        block = bisect_right(begins, place) - 1
+        row = place - begins[block]
+        return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
+
+
+class TraceRecorder(TraceStore):
+    """Records a run in a buffer; moves that to a block if it is full, and at the end.
+
+    Parameters
+    ----------
+    variables, kinds, buffer, jump
+        As of a `TraceStore`.
+    begun : bool
+        Whether the buffer holds the beginning of the run already.
     """
 
     def __init__(
@@ -267,25 +348,11 @@ class TraceRecorder:
         *,
         begun: bool = False,
     ) -> None:
-        self.buffer, self.variables = buffer, variables
-        self._kinds, self._jump = kinds, jump
+        super().__init__(variables, kinds, buffer, jump)
         self._places: dict[Kind, int] = {}
-        self.made: dict[int, Jump] = {}
-        self._blocks = Blocks[TraceBuffer]()
-        # Numbers of arcs and events before each block.
-        self._arcs, self._events = [0], [0]
         if not begun:
             buffer.used[:] = 0
-
-    @cached_property
-    def arcs(self) -> LazySequence[Arc]:
-        """The arcs so far."""
-        return LazySequence(self._arc, lambda: self._arcs[-1] + int(self.buffer.used[ARCS]))
-
-    @cached_property
-    def jumps(self) -> LazySequence[Jump]:
-        """The jumps so far."""
-        return LazySequence(self._event, lambda: self._events[-1] + int(self.buffer.used[EVENTS]))
+        self.arcs, self.jumps = self.sequences()
 
     def close(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Release the buffer; return the arcs and the jumps of the run, which has ended."""
@@ -327,7 +394,7 @@ class TraceRecorder:
         block.coefficients[place : place + size] = terms[:, :, :width].ravel()
         block.used[:3] += (1, len(times), size)
         if block is not self.buffer:
-            self._keep(block)
+            self.add(block)
 
     def add_jump(self, jump: Jump) -> None:
         """Add a jump as an object."""
@@ -342,49 +409,21 @@ class TraceRecorder:
         self.made[len(self.jumps) - 1] = jump
         self.jumps.forget(len(self.jumps) - 1)
 
-    def seal(self) -> TraceBuffer:
-        """Move the written part of the buffer to a block; return the block."""
-        block = copied(self.buffer)
-        if block.used.any():
-            self._keep(block)
+    def seal(self) -> None:
+        """Move the written part of the buffer to a block."""
+        if any(self.buffer.used.tolist()):
+            self.add(copied(self.buffer))
             self.buffer.used[:] = 0
-        return block
 
     def _reserve(self, arcs: int, times: int, terms: int, events: int) -> bool:
         """Make room in the buffer; False if its capacity is too small."""
-        buffer, wanted = self.buffer, np.array([arcs, times, terms, events])
-        capacity = np.array(
-            [len(buffer.arcs), len(buffer.times), len(buffer.coefficients), len(buffer.events)]
-        )
-        if (buffer.used + wanted <= capacity).all():
+        buffer, wanted = self.buffer, (arcs, times, terms, events)
+        parts = buffer.arcs, buffer.times, buffer.coefficients, buffer.events
+        capacity, used = [len(part) for part in parts], buffer.used.tolist()
+        if all(u + w <= c for u, w, c in zip(used, wanted, capacity, strict=True)):
             return True
         self.seal()
-        return bool((wanted <= capacity).all())
-
-    def _keep(self, block: TraceBuffer) -> None:
-        self._blocks.add(block)
-        self._arcs.append(self._arcs[-1] + int(block.used[ARCS]))
-        self._events.append(self._events[-1] + int(block.used[EVENTS]))
-
-    def _arc(self, place: int) -> Arc:
-        block, row = self._found(self._arcs, place)
-        arc = arc_of(block, row, self.variables, self._kinds)
-        if block is self.buffer:  # a later arc overwrites it
-            arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
-        return arc
-
-    def _event(self, j: int) -> Jump:
-        made = self.made.get(j)
-        if made is not None:
-            return made
-        assert self._jump is not None
-        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
-
-    def _found(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
-        """Return the block and the row of one item of a sequence."""
-        block = bisect_right(begins, place) - 1
-        row = place - begins[block]
-        return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
+        return all(w <= c for w, c in zip(wanted, capacity, strict=True))
 
 
 def _width(terms: Array) -> int:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.components import (
     Component,
@@ -34,9 +36,13 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     parts = split(data, ("variables", "regions"), ("regions",), _reserved)
     try:
         return composed(
-            parts, _form, lambda part: compose(Chart.model_validate(part)), lambda _: _restricted
+            parts,
+            _form,
+            lambda part: compose(Chart.model_validate(part)),
+            lambda _: _restricted,
+            joint=False,
         )
-    except StatechartError:
+    except (StatechartError, ValidationError):
         return ()
 
 

@@ -1,4 +1,4 @@
-"""When the transitions of a region fire: guards on their boundary, events of other regions.
+"""Firing of transitions: guards on their boundary, events of other regions.
 
 A transition fires at the instant its guard becomes true, and at once where its state is entered
 with the guard true. On the guard's boundary, within the rounding of the state, the way the margin
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from statechart.automaton.events import happened
-from statechart.automaton.regions import Edge, Margin, Region, margins_of
+from statechart.automaton.regions import Claim, Edge, Margin, Region, margins_of
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flat_region import FlatRegion, FlatTransition
 from statechart.formulas.relation import Relation, parse_relation
@@ -36,7 +36,7 @@ class Guard:
 
     place: int  # of its region among those that are watched
     name: str  # region and transition
-    relation: Relation  # as declared
+    relation: Relation
     transition: int  # place of its transition in the flattened region
 
 
@@ -80,6 +80,14 @@ def guard_margins(
     )
 
 
+def guard_claims(name: str, declared: FlatRegion, state: str) -> tuple[Claim, ...]:
+    """Return that no guard out of `state` holds while it is active."""
+    return tuple(
+        Claim(guard.name, (guard.relation.text,), holds=False)
+        for guard in guards(0, name, declared.transitions, state)
+    )
+
+
 def considered(region: Region) -> tuple[dict[str, str], ...]:
     """Return, for each transition of a region that is taken, what else could have been, and why."""
     leaving: dict[str, list[Edge]] = {}
@@ -97,15 +105,7 @@ def considered(region: Region) -> tuple[dict[str, str], ...]:
 
 
 class Listening:
-    """Regions that wait for events of each other.
-
-    Parameters
-    ----------
-    regions : sequence of Region
-        All, in the order of the keys.
-    declared : mapping
-        Those of them that may wait, flattened.
-    """
+    """Regions that wait for events of each other; `declared` are those of them that may wait."""
 
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
         self._regions = regions

@@ -44,7 +44,7 @@ class FlatTransition:
 
     @property
     def trigger(self) -> str:
-        """What fires it, in words."""
+        """Its trigger, in words."""
         return " and ".join(dict.fromkeys(member.trigger for member in self.members))
 
     def reset(self, apart: Collection[str] = ()) -> str:
@@ -54,7 +54,7 @@ class FlatTransition:
 
 
 class Shared(NamedTuple):
-    """What two states both give, and which these are."""
+    """A variable that two states both give a flow or value."""
 
     what: str
     one: str
@@ -65,7 +65,7 @@ class Shared(NamedTuple):
 class FlatRegion:
     """A region as the executor knows it."""
 
-    name: str  # of the region
+    name: str
     initial: str  # the configuration that it starts in
     begins: tuple[Updates, ...]  # updates of the states entered there
     # Configuration -> what is declared of the states active in it, outer ones first.

@@ -9,6 +9,7 @@ follows in brackets where it differs from what would be entered anyway: ``rest[m
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import chain, product
 from math import prod
 
@@ -44,7 +45,7 @@ def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
 
 
 class _Flattening:
-    """What is gathered while configurations are followed."""
+    """The configurations and transitions found so far."""
 
     def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
         self._name, self._tree, self._loc = name, found, loc
@@ -220,29 +221,30 @@ class _Flattening:
         exits = {name: state.exit for name, state in states.items() if state.exit}
         # States of charts and of controllers have flows, other states none.
         flows = {name: found for name, s in states.items() if (found := getattr(s, "flows", {}))}
-        if self._tree.flat:
-            return Nesting(
-                names,
-                entries=entries,
-                exits=exits,
-                edges=tuple(self._drawn()),
-                unreached=unreached,
-                flows=flows,
-            )
-        return Nesting(
+        flat = Nesting(
             names,
-            {
+            entries=entries,
+            exits=exits,
+            edges=tuple(self._drawn()),
+            unreached=unreached,
+            flows=flows,
+        )
+        if self._tree.flat:
+            return flat
+        return replace(
+            flat,
+            configurations={
                 name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
                 for name, (active, _) in self._named.items()
             },
-            {
+            joint={
                 t.name: tuple(member.name for member in t.members)
                 for t in transitions
                 if len(t.members) > 1
             },
-            {n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
-            frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
-            {
+            initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
+            parallel=frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
+            histories={
                 n.name: History(
                     "deep" if n.sort is Sort.DEEP else "shallow",
                     nodes[n.parent].name,
@@ -251,11 +253,6 @@ class _Flattening:
                 for n in nodes
                 if n.sort in HISTORIES
             },
-            entries,
-            exits,
-            tuple(self._drawn()),
-            unreached,
-            flows,
         )
 
     def _entered_names(self, initial: str, transitions: Sequence[FlatTransition]) -> set[str]:

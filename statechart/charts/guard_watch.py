@@ -33,39 +33,13 @@ _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
 class GuardWatch:
     """The guards of a mode, evaluated together at an instant.
 
-    Parameters
-    ----------
-    watched : sequence of Guard
-        Which.
-    known : mapping
-        Name -> expression.
-    rates : mapping
-        Input -> its rate, an expression of inputs, parameters and time; inputs without one are
-        constant.
-    inputs, parameters : sequence of Symbol
-        What the guards depend on.
-    time : Symbol
-        Time.
-    timers : collection of Symbol
-        Inputs that are instants of time, and as exact, or whole numbers.
-    given : mapping
-        Symbol in `known` -> its value in the mode.
+    `rates` are expressions of inputs, parameters and time; inputs without one are constant.
+    `timers` are inputs that are instants of time, and as exact, or whole numbers. `given` are
+    values of symbols in `known` in the mode.
 
-    Attributes
-    ----------
-    guards : tuple of Guard
-    conditions : tuple of Condition
-        Of the guards.
-    margins : tuple of str
-        Names of their atoms.
-    firsts : tuple of int
-        Place of the first atom of every guard.
-    timed, closed : (a,) array of bool
-        Which atoms depend on time alone, and which hold on their boundary, too.
-    still : tuple of bool
-        Which atoms the flow does not change.
-    single : bool
-        Whether no guard has several atoms.
+    `margins` names the atoms of all guards, `firsts` is the place of the first of every guard.
+    `timed` atoms depend on time alone, `closed` ones hold on their boundary, too, and the flow
+    does not change `still` ones. `single` is whether no guard has several atoms.
     """
 
     def __init__(
@@ -185,24 +159,10 @@ def _derivatives(
 class Judgement:
     """The guards of a mode at an instant: which are true, and what decides that others are not.
 
-    Parameters
-    ----------
-    watch : GuardWatch
-        The guards.
-    rows : (a, 6) array
-        From `GuardWatch.at`. A rate that is not a number is not known: such an atom waits on its
-        boundary until its margin falls.
-    tolerances : mapping
-        Of the margins in the flow that has come here; infinite of those that it did not watch.
-    fired : collection of str
-        The margins that were found to fall.
-    relative : float
-        Rates this small relative to their terms are zero.
-    later : callable
-        Name of a margin -> the sign of its first derivative from the third on that is not zero;
-        asked where the first two are.
-    active : callable
-        Region, state -> whether the state is active.
+    `rows` (a, 6) are from `GuardWatch.at`; an atom whose rate is not a number waits on its
+    boundary until its margin falls. `tolerances` are infinite of margins that the flow did not
+    watch; `fired` were found to fall. Rates as small as `relative` to their terms are zero.
+    `later` returns the sign of a margin's first derivative from the third on that is not zero.
     """
 
     def __init__(

@@ -26,9 +26,15 @@ from statechart.automaton.regions import Invariant, Region, State, active_in, st
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
-from statechart.charts.claims import guard_claims
 from statechart.charts.components import components
-from statechart.charts.firing import Guard, Listening, considered, guard_margins, guards
+from statechart.charts.firing import (
+    Guard,
+    Listening,
+    considered,
+    guard_claims,
+    guard_margins,
+    guards,
+)
 from statechart.charts.flat_region import FlatRegion, Updates
 from statechart.charts.guard_watch import GuardWatch, Judgement
 from statechart.documents.declaration import TIME
@@ -139,20 +145,10 @@ def _flows(flat: FlatRegion, state: str) -> dict[str, FiniteText]:
 
 
 class ChartLaws:
-    """The laws of a chart (see `statechart.automaton.laws.Laws`).
-
-    Parameters
-    ----------
-    chart : Chart
-        As declared.
-    symbols : _Symbols
-        Its variables, parameters and time.
-    regions : sequence of Region
-        Its regions, composed.
-    """
+    """The laws of a chart (see `statechart.automaton.laws.Laws`)."""
 
     # What its transitions say is not compiled.
-    ordinary = None
+    compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
         self._chart = chart

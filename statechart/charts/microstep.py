@@ -1,4 +1,4 @@
-"""What transitions of nested states leave and enter: the algorithm of SCXML, appendix D.
+"""Exit and entry sets of transitions of nested states: the algorithm of SCXML, appendix D.
 
 Of the transitions that are enabled every innermost state takes the first one of its own, or else
 of what holds it; of two that would leave the same states the inner one is taken, or else the one
@@ -20,10 +20,10 @@ Memory = Mapping[int, Nodes]
 
 
 class Microstep(NamedTuple):
-    """What is done when transitions are taken."""
+    """The exits and entries of transitions that are taken together."""
 
     taken: tuple[int, ...]  # places of the arrows, in the order of their updates
-    exits: tuple[int, ...]  # Nodes, in the order in which they are left and entered
+    exits: tuple[int, ...]  # nodes, in the order in which they are left and entered
     entries: tuple[int, ...]
     active: Nodes  # what is active then
     memory: Memory  # what is remembered then

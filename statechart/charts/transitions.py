@@ -1,11 +1,11 @@
-"""What states, transitions and regions of every kind of document have in common, as declared."""
+"""States, transitions and regions as every kind of document declares them."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from statechart.documents.fields import (
     FiniteText,
@@ -17,20 +17,11 @@ from statechart.documents.fields import (
     unit,
     value_of,
 )
-from statechart.documents.outputs import Event, check_event, parse_events
+from statechart.documents.outputs import Event, EventText, check_event, parse_events
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 
 Loc = tuple[str | int, ...]
-
-
-def _checked(text: str) -> str:
-    parse_events(text)
-    return text
-
-
-EventText = Annotated[str, AfterValidator(_checked)]
-"""An event, or several joined by `or`; kept as written."""
 
 
 class Transition(Part):
@@ -85,7 +76,7 @@ class Transition(Part):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What `on` says, of other regions."""
+        """The events of other regions in `on`."""
         return parse_events(self.on) if self.on is not None and not self.on_zeno else ()
 
     @property
@@ -95,12 +86,12 @@ class Transition(Part):
 
     @property
     def period(self) -> FormulaText | None:
-        """How long it waits, where it is a time that fires it."""
+        """The time for which it waits; None where something else fires it."""
         return self.after if self.after is not None else self.every
 
     @property
     def trigger(self) -> str:
-        """What fires it, in words."""
+        """Its trigger, in words."""
         if self.period is not None:
             return f"{'after' if self.every is None else 'every'} {self.period}"
         return self.guard or ("jumps accumulate" if self.on_zeno else f"on {self.on}")
@@ -233,20 +224,10 @@ def check_listening(
     *,
     alone: Collection[str] = (),
 ) -> None:
-    """Check that transitions wait for events that exist, of other regions.
+    """Check that transitions of a region wait for events that exist, of other regions.
 
-    Raises `DeclarationProblem` at the first that does not.
-
-    Parameters
-    ----------
-    region : str
-        Whose they are.
-    transitions : sequence of (Transition, tuple)
-        With their places.
-    causes, states : mapping
-        Of every region, as for `Declaration.check_uses`.
-    alone : collection of str
-        Words that `on` may be besides.
+    `alone` are words that `on` may be besides. Raises `DeclarationProblem` at the first that does
+    not.
     """
     others = {name: found for name, found in causes.items() if name != region}
     for transition, at in transitions:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from statechart.charts.transitions import (
@@ -25,7 +25,7 @@ from statechart.errors import DeclarationProblem, close_matches
 
 
 class Sort(enum.Enum):
-    """What a node of the tree is."""
+    """Kinds of nodes of the tree."""
 
     ATOMIC = enum.auto()
     COMPOUND = enum.auto()
@@ -45,14 +45,14 @@ class Node:
     """A state, a region in a state, or a history."""
 
     name: str  # unique in the region; that of the region itself is ""
-    sort: Sort  # what it is
+    sort: Sort
     parent: int  # what holds it; of the region itself -1
     children: tuple[int, ...]  # what it holds, histories besides
     histories: tuple[int, ...]  # those of its states
     # What is entered with it where nothing else is said; of a history where nothing is remembered.
     # -1 where there is no choice.
     initial: int
-    declared: Holder  # as declared
+    declared: Holder
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Tree:
 
     @cached_property
     def above(self) -> tuple[tuple[int, ...], ...]:
-        """What holds every node, from the inside to the region."""
+        """The ancestors of every node, from the inside to the region."""
         found: list[tuple[int, ...]] = []
         for node in self.nodes:
             found.append((node.parent, *found[node.parent]) if node.parent >= 0 else ())
@@ -224,9 +224,7 @@ def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) ->
                 advice="write a state",
                 loc=(*at, "initial"),
             )
-    return Node(
-        node.name, node.sort, node.parent, node.children, node.histories, found, node.declared
-    )
+    return replace(node, initial=found)
 
 
 def _arrow(

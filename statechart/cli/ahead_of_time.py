@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from typing import Any
@@ -29,12 +28,12 @@ _RUNS: tuple[tuple[str, dict[str, Any]], ...] = (
 _SWEPT = "toppling_stick"
 
 
-def compile(arguments: argparse.Namespace) -> int:
+def compile_kernels(*, quiet: bool) -> None:
     """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
     from statechart.kernels.jit import ahead_of_time
 
     begun, total = time.perf_counter(), len(_RUNS) + 1
-    show = compiling.StderrLine() if not arguments.quiet else None
+    show = compiling.StderrLine() if not quiet else None
     # The runs have one line of progress in all.
     compiling.announce(None)
     with ahead_of_time():
@@ -50,15 +49,14 @@ def compile(arguments: argparse.Namespace) -> int:
         show(compiling.KERNELS, "", True)
         seconds = time.perf_counter() - begun
         print(f"compiled {compiling.KERNELS} in {seconds:.0f} s", file=sys.stderr)
-    return 0
 
 
 def _run(model: str, settings: dict[str, Any]) -> None:
-    from statechart.cli.arguments import runner_of
+    from statechart.running.runner import Runner
 
     certify = settings.get("certify", False)
     options = {name: value for name, value in settings.items() if name != "certify"}
-    runner_of(model, **options).run({}, certify=certify, throw=False)
+    Runner(model, **options).run({}, certify=certify, throw=False)
 
 
 def _sweep() -> None:

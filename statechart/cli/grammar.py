@@ -1,19 +1,21 @@
-"""The grammar of the command line: verbs, options, and the types of their values."""
+"""Grammar of the command line: verbs, options, types of values, and completion in shells."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
-from typing import NoReturn
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn
 
 from statechart.errors import close_matches
 
 # A count that no machine comes to.
-_UNCOUNTABLE = 10**18 + 1
+_MAX_COUNT = 10**18 + 1
 
 SHELLS = ("bash", "zsh", "fish")
-"""Those whose commands can be completed."""
+"""Shells that complete commands."""
+
+_FILES = ("PATH", "FILM", "PAGE", "PICTURE", "TABLE.csv")
 
 _EPILOG = """\
 FILE is a path, or the name of a shipped model such as toppling_stick.
@@ -38,10 +40,7 @@ def parser() -> argparse.ArgumentParser:
         added = verbs.add_parser(name, help=words, description=words, allow_abbrev=False)
         if file:
             added.add_argument("file", metavar="FILE", help="a path, or a shipped model's name")
-            added.add_argument(
-                "-q", "--quiet", action="store_true",
-                help="say nothing of progress; warnings and errors remain",
-            )  # fmt: skip
+            _flag(added, "-q --quiet", "say nothing of progress; warnings and errors remain")
         return added
 
     verb("validate", "read a model and check it, its initial state too")
@@ -94,150 +93,156 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
     return f"no option {name}; {advice}"
 
 
+def _value(
+    parser: argparse._ActionsContainer, names: str, metavar: str, words: str, **more: Any
+) -> None:
+    parser.add_argument(*names.split(), metavar=metavar, help=words, **more)
+
+
+def _flag(parser: argparse._ActionsContainer, names: str, words: str) -> None:
+    parser.add_argument(*names.split(), action="store_true", help=words)
+
+
 def _running(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--until", metavar="T", type=_number, help="end of the run")
+    _value(parser, "--until", "T", "end of the run", type=_number)
     _engine(parser)
-    parser.add_argument(
-        "--impulse-tolerance", metavar="R", type=_number,
-        help="of the impulses of a step of the engine impulse, in parts of its fastest approach",
-    )  # fmt: skip
-    parser.add_argument(
-        "--impulse-bound",
-        metavar="R",
-        type=_number,
-        help="of the same: what is above it ends the run",
+    words = (
+        "allowed residual of the contact impulses, relative to the fastest approach velocity in "
+        "the step (engine impulse)"
     )
+    _value(parser, "--impulse-tolerance", "R", words, type=_number)
+    _value(parser, "--impulse-bound", "R", "residual above which the run ends", type=_number)
     parser.add_argument(
         "--record",
         choices=("modes", "poses", "nothing"),
         help="what is kept of a run of the engine impulse: modes and their events, the states at "
         "every step, or start, end and outputs alone",
     )
-    parser.add_argument(
-        "--max-step", metavar="H", type=_number, help="longest step of the other engines, in time"
-    )
-    parser.add_argument(
-        "--method", metavar="M",
-        help="RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)",
-    )  # fmt: skip
+    words = "longest step of the other engines, in time"
+    _value(parser, "--max-step", "H", words, type=_number)
+    words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
+    _value(parser, "--method", "M", words)
     error = parser.add_mutually_exclusive_group()
-    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
-    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
-    error.add_argument(
-        "--budget", metavar="S", type=_number, help="best accuracy within so many seconds"
-    )
+    _errors(error)
+    _value(error, "--budget", "S", "best accuracy within so many seconds", type=_number)
+
+
+def _errors(group: argparse._ActionsContainer) -> None:
+    _value(group, "--accuracy", "A", "relative error allowed", type=_number)
+    _value(group, "--tolerance", "R", "of every step, relative", type=_number)
 
 
 def _reporting(parser: argparse.ArgumentParser) -> None:
+    words = "prove of every step how far it is off, and estimate the error of the whole"
+    _flag(parser, "--certify", words)
+    words = "run under the other choices of simultaneous: too, and show where that matters"
+    _flag(parser, "--alternatives", words)
+    words = "of every event: what fired, the margins, what else was considered, the energy"
+    _flag(parser, "--explain", words)
+    words = "write tables, data set and figure there; to STORE.zarr the states at every step"
+    _value(parser, "-o --output", "DIR", words)
     parser.add_argument(
-        "--certify", action="store_true",
-        help="prove of every step how far it is off, and estimate the error of the whole",
-    )  # fmt: skip
-    parser.add_argument(
-        "--alternatives", action="store_true",
-        help="run under the other choices of simultaneous: too, and show where that matters",
-    )  # fmt: skip
-    parser.add_argument(
-        "--explain", action="store_true",
-        help="of every event: what fired, the margins, what else was considered, the energy",
-    )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", metavar="DIR",
-        help="write tables, data set and figure there; to STORE.zarr the states at every step",
-    )  # fmt: skip
-    parser.add_argument(
-        "--samples", action=argparse.BooleanOptionalAction,
+        "--samples",
+        action=argparse.BooleanOptionalAction,
         help="write samples.csv there, too, which says what trace.nc says",
-    )  # fmt: skip
-    parser.add_argument(
-        "--animate", metavar="FILM", help="draw the bodies in motion: .gif, or .mp4 with ffmpeg"
     )
-    parser.add_argument(
-        "--speed", metavar="V", type=_number,
-        help="of the film: units of the run's time that pass in a second",
-    )  # fmt: skip
-    parser.add_argument(
-        "--size", metavar="PIXELS", type=_count, help="of the film: its longer side; 720"
-    )
-    parser.add_argument(
-        "--trail", metavar="T", type=_number,
-        help="of the film: how far back in time trails reach; 0 for none",
-    )  # fmt: skip
-    parser.add_argument(
-        "--report", metavar="PAGE", help="write the run as one page to look at and to send: .html"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
+    words = "of the film: units of the run's time that pass in a second"
+    _value(parser, "--speed", "V", words, type=_number)
+    _value(parser, "--size", "PIXELS", "of the film: its longer side; 720", type=_count)
+    words = "of the film: how far back in time trails reach; 0 for none"
+    _value(parser, "--trail", "T", words, type=_number)
+    _value(parser, "--report", "PAGE", "write the run as one page to look at and to send: .html")
+    _json(parser)
+
+
+def _json(parser: argparse.ArgumentParser) -> None:
+    _flag(parser, "--json", "print one JSON object")
 
 
 def _viewing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
-    parser.add_argument("--until", metavar="T", type=_number, help="end of the run")
-    parser.add_argument(
-        "-o", "--output", metavar="PAGE", help="write the page there, and not to a passing folder"
-    )  # fmt: skip
+    _value(parser, "--until", "T", "end of the run", type=_number)
+    _value(parser, "-o --output", "PAGE", "write the page there, and not to a passing folder")
 
 
 def _trading(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "-o", "--output", metavar="DIR",
-        help="keep table, data and figure there; what was interrupted goes on from there",
-    )  # fmt: skip
+    _json(parser)
+    words = "keep table, data and figure there; what was interrupted goes on from there"
+    _value(parser, "-o --output", "DIR", words)
 
 
 def _listing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--at", metavar="NAME=VALUE", action="append", default=[], type=_place,
-        help="judge another configuration than the initial one, such as bar.angle=0.3",
-    )  # fmt: skip
-    where.add_argument("--until", metavar="T", type=_number, help="judge where a run is then")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--equations", metavar="MODE",
-        help="print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'",
-    )  # fmt: skip
-    parser.add_argument("--latex", action="store_true", help="print them in LaTeX")
+    words = "judge another configuration than the initial one, such as bar.angle=0.3"
+    _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_place)
+    _value(where, "--until", "T", "judge where a run is then", type=_number)
+    _json(parser)
+    words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
+    _value(parser, "--equations", "MODE", words)
+    _flag(parser, "--latex", "print them in LaTeX")
 
 
 def _drawing(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="PATH",
-        required=True,
-        help=".svg .png .pdf .dot .mmd .scxml .graphml",
-    )
+    words = ".svg .png .pdf .dot .mmd .scxml .graphml"
+    _value(parser, "-o --output", "PATH", words, required=True)
     what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--visited", action="store_true", help="run, and draw the modes and the path it took"
-    )
-    what.add_argument(
-        "--scene", action="store_true",
-        help="draw bodies, surfaces and contacts where a run starts: .svg .png .pdf",
-    )  # fmt: skip
+    _flag(what, "--visited", "run, and draw the modes and the path it took")
+    words = "draw bodies, surfaces and contacts where a run starts: .svg .png .pdf"
+    _flag(what, "--scene", words)
     parser.add_argument(
-        "--guards", choices=("legend", "inline"), default="legend",
+        "--guards",
+        choices=("legend", "inline"),
+        default="legend",
         help="guards and resets once below, or at every arrow; legend",
-    )  # fmt: skip
+    )
 
 
 def _checking(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--examples", metavar="N", type=_positive, default=50, help="per property; 50"
-    )
-    parser.add_argument("--seed", metavar="S", type=_count, help="repeats a check exactly")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    _value(parser, "--examples", "N", "per property; 50", type=_positive, default=50)
+    _value(parser, "--seed", "S", "repeats a check exactly", type=_count)
+    _json(parser)
 
 
 def _engine(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--engine", choices=("auto", "taylor", "scipy", "impulse"),
+        "--engine",
+        choices=("auto", "taylor", "scipy", "impulse"),
         help="what integrates: taylor and scipy locate events, impulse takes fixed steps; "
         "auto chooses",
-    )  # fmt: skip
-    parser.add_argument("--step", metavar="H", type=_number, help="of the engine impulse, in time")
+    )
+    _value(parser, "--step", "H", "of the engine impulse, in time", type=_number)
+
+
+def _sweeping(parser: argparse.ArgumentParser) -> None:
+    words = (
+        "values of a parameter: lin:A:B:N, log:A:B:N, or 0.1,1/3,inf; "
+        "all combinations of them are run"
+    )
+    _value(parser, "--over", "NAME=RANGE", words, action="append", default=[], type=_range)
+    cells = parser.add_mutually_exclusive_group()
+    words = "so many points of a Sobol sequence over NAME=lin:A:B, a power of two"
+    _value(cells, "--sobol", "N", words, type=_positive)
+    _value(cells, "--samples", "TABLE.csv", "a column for every parameter, a row for every run")
+    _value(parser, "--outputs", "NAMES", "separated by commas; else all", type=_names)
+    _value(parser, "--until", "T", "end of the runs", type=_number)
+    _engine(parser)
+    _errors(parser.add_mutually_exclusive_group())
+    where = parser.add_mutually_exclusive_group()
+    _value(where, "--workers", "N", "processes of this machine", type=_positive)
+    _value(where, "--scheduler", "ADDRESS", "of a Dask cluster: tcp://HOST:PORT")
+    words = "STORE.zarr, which is written block by block, or FILE.nc"
+    _value(parser, "-o --output", "PATH", words)
+    _flag(parser, "--resume", "go on with the sweep in STORE.zarr")
+    _value(parser, "--plot", "PICTURE", "draw it: .svg .png .pdf")
+    _json(parser)
+
+
+def _settable(parser: argparse.ArgumentParser) -> None:
+    words = "give a parameter another value: a number, 1/3, inf, 20*pi/180"
+    more: Any = {"dest": "parameters", "action": "append", "default": [], "type": _assignment}
+    _value(parser, "--set", "NAME=VALUE", words, **more)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -255,47 +260,6 @@ class _Version(argparse.Action):
 
         print(f"statechart {statechart.__version__}")
         parser.exit()
-
-
-def _sweeping(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--over", metavar="NAME=RANGE", action="append", default=[], type=_range,
-        help="values of a parameter: lin:A:B:N, log:A:B:N, or 0.1,1/3,inf; "
-        "all combinations of them are run",
-    )  # fmt: skip
-    cells = parser.add_mutually_exclusive_group()
-    cells.add_argument(
-        "--sobol", metavar="N", type=_positive,
-        help="so many points of a Sobol sequence over NAME=lin:A:B, a power of two",
-    )  # fmt: skip
-    cells.add_argument(
-        "--samples", metavar="TABLE.csv", help="a column for every parameter, a row for every run"
-    )
-    parser.add_argument(
-        "--outputs", metavar="NAMES", type=_names, help="separated by commas; else all"
-    )
-    parser.add_argument("--until", metavar="T", type=_number, help="end of the runs")
-    _engine(parser)
-    error = parser.add_mutually_exclusive_group()
-    error.add_argument("--accuracy", metavar="A", type=_number, help="relative error allowed")
-    error.add_argument("--tolerance", metavar="R", type=_number, help="of every step, relative")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", metavar="N", type=_positive, help="processes of this machine")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://HOST:PORT")
-    parser.add_argument(
-        "-o", "--output", metavar="PATH",
-        help="STORE.zarr, which is written block by block, or FILE.nc",
-    )  # fmt: skip
-    parser.add_argument("--resume", action="store_true", help="go on with the sweep in STORE.zarr")
-    parser.add_argument("--plot", metavar="PICTURE", help="draw it: .svg .png .pdf")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
-def _settable(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--set", dest="parameters", metavar="NAME=VALUE", action="append", default=[],
-        type=_assignment, help="give a parameter another value: a number, 1/3, inf, 20*pi/180",
-    )  # fmt: skip
 
 
 def _number(text: str) -> float:
@@ -341,10 +305,51 @@ def _count(text: str, least: int = 0) -> int:
         count = int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 20") from None
-    if not least <= count < _UNCOUNTABLE:
+    if not least <= count < _MAX_COUNT:
         raise argparse.ArgumentTypeError(f"must be from {least} to 10**18, not {text}")
     return count
 
 
 def _positive(text: str) -> int:
     return _count(text, least=1)
+
+
+def script(shell: str) -> str:
+    """Return the script by which a shell completes verbs, options, files, and shipped models."""
+    import shtab
+
+    whole = parser()
+    completed = {"FILE": _models(), **dict.fromkeys(_FILES, shtab.FILE), "DIR": shtab.DIRECTORY}
+    for action in _actions(whole):
+        if isinstance(action.metavar, str) and action.metavar in completed:
+            action.complete = completed[action.metavar]  # type: ignore[attr-defined]
+    text: str = shtab.complete(whole, shell)
+    return text
+
+
+def _models() -> dict[str, object]:
+    """Return completions of a model: the name of a shipped one, or a file."""
+    from statechart.loading.load import shipped
+
+    names = " ".join(sorted(shipped()))
+    return {
+        "bash": "_statechart_model_file",
+        "zsh": "_statechart_models",
+        "fish": "(__statechart_models)",
+        "preamble": {
+            "bash": "_statechart_model_file() {\n"
+            f'  compgen -W "{names}" -- "$1"\n  compgen -f -- "$1"\n}}',
+            "zsh": "_statechart_models() {\n"
+            f"  _alternative 'models:shipped model:({names})' 'files:file:_files'\n}}",
+            "fish": "function __statechart_models\n"
+            f"  printf '%s\\n' {names}\n  __fish_complete_path (commandline -ct)\nend",
+        },
+    }
+
+
+def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        yield action
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                yield from _actions(verb)

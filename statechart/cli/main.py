@@ -16,14 +16,6 @@ if TYPE_CHECKING:
 
 _DONE, _FAILED, _WRONG = 0, 1, 2
 
-_ROOMS = {
-    **dict.fromkeys(("schema", "new", "completion"), "texts"),
-    **dict.fromkeys(("trade", "sweep", "check"), "studies"),
-    "compile": "ahead_of_time",
-}
-"""Where verbs stand that run no model once; the others in `verbs`."""
-
-
 # Objects that are made between two looks for garbage; Python's 700 are too few for so many.
 _COLLECTED_AFTER = 200_000
 
@@ -51,7 +43,7 @@ def program() -> int:
         import gc
 
         # Imports, and what is composed of a model, make a million objects that stay; to look for
-        # garbage among them is a tenth of a start. From then on it is looked for (`runner_of`).
+        # garbage among them is a tenth of a start. `verbs` turns the search on.
         gc.disable()
         gc.set_threshold(_COLLECTED_AFTER)
         return main()
@@ -69,7 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = read(arguments)
         if getattr(chosen, "quiet", False):
             compiling.announce(None)
-        verb: Callable[[argparse.Namespace], int] = _verb(chosen.verb)
+        from statechart.cli import verbs
+
+        verb: Callable[[argparse.Namespace], int] = getattr(verbs, chosen.verb)
         code = verb(chosen)
         sys.stdout.flush()
         return code or (_say("interrupted", _FAILED) if interrupts.arrived() else _DONE)
@@ -112,14 +106,6 @@ def _unexpected(error: Exception) -> str:
         f"internal error, {type(error).__name__}: {error}\n"
         "please report it; STATECHART_DEBUG=1 shows where it came from"
     )
-
-
-def _verb(name: str) -> Callable[[argparse.Namespace], int]:
-    from importlib import import_module
-
-    room = import_module(f"statechart.cli.{_ROOMS.get(name, 'verbs')}")
-    verb: Callable[[argparse.Namespace], int] = getattr(room, name)
-    return verb
 
 
 def _say(message: str, code: int) -> int:

@@ -1,4 +1,4 @@
-"""Where results go: what can be written there, and what is kept there already."""
+"""Files of the command line: checks that results can be written, and studies found there."""
 
 from __future__ import annotations
 
@@ -13,20 +13,14 @@ from statechart.errors import DeclarationError, StatechartError
 if TYPE_CHECKING:
     from statechart.documents.declaration import Declaration
     from statechart.running.runner import Runner
-    from statechart.study.record import Study
+    from statechart.study.study import Study
 
 PATIENCE = 0.9
-"""Seconds after a signal in which what was computed is saved, but for what is always saved."""
+"""Seconds after a signal in which results are saved, but for those that always are."""
 
 
 def check_folder(output: str | None) -> None:
-    """Check that results can be written, before the work that leads to them.
-
-    Raises
-    ------
-    DeclarationError
-        If they cannot.
-    """
+    """Raise `DeclarationError` where no results can be written, before the work for them."""
     if output is None:
         return
     if not output.strip():
@@ -47,10 +41,10 @@ def is_store(output: str) -> bool:
 
 
 def kept_study(arguments: argparse.Namespace) -> Study | None:
-    """Return what `trade` has left in the folder where the results go."""
+    """Return the study that `trade` has left in the folder of the results."""
     if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
         return None
-    from statechart.study.file import load
+    from statechart.study.study import load
 
     return load(arguments.output)
 
@@ -58,10 +52,10 @@ def kept_study(arguments: argparse.Namespace) -> Study | None:
 def shown_study(
     model: Declaration, page: str | None, output: str | None = None
 ) -> tuple[Study | None, tuple[str, ...]]:
-    """Return what `trade` has left of a model beside its page, and what is to be warned of."""
+    """Return the study that `trade` has left beside the page of a model, and warnings."""
     if page is None:
         return None, ()
-    from statechart.study.file import NAME, load
+    from statechart.study.study import NAME, load
 
     warnings = []
     for folder in dict.fromkeys((Path(page).parent, *([] if output is None else [Path(output)]))):
@@ -81,13 +75,7 @@ def shown_study(
 
 
 def check_file(option: str, output: str | None) -> None:
-    """Check that a file can be written, before the work that leads to it.
-
-    Raises
-    ------
-    DeclarationError
-        If it cannot.
-    """
+    """Raise `DeclarationError` where a file cannot be written, before the work for it."""
     if output is None:
         return
     if not output.strip():
@@ -103,50 +91,30 @@ def check_file(option: str, output: str | None) -> None:
 
 
 def check_drawing(output: str, suffixes: Collection[str]) -> None:
-    """Check that a drawing can be written, before what it shows is made.
-
-    Raises
-    ------
-    DeclarationError
-        If its suffix is none of these, or its place is not writable.
-    """
+    """Raise `DeclarationError` where a drawing of another suffix or place cannot be written."""
     check_file("-o", output)
     if Path(output).suffix.lower() not in suffixes:
         raise DeclarationError(f"-o {output}: the suffix must be one of {', '.join(suffixes)}")
 
 
 def check_page(option: str, output: str | None) -> None:
-    """Check that a page can be written, before the run that it shows.
-
-    Raises
-    ------
-    DeclarationError
-        If it is no page, or its place is not writable.
-    """
+    """Raise `DeclarationError` where a page cannot be written, before the run that it shows."""
     check_file(option, output)
     if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"{option} {output}: a page is .html", advice="name it so")
 
 
-def showing(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return how an animation is to be shown, as far as that is said."""
-    said = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
-    return {name: value for name, value in said.items() if value is not None}
+def film_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of an animation that are given."""
+    given = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
+    return {name: value for name, value in given.items() if value is not None}
 
 
-def check_animation(runner: Runner, output: str | None, said: Mapping[str, Any]) -> None:
-    """Check that an animation of a model can be written, before the run that it shows.
-
-    Raises
-    ------
-    DeclarationError
-        If it is no animation, its place is not writable, or how it is to be shown is wrong.
-    StatechartError
-        If the model has no bodies, or a program is missing.
-    """
+def check_animation(runner: Runner, output: str | None, options: Mapping[str, Any]) -> None:
+    """Raise `StatechartError` where no animation can be written, before the run that it shows."""
     if output is None:
-        if said:
-            names = [f"--{name}" for name in said]
+        if options:
+            names = [f"--{name}" for name in options]
             raise DeclarationError(
                 f"{' and '.join(names)} say{'s' * (len(names) == 1)} how a film is shown",
                 advice="say --animate FILM, too, or leave it out",
@@ -156,6 +124,6 @@ def check_animation(runner: Runner, output: str | None, said: Mapping[str, Any])
     from statechart.reporting.film import Showing, stage_of
 
     check_file("--animate", output)
-    shown = Showing(**said)
+    shown = Showing(**options)
     check(Path(output), shown.size, shown.speed, shown.trail)
     stage_of(runner.automaton)

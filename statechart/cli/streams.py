@@ -1,4 +1,4 @@
-"""The streams of the process `statechart`: what cannot be written to them is one sentence."""
+"""Standard streams of the process: an error of writing is one sentence."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from statechart.errors import StatechartError
 
 
 def take_streams() -> None:
-    """Put streams that say what is wrong in the place of stdout and stderr."""
+    """Replace stdout and stderr by streams that explain their errors."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            # Else the next file that is opened would be written what is printed.
+            # Else the next file that is opened would get the output.
             os.open(os.devnull, os.O_RDWR)
     sys.stdout, sys.stderr = _Out(sys.stdout), _Err(sys.stderr)
 
 
 def be_quiet() -> None:
-    """Let no library write warnings or logs to stderr: what users must know is in the report."""
+    """Keep warnings and logs of libraries off stderr: the report has what users must know."""
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
 
 
 class _Out(io.TextIOBase):
-    """Stdout; where it cannot be written, that is an error of ours, once."""
+    """Stdout; an error of writing it is a `StatechartError`, once."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
@@ -75,7 +75,7 @@ class _Out(io.TextIOBase):
 
 
 class _Err(io.TextIOBase):
-    """Stderr; where it cannot be written, nothing is said."""
+    """Stderr; errors of writing it are ignored."""
 
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""What is printed: texts on stdout, with tables that fit where it is a terminal, and warnings."""
+"""Output: texts on stdout, with tables that fit the width of a terminal, and warnings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import sys
 from collections.abc import Iterable
 
-from statechart.reporting.pieces import Pieces
 from statechart.tabular import Block, Table, plain
 
 
@@ -26,7 +25,7 @@ def show(blocks: Iterable[Block]) -> None:
 
 
 def _ruled(table: Table) -> object:
-    """Return a table whose long cells go on in the next line, below where they began."""
+    """Return a table that wraps long cells."""
     from rich.table import Table as Ruled
     from rich.text import Text
 
@@ -44,12 +43,6 @@ def warn(warnings: Iterable[str]) -> None:
     """Print warnings to stderr."""
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
-
-
-def say_left_out(pieces: Pieces) -> None:
-    """Say what could not be done."""
-    if pieces.failed:
-        print(f"left out: {pieces.text()}", file=sys.stderr)
 
 
 def print_json(value: object) -> None:

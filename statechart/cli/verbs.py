@@ -4,36 +4,39 @@ from __future__ import annotations
 
 import argparse
 import functools
+import gc
 import sys
 import tempfile
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
-from statechart.cli.arguments import assigned, runner_of
 from statechart.cli.places import (
     PATIENCE,
     check_animation,
     check_drawing,
+    check_file,
     check_folder,
     check_page,
+    film_options,
     is_store,
     kept_study,
-    showing,
     shown_study,
 )
 from statechart.cli.terminal import print_json, show, warn
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+if TYPE_CHECKING:  # verbs that run nothing do without them
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
+    from statechart.automaton.trace import Trace
     from statechart.running.result import Result
     from statechart.running.runner import Runner
 
+T = TypeVar("T")
 
 _SAMPLES = (
     "samples.csv is written from version 0.3 on only where it is asked for: say --samples, or "
@@ -43,16 +46,16 @@ _SAMPLES = (
 
 def validate(arguments: argparse.Namespace) -> int:
     """Read a model and check its initial state; print one line."""
-    from statechart.reporting.modes import counted
+    from statechart.reporting.modes import format_count
     from statechart.tabular import ends, several
 
-    runner = runner_of(arguments.file)
+    runner = _runner(arguments.file)
     mode, warnings = runner.start()
     automaton = runner.automaton
     kind = getattr(runner.model, "kind", "model")
-    count = counted(automaton.modes_declared, automaton.modes_total)
+    count = format_count(automaton.modes_declared, automaton.modes_total)
     remarks = "".join(f"; warning: {warning}" for warning in warnings)
-    # Of many regions a label is longer than what is told.
+    # The label of a mode of many regions is cut.
     states = automaton.label(mode).split()
     start = " ".join(f"... {s} more ..." if isinstance(s, int) else s for s in ends(states))
     starts = f", starts in {start}" if start else ""
@@ -67,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run a model; print a summary or one object."""
     from statechart.documents.setting import Setting
 
-    parameters = assigned("--set", arguments.parameters)
-    runner = runner_of(
+    parameters = _assigned("--set", arguments.parameters)
+    runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
         study=kept_study(arguments),
@@ -81,20 +84,20 @@ def run(arguments: argparse.Namespace) -> int:
             "--samples and --no-samples are about the tables of --output",
             advice="say --output DIR, too, or leave them out",
         )
-    check_animation(runner, arguments.animate, showing(arguments))
+    check_animation(runner, arguments.animate, film_options(arguments))
     check_page("--report", arguments.report)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
-    # From here on nothing is lost: what fails is left out, and what is left out is said.
+    # From here on nothing is lost: a part that fails is left out, with a message.
     with interrupts.held(), interrupts.limited(PATIENCE):
-        complete = _tell(runner, result, parameters, arguments)
+        complete = _deliver(runner, result, parameters, arguments)
     asked = result.asked
     met = asked is None or asked.setting.accuracy is None or asked.reached(result.error_estimate)
     return 0 if complete and met and result.trace.outcome.succeeded else 1
 
 
-def _tell(
+def _deliver(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> bool:
     """Save and print a run; return whether all of it could be."""
@@ -102,8 +105,8 @@ def _tell(
     result = replace(result, trace=result.trace.at_hand())
 
     @functools.cache
-    def made() -> dict[str, Any]:
-        # What was saved must be able to answer why, too.
+    def report_of() -> dict[str, Any]:
+        # A run that is saved has its explanations, too.
         explain = arguments.explain or arguments.output is not None
         report = result.to_dict(explain=explain, pieces=pieces)
         if arguments.alternatives:
@@ -115,28 +118,26 @@ def _tell(
 
     if arguments.output is not None:
         try:
-            _save(result, made, pieces, arguments.output, arguments.samples)
+            _save(result, report_of, pieces, arguments.output, arguments.samples)
         except StatechartError as error:
             failure = str(error)
-    report = made()
+    report = report_of()
     warn(report["warnings"])
     if arguments.json:
         from statechart.reporting.report import dumps
 
         print(dumps(report), end="")
     else:
-        from statechart.reporting.text import told
+        from statechart.reporting.text import describe_run, explain_events
 
-        show(told(report))
+        show(describe_run(report))
         if arguments.explain and report["events"]:
-            from statechart.reporting.text import explained
-
-            show(["\n", *explained(report)])
+            show(["\n", *explain_events(report)])
     sys.stdout.flush()
     if arguments.animate is not None:
         shown = not arguments.quiet
         draw = functools.partial(
-            result.animate, arguments.animate, progress=shown, **showing(arguments)
+            result.animate, arguments.animate, progress=shown, **film_options(arguments)
         )
         pieces.attempt(arguments.animate, draw, None)
     if arguments.report is not None:
@@ -152,7 +153,7 @@ def _tell(
 
 def _save(
     result: Result,
-    made: Callable[[], dict[str, Any]],
+    report_of: Callable[[], dict[str, Any]],
     pieces: Pieces,
     output: str,
     samples: bool | None,
@@ -163,12 +164,12 @@ def _save(
     from statechart.reporting.tables import write_run
 
     if is_store(output):
-        write_store(output, result.observer, result.trace, made())
+        write_store(output, result.observer, result.trace, report_of())
         return
     if samples is None and result.trace.record is Record.MODES:
         samples = True
         warn([_SAMPLES])
-    write_run(output, result.observer, result.trace, made, pieces, bool(samples))
+    write_run(output, result.observer, result.trace, report_of, pieces, bool(samples))
 
 
 def view(arguments: argparse.Namespace) -> int:
@@ -176,8 +177,8 @@ def view(arguments: argparse.Namespace) -> int:
     import webbrowser
 
     check_page("-o", arguments.output)
-    runner = runner_of(arguments.file, once=True, progress=not arguments.quiet)
-    parameters = assigned("--set", arguments.parameters)
+    runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
+    parameters = _assigned("--set", arguments.parameters)
     result = runner.run(parameters, until=arguments.until, throw=False)
     warn(result.warnings)
     place = arguments.output or Path(
@@ -189,29 +190,56 @@ def view(arguments: argparse.Namespace) -> int:
     print(page)
     if not webbrowser.open(page.as_uri()):
         print("no browser could be opened; open the page with one", file=sys.stderr)
-    if not result.trace.outcome.succeeded:
-        warn([f"the run ended early: {result.trace.outcome.name}, {result.trace.message}"])
-    return 0 if result.trace.outcome.succeeded else 1
+    return _warn_of_early_end(result.trace)
+
+
+def _warn_of_early_end(trace: Trace) -> int:
+    if trace.outcome.succeeded:
+        return 0
+    warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
+    return 1
 
 
 def _alternatives(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    from statechart.running.alternatives import compared
+    """Return where runs under the other choices of the model differ from a run."""
+    from statechart.observation.difference import compare
+    from statechart.observation.outputs import Outputs
+    from statechart.reporting.report import json_safe
 
-    others = {
-        choice: other.run(parameters, until=arguments.until, throw=False)
-        for choice, other in runner.alternatives().items()
-    }
-    return compared(result, others)
+    rows = []
+    for choice, other_runner in runner.alternatives().items():
+        other = other_runner.run(parameters, until=arguments.until, throw=False)
+        found = compare(
+            result.trace,
+            other.trace,
+            result.outputs,
+            other.outputs,
+            scales=Outputs(result.observer).scales(result.trace),
+            endless=result.endless | other.endless,
+        )
+        report = other.to_dict()
+        rows.append(
+            {
+                "choice": choice,
+                "outcome": other.trace.outcome.name,
+                "same_modes": found.diverged is None,
+                "diverged": found.diverged,
+                "difference": None if found.diverged is not None else json_safe(found.largest),
+                "final": report["final"],
+                "outputs": report["outputs"],
+            }
+        )
+    return rows
 
 
 def modes(arguments: argparse.Namespace) -> int:
     """List modes, which of them are possible at a configuration, and every region's chart."""
     from statechart.automaton.product import feasibility
-    from statechart.reporting.modes import check_variables, listing, told
+    from statechart.reporting.modes import check_variables, format_listing, listing
 
-    parameters = assigned("--set", arguments.parameters)
+    parameters = _assigned("--set", arguments.parameters)
     if arguments.latex and arguments.equations is None:
         raise DeclarationError("--latex is for equations: say --equations MODE, too")
     if arguments.latex and arguments.json:
@@ -220,16 +248,16 @@ def modes(arguments: argparse.Namespace) -> int:
         raise DeclarationError(
             "--equations hold at every configuration", advice="leave --at and --until out"
         )
-    runner = runner_of(arguments.file, progress=not arguments.quiet)
+    runner = _runner(arguments.file, progress=not arguments.quiet)
     automaton = runner.automaton
     if arguments.equations is not None:
         from statechart.reporting import equations
 
         form = "latex" if arguments.latex else "json" if arguments.json else "text"
         setup = runner.setup(parameters)
-        print(equations.told(automaton, setup, arguments.equations, form), end="")
+        print(equations.format_equations(automaton, setup, arguments.equations, form), end="")
         return 0
-    at = assigned("--at", arguments.at)
+    at = _assigned("--at", arguments.at)
     check_variables(automaton, at)
     if not at:
         # Where no mode agrees with the start, modes are listed all the more.
@@ -253,7 +281,7 @@ def modes(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(listed)
     else:
-        show(told(listed))
+        show(format_listing(listed))
     return 0
 
 
@@ -261,27 +289,215 @@ def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
     from statechart.diagram.scxml import lost
     from statechart.diagram.write import SUFFIXES, write
-    from statechart.running.drawing import drawn
+    from statechart.running.drawing import draw_scene, drawn
 
     path = Path(arguments.output)
     if arguments.scene:
         from statechart.reporting.figure import SUFFIXES as FIGURES
-        from statechart.running.drawing import draw_scene
 
         check_drawing(arguments.output, FIGURES)
-        print(draw_scene(runner_of(arguments.file), path))
+        print(draw_scene(_runner(arguments.file), path))
         return 0
     check_drawing(arguments.output, SUFFIXES)
-    runner = runner_of(arguments.file, progress=not arguments.quiet)
+    runner = _runner(arguments.file, progress=not arguments.quiet)
     diagram, trace = drawn(runner, visited=arguments.visited)
     code = 0
     if trace is not None:
         warn(trace.warnings)
-        if not trace.outcome.succeeded:
-            warn([f"the run ended early: {trace.outcome.name}, {trace.message}"])
-            code = 1
+        code = _warn_of_early_end(trace)
     write(diagram, path, arguments.guards)
     if path.suffix.lower() == ".scxml" and diagram.machine is not None:
         warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
     print(path)
     return code
+
+
+def trade(arguments: argparse.Namespace) -> int:
+    """Run a model at many settings; print what each costs and gives."""
+    from statechart.study.text import describe_study, to_dict
+    from statechart.study.trade import trade as study_of
+
+    check_folder(arguments.output)
+    runner = _runner(arguments.file)
+    study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
+    pieces = Pieces()
+    if arguments.output is not None:
+        from statechart.study.figure import write
+
+        pieces.attempt("tables and figure", lambda: write(arguments.output, study), None)
+    if arguments.json:
+        print_json(to_dict(study))
+    else:
+        show(describe_study(study))
+    _print_left_out(pieces)
+    if not study.complete:
+        again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
+        print(f"interrupted; {again}", file=sys.stderr)
+    return 0 if study.complete and not pieces.failed else 1
+
+
+def sweep(arguments: argparse.Namespace) -> int:
+    """Run a model over its parameters; print how cells ended and between what outputs lie."""
+    from statechart.documents.setting import Setting
+    from statechart.sweeps import results
+    from statechart.sweeps.ranges import cells
+    from statechart.sweeps.sweep import make_plan, run_plan
+    from statechart.sweeps.workers import crew
+
+    over, samples = cells(_assigned("--over", arguments.over), arguments.samples, arguments.sobol)
+    names = {part.name for part in fields(Setting)} & set(vars(arguments))
+    setting = Setting(**{name: getattr(arguments, name) for name in names})
+    plan = make_plan(
+        arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
+    )
+    target = results.Target(arguments.output, arguments.plot, arguments.resume)
+    target.check(plan)
+    shown = not arguments.quiet
+    workers = arguments.workers and min(arguments.workers, plan.size)
+    with crew(workers, arguments.scheduler) as executor:
+        made = run_plan(plan, executor, store=target.store, resume=arguments.resume, progress=shown)
+    pieces = Pieces()
+    with interrupts.held(), interrupts.limited(PATIENCE):
+        data = made.dataset(loaded=True)
+        target.write(plan, data, pieces)
+        report = results.to_dict(plan, data, where=arguments.output)
+        if arguments.json:
+            print_json(report)
+        else:
+            show(results.format_text(report))
+        _print_left_out(pieces)
+    if made.ended:
+        again = "--resume goes on" if target.store else "-o STORE.zarr keeps what is done"
+        print(f"{made.ended}; {again}", file=sys.stderr)
+    return 0 if results.succeeded(report) and not pieces.failed else 1
+
+
+def check(arguments: argparse.Namespace) -> int:
+    """Test the properties of a model over its ranges; write a model that fails, if one does."""
+    from statechart.documents.files import write_atomic
+    from statechart.testing.checking import check as check_model
+
+    runner = _runner(arguments.file)
+    warn(runner.start()[1])
+    with _scratch():
+        report = check_model(
+            runner.model,
+            examples=arguments.examples,
+            seed=arguments.seed,
+            progress=_printer(arguments, "testing: "),
+        )
+    pieces, written = Pieces(), None
+    if not report.passed:
+        path = Path(f"{runner.model.name}_failure.yaml")
+        data = report.reproduction.encode()
+        pieces.attempt(str(path), lambda: write_atomic(path, data), None)
+        written = None if pieces.failed else str(path)
+    if arguments.json:
+        print_json({**report.to_json(), "reproduction": written})
+    else:
+        show(report.told())
+        if written is not None:
+            print(f"{written} reproduces it")
+    _print_left_out(pieces)
+    return 0 if report.passed else 1
+
+
+@contextmanager
+def _scratch() -> Iterator[None]:
+    """Let Hypothesis keep its notes elsewhere: in the user's folder nothing is left behind."""
+    from hypothesis.configuration import set_hypothesis_home_dir
+
+    with tempfile.TemporaryDirectory() as folder:
+        set_hypothesis_home_dir(folder)
+        try:
+            yield
+        finally:
+            set_hypothesis_home_dir(None)
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of one kind of document, or of all."""
+    from statechart.loading.schema import schema as schema_of
+
+    print(schema_of(arguments.kind), end="")
+    return 0
+
+
+def compile(arguments: argparse.Namespace) -> int:
+    """Compile all kernels; say on stderr how far that is, and at the end how long it took."""
+    from statechart.cli.ahead_of_time import compile_kernels
+
+    compile_kernels(quiet=arguments.quiet)
+    return 0
+
+
+def new(arguments: argparse.Namespace) -> int:
+    """Write a scene to start from."""
+    from statechart.documents.files import write_atomic
+    from statechart.documents.yaml_reader import read_text
+    from statechart.documents.yaml_text import resolve
+    from statechart.formulas.syntax import NAME
+    from statechart.formulas.tree import RESERVED
+    from statechart.loading.kind import kind
+    from statechart.loading.load import interpret
+    from statechart.loading.schema import line
+
+    name = arguments.name
+    if not NAME.fullmatch(name) or name in RESERVED or not isinstance(resolve(name), str):
+        raise DeclarationError(
+            f"{name!r} cannot be the name of a model",
+            advice="letters, digits and _, not beginning with a digit, no word of formulas or YAML",
+        )
+    path = Path(f"{name}.yaml")
+    if path.exists() or path.is_symlink():
+        raise DeclarationError(f"{path} exists already", advice="choose another name")
+    check_file("new", str(path))
+    text = line("scene") + kind("scene").starter.read_text(encoding="utf-8").replace("NAME", name)
+    interpret(read_text(text, str(path)))
+    write_atomic(path, text.encode())
+    print(f"{path} written; run it with: statechart run {path}")
+    return 0
+
+
+def completion(arguments: argparse.Namespace) -> int:
+    """Print what a shell is to read to complete commands."""
+    from statechart.cli.grammar import script
+
+    print(script(arguments.shell))
+    return 0
+
+
+def _runner(file: str, **options: Any) -> Runner:
+    """Return the runner of a model, and turn garbage collection on."""
+    from statechart.running.runner import Runner
+
+    runner = Runner(file, **options)
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
+    return runner
+
+
+def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
+    """Return pairs of names and values as a dictionary, each name once."""
+    found: dict[str, T] = {}
+    for name, value in pairs:
+        if name in found:
+            raise DeclarationError(f"{option} {name} is given twice", advice="give it once")
+        found[name] = value
+    return found
+
+
+def _printer(arguments: argparse.Namespace, before: str = "") -> Callable[[str], None]:
+    """Return a function that prints lines of progress to stderr, unless --quiet."""
+
+    def print_line(line: str) -> None:
+        if not arguments.quiet:
+            print(f"{before}{line}", file=sys.stderr, flush=True)
+
+    return print_line
+
+
+def _print_left_out(pieces: Pieces) -> None:
+    if pieces.failed:
+        print(f"left out: {pieces.text()}", file=sys.stderr)

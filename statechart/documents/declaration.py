@@ -1,4 +1,4 @@
-"""What every model declares, whatever its kind: parameters, ranges, end, outputs, settings."""
+"""Base of every model, whatever its kind: parameters, ranges, end, outputs, settings."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ Units = Annotated[
 """Units of bases and of names; a word stands for those of all bases."""
 
 TIME = "time"
-"""What formulas call the time since the start."""
+"""The name of the time since the start in formulas."""
 
 
 class Declaration(Part):
@@ -183,7 +183,7 @@ class Declaration(Part):
 
     @cached_property
     def dimensions(self) -> Mapping[str, Powers]:
-        """What names measure, as far as the formulas that they stand in tell."""
+        """The dimensions of names, as far as they follow from formulas."""
         facts = list(self.facts())
         trees = [part for fact in facts for part in fact if not isinstance(part, Powers)]
         names = {name.name for tree in trees for name in names_in(tree)}

@@ -1,4 +1,4 @@
-"""What names measure, told from the formulas that they stand in.
+"""Dimensional analysis: dimensions of names, inferred from the formulas that they stand in.
 
 As types are inferred: what a field measures says it of the formula there, sums are of one kind,
 sines are of angles. Nothing is refused for what is found here; it serves tables and axes alone.
@@ -45,10 +45,10 @@ _LONGEST = 200
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
     """Return what names measure."""
-    found, told = _Known(known), [fact for fact in facts if _short(fact)]
+    found, short = _Known(known), [fact for fact in facts if _short(fact)]
     for _ in range(_PASSES):
         before = dict(found)
-        for left, right in told:
+        for left, right in short:
             _alike(left, right, found)
         if found == before:
             break
@@ -122,7 +122,7 @@ def _number(node: Node) -> bool:
 
 
 class _Known(Known):
-    """What is known of names, of which the first ones are certain."""
+    """Dimensions of names, of which the first ones are certain."""
 
     def __init__(self, known: Mapping[str, Powers]) -> None:
         super().__init__(known)

@@ -1,4 +1,4 @@
-"""What a model is made of, with the place of each value: a YAML document, or Python keywords."""
+"""The source of a model with the place of each value: a YAML document, or Python keywords."""
 
 from __future__ import annotations
 

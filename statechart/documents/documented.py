@@ -1,4 +1,4 @@
-"""What Python shows of the class of a declared part: its fields, and errors with their paths."""
+"""Metaclass of declared parts: help on their fields, and errors with their paths."""
 
 # ruff: noqa: N805 -- what methods of a class of classes are called on is a class
 
@@ -59,8 +59,10 @@ class Documented(ModelMetaclass):
         if not own:
             return None
         # Fields without a word of their own have theirs in the docstring.
-        told = "\n".join(_told(name, field) for name, field in _fields(cls) if field.description)
-        return f"{inspect.cleandoc(own)}\n\nParameters\n----------\n{told}" if told else own
+        shown = "\n".join(
+            _field_text(name, field) for name, field in _fields(cls) if field.description
+        )
+        return f"{inspect.cleandoc(own)}\n\nParameters\n----------\n{shown}" if shown else own
 
     @property
     def __signature__(cls) -> inspect.Signature:
@@ -91,7 +93,7 @@ def _fields(cls: type) -> Iterator[tuple[str, FieldInfo]]:
     yield from sorted(fields.items(), key=lambda item: not item[1].is_required())
 
 
-def _told(name: str, field: FieldInfo) -> str:
+def _field_text(name: str, field: FieldInfo) -> str:
     """Return what is declared of a field as a docstring has it."""
     optional = "" if field.is_required() else ", optional"
     sentences = [(field.description or "").rstrip(".") + "."]
@@ -100,8 +102,8 @@ def _told(name: str, field: FieldInfo) -> str:
         sentences.append(f"Unit: {extra['unit']}.")
     if field.examples:
         sentences.append(f"Example: ``{field.examples[0]}``.")
-    told = textwrap.wrap(" ".join(sentences), _WIDTH, break_long_words=False)
-    return "\n    ".join([f"{name} : {_type(field.annotation)}{optional}", *told])
+    lines = textwrap.wrap(" ".join(sentences), _WIDTH, break_long_words=False)
+    return "\n    ".join([f"{name} : {_type(field.annotation)}{optional}", *lines])
 
 
 def _type(annotation: Any) -> str:

@@ -173,7 +173,7 @@ class Part(BaseModel, metaclass=Documented):
     )
 
     OTHER_WORDS: ClassVar[Mapping[str, str]] = {}
-    """What people call keys that go by another name here -> what is written for it."""
+    """Key of another program -> what is written for it here."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in type(self).model_fields:

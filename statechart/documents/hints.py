@@ -38,7 +38,7 @@ _ARGUMENTS = {
     **dict.fromkeys(("n", "max_examples"), "examples"),
     **dict.fromkeys(("filename", "file", "output", "out", "dir", "directory"), "path"),
 }
-"""What other programs call an argument."""
+"""Argument of another program -> argument of ours."""
 
 _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "float": ((Real,), "a number"),
@@ -46,7 +46,25 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
     "Path | str": ((str, PathLike), "a path"),
     "bool": ((bool,), "True or False"),
 }
-"""What an argument must be, by its annotation, and in words."""
+"""Annotation of an argument -> types that it may have, and their name."""
+
+YAML_HINTS: Mapping[str, str] = {
+    r"'\t'": "indent by spaces, not by tabs",
+    "mapping values are not allowed": "write key: value, and keys of one mapping below each other; "
+    "text with a colon stands in quotes",
+    "found character '|' that cannot start": "write abs(...)",
+    "found character '%' that cannot start": "write a comment after #",
+    "found character '`' that cannot start": "put text in quotes",
+    "found character '@' that cannot start": "put text in quotes",
+    "expected the node content, but found ','": "there is a comma too many",
+    "could not find expected ':'": "write key: value",
+    "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
+    "expected ',' or '}'": "close with } what { opened, and put commas between",
+    "expected ',' or ']'": "close with ] what [ opened, and put commas between",
+    "expected <block end>": "indent keys of one mapping alike",
+    "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
+}
+"""Words of the message on text that is no YAML -> what to write."""
 
 
 def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) -> str:
@@ -184,27 +202,46 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     """Let a call with arguments that the function does not take be a `DeclarationError`.
 
     So is one that Python stumbles over because an argument is not what its annotation says.
+    Keywords that a function takes as ``**words: Unpack[TypedDict]`` are arguments like the others.
     """
+    signature = _expanded(function)
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
+            if packed:
+                signature.bind(*args, **kwargs)
             return function(*args, **kwargs)
         except TypeError:
-            wrong = _wrong_call(function, args, kwargs)
+            wrong = _wrong_call(signature, args, kwargs)
             if not wrong:
                 raise
         name = function.__qualname__.removesuffix(".__init__")
         raise DeclarationError(f"{name}: {wrong[0]}", advice=wrong[1])
 
+    packed = signature != inspect.signature(function)
+    called.__signature__ = signature  # type: ignore[attr-defined]
     return called
 
 
+def _expanded(function: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function with the keywords of ``**words`` one by one."""
+    signature = inspect.signature(function)
+    parts = list(signature.parameters.values())
+    if not parts or parts[-1].kind is not inspect.Parameter.VAR_KEYWORD:
+        return signature
+    packed = parts.pop().annotation.removeprefix("Unpack[").removesuffix("]")
+    for word, annotation in function.__globals__[packed].__annotations__.items():
+        shown = getattr(annotation, "__forward_arg__", annotation)
+        part = inspect.Parameter(word, inspect.Parameter.KEYWORD_ONLY, annotation=shown)
+        parts.append(part.replace(default=None))
+    return signature.replace(parameters=parts)
+
+
 def _wrong_call(
-    function: Callable[..., Any], args: tuple[object, ...], kwargs: Mapping[str, object]
+    signature: inspect.Signature, args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> tuple[str, str] | None:
     """Return what is wrong with a call, and advice; None where its arguments are right."""
-    signature = inspect.signature(function)
     try:
         bound = signature.bind(*args, **kwargs)
     except TypeError as error:

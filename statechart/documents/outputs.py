@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self
 
@@ -26,7 +26,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """When an output is taken: `start`, `end`, or at the `first`, `last` or `each` of events.
+    """The time of an output: `start`, `end`, or at the `first`, `last` or `each` of events.
 
     At most so many of the first or last where `most` says so, in their order.
     """
@@ -76,14 +76,18 @@ def _parse_moment(text: str) -> Moment:
     )
 
 
-def _checked_event(text: str) -> str:
-    parse_events(text)
-    return text
+def _that(parse: Callable[[str], object]) -> AfterValidator:
+    """Return a validator of text that `parse` can read, which is kept as written."""
+
+    def check(text: str) -> str:
+        parse(text)
+        return text
+
+    return AfterValidator(check)
 
 
-def _checked_moment(text: str) -> str:
-    _parse_moment(text)
-    return text
+EventText = Annotated[str, _that(parse_events)]
+"""An event, or several joined by `or`."""
 
 
 class Value(Part):
@@ -98,7 +102,7 @@ class Value(Part):
         examples=["abs(stick.angle)"],
         json_schema_extra=unit("that of the formula"),
     )
-    at: Annotated[str, AfterValidator(_checked_moment)] = Field(
+    at: Annotated[str, _that(_parse_moment)] = Field(
         default="end",
         description="When: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT, "
         "last 10 EVENT. An event is a cause, such as slip, one of a contact, tip.slip, or the "
@@ -113,7 +117,7 @@ class Value(Part):
 
     @property
     def moment(self) -> Moment:
-        """When the value is taken."""
+        """The moment at which the value is taken."""
         return _parse_moment(self.at)
 
     @model_validator(mode="after")
@@ -141,13 +145,13 @@ class Integral(Part):
 class Count(Part):
     """How often an event happened."""
 
-    count: Annotated[str, AfterValidator(_checked_event)] = Field(
+    count: EventText = Field(
         description="The event, or several joined by or.", examples=["tip.touchdown"]
     )
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What is counted."""
+        """The events that are counted."""
         return parse_events(self.count)
 
 
@@ -192,7 +196,7 @@ Output = Annotated[
         "maximum",
     ),
 ]
-"""What a run reports under a name; told apart by their keys."""
+"""Quantity that a run reports under a name; its key says which of them it is."""
 
 
 def check_event(

@@ -1,4 +1,4 @@
-"""What names of a model measure, and in which units: as far as its declaration tells."""
+"""Dimensions and units of the names of a model, as far as they are declared."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ Dimension = Literal[
     "", "1", "length", "time", "mass", "angle", "length/time", "angle/time", "force", "impulse",
     "energy",
 ]  # fmt: skip
-"""What a quantity is measured in; empty where nothing tells."""
+"""Dimension of a quantity; empty where it is unknown."""
 
 BASES = ("length", "time", "mass", "force")
-"""What a model may give units to besides its own names; that of forces follows from the others."""
+"""Dimensions that a model may give units; the unit of force follows from the others."""
 
 SYSTEMS: Mapping[str, Mapping[str, str]] = {
     "SI": {"length": "m", "time": "s", "mass": "kg"},
@@ -23,7 +23,7 @@ SYSTEMS: Mapping[str, Mapping[str, str]] = {
 
 
 class Powers(NamedTuple):
-    """What a quantity is measured in, as powers of length, time and mass."""
+    """A dimension as powers of length, time and mass."""
 
     length: Fraction = Fraction(0)  # their exponents
     time: Fraction = Fraction(0)
@@ -40,7 +40,7 @@ class Powers(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What a name of a model measures."""
+    """The quantity that a name of a model measures."""
 
     words: str  # what it is, such as `x of rod`
     dimension: Dimension = ""
@@ -61,7 +61,7 @@ POWERS: Mapping[str, Powers] = {
     "impulse": _FORCE.times(_TIME),
     "energy": _FORCE.times(_LENGTH),
 }
-"""Of every dimension that has a name."""
+"""Name of a dimension -> its powers."""
 
 
 def per_time(dimension: Dimension) -> Dimension:

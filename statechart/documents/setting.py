@@ -1,11 +1,13 @@
-"""How a run is computed: engine, method, tolerance, accuracy, step, budget, as one value."""
+"""Numerical settings of a run: engine, method, tolerance, accuracy, step, budget."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from numbers import Real
+from typing import TypedDict
 
 from statechart.errors import DeclarationProblem
 
@@ -18,7 +20,7 @@ LONG_DOUBLE = "long double"
 
 
 class Record(Enum):
-    """What is kept of a run between its start and its end.
+    """Extent of the record of a run between its start and its end.
 
     MODES: the modes of all regions, as arcs and jumps. POSES: states, and what steps solve for, at
     every step, and the jumps of controllers. NOTHING: none of it.
@@ -29,9 +31,29 @@ class Record(Enum):
     NOTHING = "nothing"
 
 
+class IntegrationWords(TypedDict, total=False):
+    """Keyword arguments of a setting that hold for runs of any number; see `Setting`."""
+
+    engine: str | None
+    method: str | None
+    tolerance: float | None
+    accuracy: float | None
+    step: float | None
+    max_step: float | None
+
+
+class SettingWords(IntegrationWords, total=False):
+    """All keyword arguments of a setting; see `Setting`."""
+
+    budget: float | None
+    impulse_tolerance: float | None
+    impulse_bound: float | None
+    record: str | None
+
+
 @dataclass(frozen=True)
 class Setting:
-    """An engine, and what it is told; None where nothing is said.
+    """The engine of a run and its settings, None for those that are not given.
 
     Attributes
     ----------
@@ -86,8 +108,8 @@ class Setting:
         finders = ("tolerance", "accuracy", "budget")
         named = [what for what in finders if getattr(self, what) is not None]
         if len(named) > 1:
-            raise _misplaced(
-                named[1],
+            self._refuse(
+                named[1:],
                 f"{' and '.join(named)} exclude each other",
                 "accuracy and budget find the tolerance that they need",
             )
@@ -96,47 +118,49 @@ class Setting:
     def _check_engine(self, engine: str) -> None:
         """Check that nothing is asked of an engine that it has not."""
         if engine == "impulse":
-            for what in ("method", "tolerance", "budget", "max_step"):
-                if getattr(self, what) is not None:
-                    raise _misplaced(
-                        what,
-                        f"the engine impulse has no {what}",
-                        "its error follows the step: give a step, or an accuracy",
-                    )
-        elif self.step is not None:
-            raise _misplaced(
-                "step",
+            self._refuse(
+                ("method", "tolerance", "budget", "max_step"),
+                "the engine impulse has no {}",
+                "its error follows the step: give a step, or an accuracy",
+            )
+        else:
+            self._refuse(
+                ("step",),
                 f"the engine {engine} chooses its own steps",
                 "leave the step out, or take the engine impulse",
             )
-        else:
-            for what in ("impulse_tolerance", "impulse_bound"):
-                if getattr(self, what) is not None:
-                    raise _misplaced(
-                        what,
-                        f"the engine {engine} has no {what}",
-                        "it solves for no impulses of steps: leave it out, or take the engine "
-                        "impulse",
-                    )
-        if engine == "taylor" and self.method not in (None, LONG_DOUBLE):
-            raise _misplaced(
-                "method",
+            self._refuse(
+                ("impulse_tolerance", "impulse_bound"),
+                f"the engine {engine} has no {{}}",
+                "it solves for no impulses of steps: leave it out, or take the engine impulse",
+            )
+        if engine == "taylor" and self.method != LONG_DOUBLE:
+            self._refuse(
+                ("method",),
                 f"the engine taylor has no method {self.method!r}",
                 "leave the method out, or take the engine scipy",
             )
 
+    def _refuse(self, parts: Sequence[str], message: str, advice: str) -> None:
+        """Raise the error of the first of the parts that is given."""
+        for what in parts:
+            if getattr(self, what) is not None:
+                raise DeclarationProblem(message.format(what), advice=advice, loc=(what,), key=True)
+
     def _check_bounds(self) -> None:
-        for what in ("tolerance", "accuracy", "impulse_tolerance"):
+        between, positive = "{} must be above 0 and below 1", "the {} must be a positive time"
+        for what, highest, words in (
+            ("tolerance", 1.0, between),
+            ("accuracy", 1.0, between),
+            ("impulse_tolerance", 1.0, between),
+            ("impulse_bound", math.nan, "{} must be above 0"),
+            ("step", math.inf, positive),
+            ("budget", math.inf, positive + " in seconds"),
+            ("max_step", math.inf, positive),
+        ):
             value = getattr(self, what)
-            if value is not None and not 0.0 < value < 1.0:
-                raise DeclarationProblem(
-                    f"{what} must be above 0 and below 1, not {value:g}", loc=(what,)
-                )
-        if self.impulse_bound is not None and not self.impulse_bound > 0.0:
-            raise DeclarationProblem(
-                f"impulse_bound must be above 0, not {self.impulse_bound:g}",
-                loc=("impulse_bound",),
-            )
+            if value is not None and (not value > 0.0 or value >= highest):
+                raise DeclarationProblem(f"{words.format(what)}, not {value:g}", loc=(what,))
         bound, allowed = self.impulse_bound, self.impulse_tolerance
         if bound is not None and allowed is not None and bound < allowed:
             raise DeclarationProblem(
@@ -145,13 +169,6 @@ class Setting:
                 advice="give a larger bound, or a smaller tolerance",
                 loc=("impulse_bound",),
             )
-        times = (("step", "time"), ("budget", "time in seconds"), ("max_step", "time"))
-        for what, kind in times:
-            value = getattr(self, what)
-            if value is not None and not 0.0 < value < math.inf:
-                raise DeclarationProblem(
-                    f"the {what} must be a positive {kind}, not {value:g}", loc=(what,)
-                )
 
     def _check_record(self, engine: str) -> None:
         kinds = [kind.value for kind in Record]
@@ -163,21 +180,21 @@ class Setting:
                 loc=("record",),
             )
         if engine not in ("impulse", "auto"):
-            raise _misplaced(
-                "record",
+            self._refuse(
+                ("record",),
                 f"the engine {engine} records modes: its runs are made of them",
                 "leave record out, or take the engine impulse",
             )
         if self.accuracy is not None:
-            raise _misplaced(
-                "record",
+            self._refuse(
+                ("record",),
                 "an accuracy compares the events of runs, which are recorded with their modes",
                 "leave record out, or give a step",
             )
 
     @property
     def kept(self) -> Record:
-        """What is kept of runs."""
+        """The extent of the record."""
         return Record(self.record or Record.MODES.value)
 
     @property
@@ -194,7 +211,7 @@ class Setting:
 
     @property
     def _impulses(self) -> tuple[str, ...]:
-        """How exact impulses are, where that is said."""
+        """The impulse tolerance in words, where one is given."""
         return () if self.impulse_tolerance is None else (f"to {self.impulse_tolerance:g}",)
 
     @property
@@ -209,12 +226,8 @@ class Setting:
 
     @property
     def label(self) -> str:
-        """What it is called."""
+        """Its name in tables and figures."""
         what = "accuracy" if self.accuracy is not None else "step" if self.step is not None else ""
         engine = (self.engine or "auto", self.method or "", *self._impulses)
         words = (*engine, what, f"{self.fineness:.3g}")
         return " ".join(word for word in words if word)
-
-
-def _misplaced(what: str, message: str, advice: str) -> DeclarationProblem:
-    return DeclarationProblem(message, advice=advice, loc=(what,), key=True)

@@ -1,4 +1,4 @@
-"""When a run ends, and how it is computed, as declared."""
+"""Stop conditions and numerical settings, as declared."""
 
 from __future__ import annotations
 
@@ -102,15 +102,5 @@ class Settings(Part):
 
     @model_validator(mode="after")
     def _compatible(self) -> Self:
-        Setting(
-            self.engine,
-            self.method,
-            self.tolerance,
-            self.accuracy,
-            self.step,
-            max_step=self.max_step,
-            impulse_tolerance=self.impulse_tolerance,
-            impulse_bound=self.impulse_bound,
-            record=self.record,
-        ).check()
+        Setting(**self.model_dump(exclude={"max_jumps"})).check()
         return self

@@ -1,4 +1,4 @@
-"""Whether what is to be watched and reported of runs speaks of things that exist."""
+"""Checks that stop conditions, invariants and outputs refer to what exists."""
 
 from __future__ import annotations
 
@@ -31,21 +31,9 @@ def check_uses(
 ) -> None:
     """Check that stop conditions, invariants and outputs speak of things that exist.
 
-    For the validators of the models of a kind, which know what exists. Raises `DeclarationProblem`
-    at the first that does not.
-
-    Parameters
-    ----------
-    model : Declaration
-        What was declared.
-    names : collection of str
-        What formulas may use.
-    states : mapping of str to collection of str
-        The states of every region.
-    causes : mapping of str to collection of str
-        The causes of jumps of every region; `stop` need not be among them.
-    changing : collection of str
-        Names whose value some flow changes.
+    For the validators of the models of a kind, which know what exists: what formulas may use, the
+    states and the causes of jumps of every region (`stop` need not be among them), and the names
+    whose value some flow changes. Raises `DeclarationProblem` at the first that does not.
     """
     found = Findings()
     named = {*BASES, *names, *model.parameters, *model.outputs}

@@ -1,4 +1,4 @@
-"""What pydantic found wrong, in plain words and with its place in the document."""
+"""Validation errors in plain words, with their place in the document."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
 def _empty(
     document: Document, model: type[BaseModel], unknown: Collection[str | int | None] = ()
 ) -> Iterator[DeclarationError]:
-    """Yield of every key with nothing behind it what could stand there; unknown ones are told."""
+    """Yield an error for every known key with nothing behind it, with what could stand there."""
     for loc in document.empty:
         if loc[-1] in unknown:
             continue
@@ -101,13 +101,10 @@ def _empty(
         at = document.position(loc, key=True)
         # What should stand below it is in the same column, and unknown there.
         below = unknown and shown.startswith("{")
-        yield DeclarationError(
+        yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
-            advice=f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
+            f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
             + ("; what belongs to it is indented below it" if below else ""),
-            source=at.source,
-            line=at.line,
-            column=at.column,
         )
 
 
@@ -192,9 +189,7 @@ def _one(
     at = document.position(loc, key=key).shifted(offset)
     if kind not in ("extra_forbidden", "missing") and path:
         message = f"{path}: {message}"
-    return DeclarationError(
-        message, advice=advice, source=at.source, line=at.line, column=at.column
-    )
+    return at.error(message, advice)
 
 
 def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str]) -> str:
@@ -275,19 +270,9 @@ def validate(document: Document, model: type[Model]) -> Model:
 class located:  # noqa: N801 - used as a statement, and in every run: cheaper than a generator
     """Raise problems of a model as errors with their place in its document.
 
-    Parameters
-    ----------
-    document : Document or None
-        What the model was read from.
-    overrides : mapping of str to float
-        Parameters that were given other values; a problem may come from them.
-    loc : tuple of str and int, optional
-        Where the formulas are that are evaluated; the parameters by default.
-
-    Raises
-    ------
-    DeclarationError
-        In the place of a `DeclarationProblem` or a `FormulaError`.
+    `overrides` are parameters that were given other values; a problem may come from them. `loc` is
+    where the formulas are that are evaluated; the parameters by default. Raises `DeclarationError`
+    in the place of a `DeclarationProblem` or a `FormulaError`.
     """
 
     __slots__ = ("_document", "_loc", "_overrides")
@@ -371,6 +356,4 @@ def _located(
     if document is None:
         return DeclarationError(message, advice=problem.advice)
     at = document.position(problem.loc, key=problem.key).shifted(problem.offset)
-    return DeclarationError(
-        message, advice=problem.advice, source=at.source, line=at.line, column=at.column
-    )
+    return at.error(message, problem.advice)

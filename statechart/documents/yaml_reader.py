@@ -33,6 +33,7 @@ from ruamel.yaml.reader import ReaderError
 
 from statechart.documents.document import Document, Loc
 from statechart.documents.files import read_bounded
+from statechart.documents.hints import YAML_HINTS
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
 from statechart.formulas.hints import character
@@ -64,21 +65,15 @@ def read(path: Path) -> Document:
     raw = read_bounded(path, MAX_BYTES, "name a YAML file")
     for begin, what in _OTHERS.items():
         if raw.startswith(begin):
-            raise DeclarationError(
-                f"this is {what}", advice="name a YAML file", source=source, line=1, column=1
-            )
+            raise Position(source, 1, 1).error(f"this is {what}", "name a YAML file")
     try:
         # Too long a file may be cut inside a character; read_text will refuse it anyway.
         text = raw.decode("utf-8-sig", "ignore" if len(raw) > MAX_BYTES else "strict")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
-        raise DeclarationError(
-            f"the byte 0x{raw[error.start]:02x} is not UTF-8",
-            advice="save the file as UTF-8",
-            source=source,
-            line=line,
-            column=column,
+        raise Position(source, line, column).error(
+            f"the byte 0x{raw[error.start]:02x} is not UTF-8", "save the file as UTF-8"
         ) from None
     return read_text(text if len(raw) <= MAX_BYTES else " " * (MAX_BYTES + 1), source)
 
@@ -93,25 +88,6 @@ def read_text(text: str, source: str = "<text>") -> Document:
             f"more than {MAX_BYTES // 1024} KiB", advice="a model is a page or two", source=source
         )
     return _Builder(source).build(text)
-
-
-# What is said of text that is no YAML -> what to do about it.
-_ADVICE = {
-    r"'\t'": "indent by spaces, not by tabs",
-    "mapping values are not allowed": "write key: value, and keys of one mapping below each other; "
-    "text with a colon stands in quotes",
-    "found character '|' that cannot start": "write abs(...)",
-    "found character '%' that cannot start": "write a comment after #",
-    "found character '`' that cannot start": "put text in quotes",
-    "found character '@' that cannot start": "put text in quotes",
-    "expected the node content, but found ','": "there is a comma too many",
-    "could not find expected ':'": "write key: value",
-    "expected '<document start>'": "one model a file; what belongs to it stands in one mapping",
-    "expected ',' or '}'": "close with } what { opened, and put commas between",
-    "expected ',' or ']'": "close with ] what [ opened, and put commas between",
-    "expected <block end>": "indent keys of one mapping alike",
-    "found unexpected end of stream": "close what was opened: a quote, a bracket or a brace",
-}
 
 
 class _Builder:
@@ -131,25 +107,16 @@ class _Builder:
             mark = error.problem_mark or error.context_mark
             self._check_blanks(text, mark.line if mark else 0)
             message = " ".join(str(error.problem or error.context).split())
-            line, column = (mark.line + 1, mark.column + 1) if mark else (None, None)
-            advice = next((told for words, told in _ADVICE.items() if words in message), "")
-            raise DeclarationError(
-                f"not YAML: {message}",
-                advice=advice,
-                source=self._source,
-                line=line,
-                column=column,
-            ) from None
+            place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
+            advice = next((hint for words, hint in YAML_HINTS.items() if words in message), "")
+            raise place.error(f"not YAML: {message}", advice) from None
         except ReaderError as error:
             at = int(error.position)
             # Of UTF-16 every second byte is zero.
             wide = text.count("\0") > 1
-            raise DeclarationError(
+            raise self._at(text.count("\n", 0, at), at - text.rfind("\n", 0, at) - 1).error(
                 f"the character U+{int(error.character):04X} is not allowed",
-                advice="save the file as UTF-8" if wide else "remove it",
-                source=self._source,
-                line=text.count("\n", 0, at) + 1,
-                column=at - text.rfind("\n", 0, at),
+                "save the file as UTF-8" if wide else "remove it",
             ) from None
         return Document(self._source, data, self._values, self._keys, frozenset(self._empty))
 
@@ -158,23 +125,15 @@ class _Builder:
         for at, written in list(enumerate(text.split("\n")))[max(0, line - 1) : line + 1]:
             for column, one in enumerate(written):
                 if one.isspace() and one not in " \t\r":
-                    raise DeclarationError(
-                        f"not YAML: the blank U+{ord(one):04X}",
-                        advice=character(one),
-                        source=self._source,
-                        line=at + 1,
-                        column=column + 1,
+                    raise self._at(at, column).error(
+                        f"not YAML: the blank U+{ord(one):04X}", character(one)
                     ) from None
 
     def _document(self, events: Iterator[Event]) -> dict[str, Any]:
         first = next(events, None)
         if first is None:
-            raise DeclarationError(
-                "the file is empty",
-                advice="`statechart new NAME` writes one to start from",
-                source=self._source,
-                line=1,
-                column=1,
+            raise self._at(0, 0).error(
+                "the file is empty", "`statechart new NAME` writes one to start from"
             )
         if not isinstance(first, MappingStartEvent):
             self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
@@ -265,11 +224,11 @@ class _Builder:
             self._fail(event, "a number of too many digits, or too large for a float")
 
     def _position(self, event: Event) -> Position:
-        mark = event.start_mark
-        return Position(self._source, mark.line + 1, mark.column + 1)
+        return self._at(event.start_mark.line, event.start_mark.column)
+
+    def _at(self, line: int, column: int) -> Position:
+        """Return the place of a line and a column that count from 0."""
+        return Position(self._source, line + 1, column + 1)
 
     def _fail(self, event: Event, message: str, advice: str = "") -> NoReturn:
-        at = self._position(event)
-        raise DeclarationError(
-            message, advice=advice, source=at.source, line=at.line, column=at.column
-        )
+        raise self._position(event).error(message, advice)

@@ -1,4 +1,4 @@
-"""What plain words of YAML mean, and values as YAML writes them within a line."""
+"""Plain scalars of YAML 1.2, and values as YAML writes them within a line."""
 
 from __future__ import annotations
 

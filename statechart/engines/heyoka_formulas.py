@@ -96,7 +96,9 @@ class Converter:
             number, rest = expression.as_coeff_Add()
             if number != 0:
                 self.constants.append(number)
-                return self(rest) + hy.par[len(self.constants)]
+                # Before what is left: its formulas append numbers of their own.
+                shift = hy.par[len(self.constants)]
+                return self(rest) + shift
         return self(expression)
 
     def _moves(self, node: sp.Expr) -> bool:

@@ -44,7 +44,7 @@ class Chosen:
 
 
 class Measured(Protocol):
-    """What was measured of a model at many settings, as `statechart.study.record.Study`."""
+    """What was measured of a model at many settings, as `statechart.study.study.Study`."""
 
     until: float
 

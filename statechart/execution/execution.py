@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,13 +18,32 @@ from statechart.automaton.trace_store import TraceRecorder
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
-from statechart.execution.ahead import AHEAD, Ahead, Begun
+from statechart.execution.compiled_loop import (
+    ACCUMULATES,
+    COUNTED,
+    FELL,
+    FLOW,
+    FULL,
+    LOOK_AHEAD,
+    N_ASKED,
+    N_BOXES,
+    N_JUMPS,
+    N_MODE,
+    N_STEPS,
+    OVER,
+    PAUSED,
+    T_HORIZON,
+    T_LOW,
+    T_REST,
+    CompiledLoop,
+    LoopResult,
+    LoopStart,
+)
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import alone, closing, from_here
-from statechart.execution.flow import UNFOLLOWED, Advance
+from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress
-from statechart.execution.record import trace_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
@@ -61,11 +81,11 @@ class Execution:
         End after so many jumps.
     progress : bool
         Whether to report to stderr.
-    ahead : Ahead or None
-        Takes the run through usual instants in compiled code, where that can be.
+    loop : CompiledLoop or None
+        Takes the run through unambiguous instants in compiled code, where that can be.
     certificate : Certificate or None
         Takes all flows and jumps, where the run is made again to prove its motion.
-    begun : Begun or None
+    begun : LoopStart or None
         How far a loop has taken the run from its start.
     """
 
@@ -77,9 +97,9 @@ class Execution:
     until: float
     max_jumps: int
     progress: bool
-    ahead: Ahead | None = None
+    loop: CompiledLoop | None = None
     certificate: Certificate | None = None
-    begun: Begun | None = None
+    begun: LoopStart | None = None
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -100,8 +120,7 @@ class Execution:
         self.horizon = min(self.setup.horizon, FARTHEST)
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
-        ordinary = self.ahead and self.automaton.laws_of_events.ordinary
-        self.accumulation = Accumulation(ordinary.series if ordinary else ())
+        self.accumulation = Accumulation(() if self.loop is None else self.loop.jumps)
         if self.begun is not None:
             self.accumulation.series = self.begun.series
         self._livelock = Livelock(min(self.horizon, self.until))
@@ -113,7 +132,7 @@ class Execution:
             ended = self.begin()
             while not ended:
                 ended = self.advance()
-        return trace_of(self)
+        return self.trace()
 
     @contextmanager
     def told(self) -> Iterator[None]:
@@ -135,8 +154,8 @@ class Execution:
 
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
-        if self.begun and self.ahead:
-            self.flow = self.ahead.modes.flow(self.setup, self.begun.kind, self.state, 0.0)
+        if self.begun and self.loop:
+            self.flow = self.loop.flow(self.begun.kind, self.state, 0.0)
         else:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
@@ -145,8 +164,9 @@ class Execution:
 
     def advance(self) -> bool:
         """Flow to the next event and jump; whether the run ends there, or its time is over."""
-        ahead = None if self.ahead is None else self.ahead.go(self, self._made)
-        fired, self._made = self._flow() if ahead is None else ahead, None
+        fired = None if self.loop is None else self._run_compiled(self.loop)
+        if fired is None:
+            fired = self._flow()
         if self.outcome is not Outcome.HORIZON:
             return True
         if fired:
@@ -154,6 +174,69 @@ class Execution:
         if not self._ending() or not self.settle():
             self.message = f"reached t = {self.clock.high:.6g}"
         return True
+
+    def _run_compiled(self, loop: CompiledLoop) -> tuple[str, ...] | None:
+        """Let the compiled loop go on; return what fired, or nothing at the end of the run.
+
+        None where the flow that the run has come to is to be made step by step.
+        """
+        while True:
+            made, self._made = self._made, None
+            jumps, arcs = 0, 0
+            if made is None:
+                jumps, arcs = len(self.record.jumps), len(self.record.arcs)
+                since = self.record.jumps[-1].t if self.record.jumps else 0.0
+                now = np.array([*self.clock, self.until, self.horizon, since, 0.0])
+                made = loop.advance(
+                    self.flow, now, (jumps, self.max_jumps), self.state.copy(),
+                    self.record.buffer, self.accumulation.series,
+                )  # fmt: skip
+                if made is None:
+                    return None
+            self._reached(loop, made, jumps, arcs)
+            if made.reason in (FULL, PAUSED):
+                continue
+            if made.reason == OVER:
+                return ()
+            if made.reason == FLOW:
+                return None
+            if made.reason == FELL and made.margin >= 0:
+                mode = loop.modes.compiled((self.flow.mode, self.flow.roles))
+                return self.fell(mode, made.margin)
+            if made.reason == ACCUMULATES:
+                # The loop has seen that jumps accumulate, see `Accumulation.found`.
+                self._skip_by(self.accumulation.found(made.margin, made.now.item(T_REST)))
+            if made.reason in (ACCUMULATES, COUNTED) and self.counted():
+                return ()
+            if not self.flow.settled and self.settle():
+                return ()
+
+    def _reached(self, loop: CompiledLoop, made: LoopResult, jumps: int, arcs: int) -> None:
+        """Go to where the loop has come, from where there were so many jumps and arcs."""
+        record, now, place, flow = self.record, made.now, made.place, self.flow
+        for kind, been in zip(made.kinds, made.entered.tolist(), strict=True):
+            if been and kind[1] not in self.entered:
+                self.entered[kind[1]] = loop.modes.compiled(kind)
+        if made.reason == FULL:
+            record.seal()
+        self.clock, self.state = Clock(*now[: T_LOW + 1].tolist()), made.state
+        self.horizon = now.item(T_HORIZON)
+        self.steps += place.item(N_STEPS)
+        self.boxes += place.item(N_BOXES)
+        self.show()
+        interrupts.check()
+        jumped, flew = place.item(N_JUMPS) > jumps, len(record.arcs) > arcs
+        if jumped:
+            settled = place.item(N_ASKED) == 0
+            kind = made.kinds[place.item(N_MODE)]
+            flow = loop.flow(kind, self.state, self.clock.high, settled=settled)
+        if made.reason == OVER or (made.reason == FELL and made.margin >= 0):
+            terms = flow.terms
+            if flew and record.arcs[-1].j == place.item(N_JUMPS):
+                arc = record.arcs[-1]
+                terms = summands(arc.times, arc.coefficients)
+            flow = flow._replace(settled=False, terms=terms, warning="", notes=(), start=None)
+        self.flow = flow
 
     def _flow(self) -> tuple[str, ...]:
         """Flow to the next event; return what fired, or nothing at the end of the run."""
@@ -166,8 +249,8 @@ class Execution:
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
         compiled = self._enter(flow.roles)
-        if self.ahead is not None:
-            self.ahead.modes.add(flow.mode, flow.roles, compiled)
+        if self.loop is not None:
+            self.loop.modes.add(flow.mode, flow.roles, compiled)
         if flow.doubted:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
@@ -229,7 +312,7 @@ class Execution:
         if elapsed > 0.0:
             # A mode may flow on from where a margin fell, without a jump.
             since = self.record.jumps[-1].t if self.record.jumps else 0.0
-            self.horizon = AHEAD * max(elapsed, self.clock.high - since)
+            self.horizon = LOOK_AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
         self.flow = following._replace(held=flow.held, tolerances=flow.tolerances, terms=terms)
@@ -373,10 +456,6 @@ class Execution:
         if rest is not None:
             self._skip_by(rest)
 
-    def accumulated(self, place: int, rest: float) -> None:
-        """Do so where a loop has seen that they do; see `Accumulation.found`."""
-        self._skip_by(self.accumulation.found(place, rest))
-
     def _skip_by(self, rest: float) -> None:
         recent, laws = self.record.jumps[-JUMPS_AT_ONCE:], self.automaton.laws_of_events
         made = laws.accumulate(self.setup, self.clock, self.flow, recent, rest)
@@ -411,3 +490,55 @@ class Execution:
         if self.progress:
             time, jumps = self.clock.high + local, len(self.record.jumps)
             self._progress.show(time, jumps, self.steps + steps)
+
+    def trace(self) -> Trace:
+        """Return the trace of the run, which has ended."""
+        automaton, engine = self.automaton, self.engine
+        evidence = evidence_of(compiled.names for compiled in self.entered.values()) | self.evidence
+        motion = None if self.certificate is None else self.certificate.motion()
+        if motion is not None:
+            evidence["motion"] = str(motion)
+        proved = motion is not None and motion.proved
+        doubtful = self.evidence.keys() - ({"motion"} if proved else set())
+        decided = not doubtful and self.outcome not in (Outcome.UNDECIDED, Outcome.NON_FINITE)
+        arcs, jumps = self.record.close()
+        remarks = automaton.laws_of_events.remarks(self.setup, arcs)
+        start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
+        return Trace(
+            name=automaton.name,
+            regions=automaton.region_names,
+            variables=automaton.names,
+            parameters=dict(
+                zip(automaton.parameter_names, self.setup.values.tolist(), strict=True)
+            ),
+            arcs=arcs,
+            jumps=jumps,
+            initial=self.started_state,
+            final=self.state,
+            start_mode=start,
+            final_mode=self.flow.mode if self.started_mode else start,
+            t_end=self.clock.high,
+            outcome=self.outcome,
+            message=self.message,
+            certified=decided and (proved or "guards"),
+            evidence=evidence,
+            tolerances=dict(self.setup.tolerances),
+            engine=engine.title,
+            tolerance=engine.tolerance,
+            warnings=(*self.setup.warnings, *self.warnings, *remarks),
+            counts={
+                "steps": self.steps,
+                "evaluations": engine.evaluations - self.evaluations,
+                "boxes": self.boxes,
+                "jumps": len(jumps),
+                "modes_built": self.modes.built,
+                "python_instants": self.instants,
+            },
+            motion=motion,
+        )
+
+
+def evidence_of(margins: Iterable[Sequence[str]]) -> dict[str, str]:
+    """Return how the margins of the modes that a run has been in were decided, and its motion."""
+    names = chain.from_iterable(margins)
+    return dict.fromkeys(names, "interval enclosure") | {"motion": FOLLOWED}

@@ -1,31 +1,75 @@
-"""Runs of an automaton on an engine."""
+"""Runs of an automaton on an engine, one by one and in batches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from statechart import interrupts
+from statechart.arrays import Array, Bools
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.components import Places
 from statechart.automaton.laws import Setup
+from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.sampling import Sampling
 from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
-from statechart.automaton.trace_store import Kind, TraceRecorder, trace_buffer
+from statechart.automaton.trace_store import (
+    Kind,
+    TraceBuffer,
+    TraceRecorder,
+    TraceStore,
+    arc_polynomials,
+    copied,
+    event_of,
+    trace_buffer,
+)
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.errors import DeclarationProblem
-from statechart.execution.ahead import Ahead
+from statechart.execution.batch import (
+    ARCS,
+    ARCS_END,
+    CLOSING,
+    ENDED,
+    EVENTS,
+    FIRST_MODE,
+    HANDED,
+    HOW,
+    MARGIN,
+    OTHER,
+    REASON,
+    STOPPED,
+    UNUSUAL,
+    BatchInputs,
+    BatchResult,
+)
+from statechart.execution.compiled_loop import (
+    N_BOXES,
+    N_JUMPS,
+    N_MODE,
+    N_STEPS,
+    T_HIGH,
+    CompiledLoop,
+    LoopModes,
+    LoopResult,
+    LoopStart,
+)
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.components import MergedRun
-from statechart.execution.execution import Execution
-from statechart.execution.loops import Modes
+from statechart.execution.execution import Execution, evidence_of
+from statechart.execution.finding import closing
+from statechart.execution.flow import floors
 from statechart.execution.outcome import error_of
-from statechart.execution.record import trace_of_row
-from statechart.execution.rows import HANDED, HOW, Batch, RowRunner
 from statechart.execution.stream import streamed
+from statechart.kernels.polynomials import summands
+
+# Rows of one call: tens of milliseconds, between which a signal is heard.
+_AT_ONCE = 256
 
 
 class _Once:
@@ -75,8 +119,8 @@ class Simulator:
         self.modes = CompiledModes(solved or SolvedModes(automaton), engine)
         # Their arrays are used again, from flow to flow and from run to run.
         self.path, self.buffer = Path(), trace_buffer(len(automaton.variables))
-        self._loops: dict[frozenset[int], Modes] = {}
-        self._rows: dict[tuple[str, ...], RowRunner] = {}
+        self._loops: dict[frozenset[int], LoopModes] = {}
+        self._rows: dict[tuple[str, ...], BatchRunner] = {}
         self._of_components: dict[Automaton, Simulator] = {}
         self._places: list[Places] | None = None
 
@@ -109,12 +153,60 @@ class Simulator:
         names = tuple(parameters)
         rows = self._rows.get(names)
         if rows is None:
-            rows = self._rows[names] = RowRunner(self, names)
+            rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
         batch = rows.alone(values, until, max_jumps)
         if batch is None or batch.found.ends.item(HOW) == HANDED:
             return self._execution(self._setup(parameters), until, max_jumps, batch).run()
-        return trace_of_row(self, batch, _Once(partial(self._setup, dict(parameters))))
+        return self._trace_of(batch, _Once(partial(self._setup, dict(parameters))))
+
+    def _trace_of(self, batch: Batch, setup: Callable[[], Setup]) -> Trace:
+        """Return the trace of a run that a loop has made from its start to its end."""
+        automaton, engine, found = self.automaton, self.engine, batch.found
+        modes, kinds = batch.modes, batch.kinds
+        place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
+        first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
+        outcome, stop = batch.outcome(0), None
+        if outcome is Outcome.STOPPED:
+            margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
+            message = f"{margin} at t = {t_end:.6g}"
+            key, count = last[0], place[N_JUMPS]
+            stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
+        else:
+            message = f"reached t = {t_end:.6g}"
+        block = copied(batch.block)
+        store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
+        arcs, jumps = store.sequences()
+        arcs.source = batch._replace(block=block)
+        return Trace(
+            name=automaton.name,
+            regions=automaton.region_names,
+            variables=automaton.names,
+            parameters=dict(zip(automaton.parameter_names, found.values[0].tolist(), strict=True)),
+            arcs=arcs,
+            jumps=jumps,
+            initial=found.initial[0],
+            final=final,
+            start_mode=first,
+            final_mode=last[0],
+            t_end=t_end,
+            outcome=outcome,
+            message=message,
+            certified="guards",
+            evidence=LazyMapping(partial(_evidence_of_row, batch)),
+            tolerances=LazyMapping(lambda: dict(setup().tolerances)),
+            engine=engine.title,
+            tolerance=engine.tolerance,
+            warnings=(),
+            counts={
+                "steps": place[N_STEPS],
+                "evaluations": 0,
+                "boxes": place[N_BOXES],
+                "jumps": len(jumps),
+                "modes_built": self.modes_built,
+                "python_instants": 0,
+            },
+        )
 
     def certified(
         self,
@@ -129,7 +221,7 @@ class Simulator:
 
         made = self._execution(self._setup(parameters or {}), until, max_jumps)
         laws = self.automaton.laws_of_events
-        made.ahead = None
+        made.loop = None
         made.certificate = Certificate(trace, made.setup, laws, self.engine)
         return made.run()
 
@@ -146,7 +238,7 @@ class Simulator:
         No other run may be made meanwhile.
         """
         made = self._execution(self._setup(parameters), until, max_jumps)
-        made.ahead = None
+        made.loop = None
         return streamed(made, parameters, sampling)
 
     def _by_components(
@@ -208,32 +300,31 @@ class Simulator:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
-        ahead, jump = self._ahead(setup, zeros), None
-        if ahead is not None:
-            kinds, jump = ahead.modes.kinds, partial(ahead.modes.jump, lambda: setup)
+        loop, jump = self._loop(setup, zeros), None
+        if loop is not None:
+            kinds, jump = loop.modes.kinds, partial(loop.modes.jump, lambda: setup)
         begun = None if batch is None else batch.begun()
         variables = len(self.automaton.variables)
         record = TraceRecorder(variables, kinds, self.buffer, jump, begun=begun is not None)
         return Execution(
-            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, ahead,
+            self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
             begun=begun,
         )  # fmt: skip
 
-    def known(self) -> list[tuple[frozenset[int], Modes]]:
+    def known(self) -> list[tuple[frozenset[int], LoopModes]]:
         """Return the modes that compiled loops know, by the parameters that are zero in them."""
         setup = self.automaton.setup
         return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
 
-    def _ahead(self, setup: Setup, zeros: frozenset[int]) -> Ahead | None:
-        """Return what runs usual instants in compiled code; None where nothing can."""
-        laws = self.automaton.laws
-        ordinary = None if laws is None else laws.ordinary
-        if ordinary is None:
+    def _loop(self, setup: Setup, zeros: frozenset[int]) -> CompiledLoop | None:
+        """Return what runs unambiguous instants in compiled code; None where nothing can."""
+        laws = None if self.automaton.laws is None else self.automaton.laws.compiled_laws
+        if laws is None:
             return None
         modes = self._loops.get(zeros)
         if modes is None:
-            modes = self._loops[zeros] = Modes(ordinary, self.engine, self.automaton)
-        return Ahead(ordinary, modes, setup)
+            modes = self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
+        return CompiledLoop(laws, modes, setup, floors(self.engine, len(setup.initial)))
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
@@ -243,3 +334,193 @@ class Simulator:
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
         return self.modes.built
+
+
+class Batch(NamedTuple):
+    """Rows that have gone through; valid until the next of them are made.
+
+    Attributes
+    ----------
+    rows : (m,) array of int
+        Which they are.
+    found : BatchResult
+        Of them alone.
+    block : TraceBuffer
+        Holds their arcs and events, and others.
+    kinds : tuple of (Key, Roles)
+        Of the modes.
+    modes : LoopModes
+    zeros : frozenset of int
+        Places of the parameters that are exactly zero.
+    series : (s, ..) array
+        Of the jumps of the last row, see `statechart.execution.zeno`.
+    """
+
+    rows: NDArray[np.intp]
+    found: BatchResult
+    block: TraceBuffer
+    kinds: tuple[Kind, ...]
+    modes: LoopModes
+    zeros: frozenset[int]
+    series: Array
+
+    @property
+    def stopped(self) -> Bools:
+        """Which rows (m,) a stop has ended."""
+        return np.asarray(self.found.ends[:, HOW] == STOPPED)
+
+    def begun(self) -> LoopStart:
+        """Return how far a run has come that was made alone."""
+        found = self.found
+        reason, margin, first = found.ends[0, REASON:].tolist()
+        made = LoopResult(
+            self.kinds, reason, margin, found.now[0], found.place[0], found.final[0],
+            found.entered[0],
+        )  # fmt: skip
+        return LoopStart(self.kinds[first], made, self.series.copy())
+
+    def outcome(self, row: int) -> Outcome:
+        """Return why a row ended."""
+        return Outcome.STOPPED if self.found.ends[row, HOW] == STOPPED else Outcome.HORIZON
+
+
+def _evidence_of_row(batch: Batch) -> dict[str, str]:
+    been = zip(batch.kinds, batch.found.entered[0].tolist(), strict=True)
+    return evidence_of(batch.modes.compiled(kind).names for kind, entered in been if entered)
+
+
+class BatchRunner:
+    """Runs rows of values of some parameters.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Whose modes they go through, those that runs of it have entered.
+    names : sequence of str
+        The parameters.
+
+    Attributes
+    ----------
+    simulator : Simulator
+    """
+
+    def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
+        self.simulator, self._names = simulator, tuple(names)
+        self._gone: dict[frozenset[int], Bools] = {}
+
+    def ready(self, count: int) -> bool:
+        """Whether so many rows can be run: the call for them is compiled, or worth that now."""
+        return any(modes.batch(self._names, count) for _, modes in self.simulator.known())
+
+    def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
+        """Run rows; yield those that have gone through, in batches."""
+        left = np.arange(len(table))
+        for zeros, modes in self.simulator.known():
+            if not left.size:
+                return
+            others: list[NDArray[np.intp]] = []
+            done = 0
+            while done < left.size:
+                interrupts.check()
+                part = left[done : done + _AT_ONCE]
+                batch = self._called(
+                    modes, zeros, part, table[part], until[part], max_jumps, alone=False
+                )
+                if batch is None:
+                    others.append(left[done:])
+                    break
+                how = batch.found.ends[:, HOW]
+                done += len(how)
+                others.append(batch.rows[how == OTHER])
+                kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
+                if kept.size:
+                    found = BatchResult._make([array[kept] for array in batch.found])
+                    yield batch._replace(rows=batch.rows[kept], found=found)
+            left = np.concatenate(others)
+
+    def alone(self, values: Array, until: float, max_jumps: int) -> Batch | None:
+        """Make one run, as far as a loop takes it."""
+        row = np.zeros(1, np.intp)
+        for zeros, modes in self.simulator.known():
+            batch = self._called(
+                modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
+            )
+            how = OTHER if batch is None else batch.found.ends.item(HOW)
+            if how != OTHER:
+                return None if how == UNUSUAL else batch
+        return None
+
+    def _called(
+        self,
+        modes: LoopModes,
+        zeros: frozenset[int],
+        rows: NDArray[np.intp],
+        table: Array,
+        until: Array,
+        max_jumps: int,
+        *,
+        alone: bool,
+    ) -> Batch | None:
+        """Make as many rows as there is room for; None where none can be made."""
+        simulator = self.simulator
+        automaton, engine = simulator.automaton, simulator.engine
+        call = modes.batch(self._names, len(rows))
+        if call is None or not isinstance(engine.floor, float):
+            return None
+        m, kinds = len(rows), call.loop.kinds
+        p, n = len(automaton.parameters), len(automaton.variables)
+        found = BatchResult(
+            np.zeros((m, 4), np.int64),
+            np.zeros((m, 4), np.int64),
+            np.zeros((m, 6)),
+            np.zeros((m, 6), np.int64),
+            np.empty((m, p)),
+            np.empty((m, n)),
+            np.empty((m, n)),
+            np.zeros((m, len(kinds)), np.bool_),
+        )
+        gone = self._gone.get(zeros)
+        if gone is None:
+            gone = self._gone[zeros] = np.zeros(p, np.bool_)
+            gone[list(zeros)] = True
+        asked = BatchInputs(call.inputs(table), until, gone, max_jumps, engine.floor, alone)
+        block = simulator.buffer
+        block.used[:] = 0
+        made = max(call.run(asked, block, found), 1)
+        if made < m:
+            found = BatchResult._make([array[:made] for array in found])
+        return Batch(rows[:made], found, block, kinds, modes, zeros, call.series)
+
+    def _judged(self, batch: Batch, table: Array) -> Bools:
+        """Return which rows (m,) have gone through: nothing just happens as they end."""
+        how = batch.found.ends[:, HOW]
+        kept = np.asarray((how == ENDED) | (how == STOPPED))
+        for row in np.flatnonzero(how == CLOSING).tolist():
+            kept[row] = not self._closing(batch, row, table[row])
+        return kept
+
+    def _closing(self, batch: Batch, row: int, values: Array) -> bool:
+        """Whether something may just be happening as a row ends (see `closing`)."""
+        found, block, simulator = batch.found, batch.block, self.simulator
+        setup = self.setup(values)
+        kind = batch.kinds[found.place[row, N_MODE]]
+        terms = None
+        size = len(simulator.automaton.variables)
+        arc = int(found.spans[row, ARCS_END]) - 1
+        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, N_JUMPS]:
+            terms = summands(*arc_polynomials(block, arc, size))
+        final, time = found.final[row], float(found.now[row, T_HIGH])
+        flow = batch.modes.flow(setup, kind, final, time, terms)
+        compiled = batch.modes.compiled(kind)
+        happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)
+        return happens
+
+    def jump(self, batch: Batch, table: Array, row: int, j: int) -> Jump:
+        """Return a jump of a row of a batch, of the values `table`, before which there were `j`."""
+        event = event_of(batch.block, int(batch.found.spans[row, EVENTS]) + j, j, batch.kinds)
+        return batch.modes.jump(partial(self.setup, table[row]), event)
+
+    def setup(self, values: Array) -> Setup:
+        """Return the numbers of a row's run."""
+        overrides: Mapping[str, float] = dict(zip(self._names, values.tolist(), strict=True))
+        return self.simulator.automaton.setup(overrides, self.simulator.engine.tolerance)

@@ -10,7 +10,6 @@ from statechart.automaton.sampling import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Outcome
 from statechart.execution.execution import Execution
 from statechart.execution.outcome import error_of
-from statechart.execution.record import trace_of
 
 
 def streamed(
@@ -52,7 +51,7 @@ def streamed(
             yield from fresh()
         ended = ended or made.until >= end
     yield from fresh()
-    trace = trace_of(made)
+    trace = made.trace()
     if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
         raise error_of(trace)
 

@@ -27,7 +27,7 @@ MAX_ATOMS = 100
 """Most atoms of a relation; every `abs` in a sum doubles them."""
 
 # Atoms on the way there: sums of abs of one variable have many of them in common.
-_MOST_SPLITS = 10 * MAX_ATOMS
+MAX_SPLITS = 10 * MAX_ATOMS
 
 Active = Callable[[str, str], bool]
 """Region, state -> whether the state is active."""
@@ -206,7 +206,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
         if isinstance(tree, Within):
             return tree
         if tree not in seen:
-            check(len(seen), _MOST_SPLITS)
+            check(len(seen), MAX_SPLITS)
             smooth = _split(tree)
             seen[tree] = leaf(tree) if smooth is tree else split(smooth)
         return seen[tree]

@@ -42,13 +42,7 @@ def order_parameters(
 
 
 class Constants:
-    """Parameters that are formulas of each other, in the order in which they can be evaluated.
-
-    Parameters
-    ----------
-    formulas : mapping of str to Formula
-        The formula of every parameter.
-    """
+    """Parameters that are formulas of each other, in the order in which they can be evaluated."""
 
     def __init__(self, formulas: Mapping[str, Formula]) -> None:
         self.formulas = formulas

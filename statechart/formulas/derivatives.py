@@ -1,4 +1,4 @@
-"""Where a formula has no derivative, or one too large to be built."""
+"""Checks that a formula has derivatives, and none too large to be built."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PIECES = (
     "a step does not stop there, and a sign may switch for ever: declare a region with a state for "
     "each smooth piece, and a transition whose guard is where it switches"
 )
-"""What to write instead of a kink in time or in the state."""
+"""Advice on a kink in time or in the state."""
 
 
 def check_smooth(
@@ -28,20 +28,9 @@ def check_smooth(
 ) -> None:
     """Check that a formula has no kink in any of `variables`.
 
-    Raises `DeclarationProblem` at the first kink.
-
-    Parameters
-    ----------
-    text : str, int or float
-        The formula.
-    variables : collection of str
-        Names whose change would pass a kink.
-    loc : tuple
-        Where it stands.
-    lacks, advice : str
-        What the formula has not where it switches, and what to write instead.
-    roots : bool
-        Whether the root of a square, which is smooth on either side of zero, counts as a kink.
+    `lacks` and `advice` say what it has not where it switches, and what to write instead. With
+    `roots` the root of a square, which is smooth on either side of zero, counts as a kink. Raises
+    `DeclarationProblem` at the first kink.
     """
     for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
         switched = {name.name for name in names_in(call)}.intersection(variables)

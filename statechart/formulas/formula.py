@@ -137,7 +137,7 @@ def _bounded(power: sp.Expr) -> sp.Expr:
 class Formula:
     """A formula that was read; build it with `parse`."""
 
-    text: str  # as written
+    text: str
     root: Node  # its syntax tree
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What people write that formulas do not have, and what to write in its place."""
+"""Hints for mistakes in formulas: notation of other languages -> what to write instead."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ TOKENS: Mapping[str, str] = {
     **dict.fromkeys(("if", "else"), "write min and max, or a state for each case"),
     "deg": "angles are in radians: 30*pi/180",
 }
-"""Of a part of a formula that cannot stand where it does."""
+"""Part of a formula that cannot stand where it does -> what to write."""
 
 _OTHERS: Mapping[str, str] = {
     "ln": "log", "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2",

@@ -36,13 +36,7 @@ Equation = tuple[Row, sp.Expr, int]
 
 
 class Singular(SingularMode):
-    """The equations do not determine every unknown, whatever the numbers are.
-
-    Parameters
-    ----------
-    unknowns : sequence of Symbol
-        The unknowns that nothing determines.
-    """
+    """The equations do not determine some unknowns, whatever the numbers are."""
 
     def __init__(self, unknowns: Sequence[sp.Symbol]) -> None:
         super().__init__("no equation determines " + ", ".join(str(u) for u in unknowns))
@@ -59,13 +53,8 @@ def solve_linear(
 
     The first `paired` equations and unknowns belong together, one by one.
 
-    Raises `Singular` if the structure of the equations leaves an unknown free.
-
-    Returns
-    -------
-    tuple of (Symbol, Expr)
-        Definitions in order of evaluation; each uses the unknowns defined before it, and
-        auxiliary symbols defined before it.
+    Returns definitions in order of evaluation; each uses the unknowns and auxiliary symbols
+    defined before it. Raises `Singular` if the structure of the equations leaves an unknown free.
     """
     found: list[Definition] = []
     missing: list[sp.Symbol] = []
@@ -131,19 +120,10 @@ def _reduced(
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate by pivots that are numbers, or alone in their row or column.
 
-    Parameters
-    ----------
-    motions : int, optional
-        Unknowns behind so many are eliminated by their own equations only.
-    mirrors : collection of int, optional
-        Pairs that are symmetric: no number of another equation is a pivot, so that what is left is
-        definite where it was.
-
-    Returns
-    -------
-    first, rows, last
-        Unknowns known at once, the equations left, and the unknowns eliminated, to be evaluated in
-        the opposite order.
+    Unknowns behind `motions` are eliminated by their own equations only. `mirrors` are pairs that
+    are symmetric: no number of another equation is a pivot, so that what is left is definite where
+    it was. Returns the unknowns known at once, the equations left, and the unknowns eliminated, to
+    be evaluated in the opposite order.
     """
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     first: list[Definition] = []

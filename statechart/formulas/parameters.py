@@ -1,4 +1,4 @@
-"""From declared parameters to the numbers of a run, on tape so that sweeps are cheap."""
+"""Parameters of a run as a tape, so that sweeps are cheap."""
 
 from __future__ import annotations
 
@@ -24,19 +24,8 @@ _INF = sp.Symbol("inf", real=True)
 class Parameters:
     """Named formulas of each other, and expressions of them, evaluated together.
 
-    Parameters
-    ----------
-    formulas : mapping
-        Parameter -> what was declared.
-    derived : mapping
-        Name -> expression in the parameters' symbols; appended to the parameters.
-    further : sequence of Expr
-        Expressions evaluated with them (an initial state), in parameters and derived ones.
-
-    Attributes
-    ----------
-    literals : dict
-        The parameters that are declared as numbers.
+    `derived` are expressions in the parameters' symbols, appended to the parameters; `further` are
+    evaluated with them (an initial state). Those in `literals` are declared as numbers.
     """
 
     def __init__(

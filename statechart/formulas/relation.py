@@ -56,8 +56,8 @@ class Comparison:
     left: Formula
     right: Formula
     operator: str  # one of ``< <= > >= == !=``
-    offset: int  # of the operator
-    text: str  # as written
+    offset: int
+    text: str
 
     def negated(self) -> Comparison:
         """Return the comparison that holds where this one does not."""
@@ -112,7 +112,7 @@ class Relation:
     """A relation that was read; build it with `parse_relation`."""
 
     root: Term  # its syntax tree
-    text: str  # as written
+    text: str
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:

@@ -39,7 +39,7 @@ NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 """One part of a name."""
 
 _DATE = re.compile(r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])([T ][0-9].*)?", re.ASCII)
-"""What YAML and people take for a date, and arithmetic for a difference."""
+"""A date to YAML and people, a difference to arithmetic."""
 
 RELATIONS = ("<=", ">=", "<", ">")
 _CLOSE = "write ) behind what it holds"

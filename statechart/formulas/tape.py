@@ -46,7 +46,7 @@ class Tape:
 
     @cached_property
     def program(self) -> tuple[Ints32, Array, Ints32]:
-        """What kernels run: code, constants, outputs."""
+        """Code, constants and outputs, as kernels take them."""
         return self.code, self.constants, self.outputs
 
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
@@ -86,13 +86,9 @@ class Tape:
         )
 
     def apart(self, variables: int) -> tuple[Ints, Ints, Ints]:
-        """Return which outputs read which of the first variables, and a colour of each of these.
+        """Return outputs and which of the first variables they read, and a colour of each of these.
 
-        No output reads two variables of one colour.
-
-        Returns
-        -------
-        outputs, variables, colours : (k,) array of int
+        No output reads two variables of one colour. The arrays (k,) have a row for every pair.
         """
         if variables not in self._apart:
             self._apart[variables] = _coloured(self._read_by_outputs(variables), variables)

@@ -147,7 +147,7 @@ class Source:
 
     @property
     def named(self) -> str:
-        """What errors call it."""
+        """Its name in errors."""
         shown = self.text if len(self.text) <= 80 else self.text[:77] + "..."
         return f"formula {shown!r}"
 

@@ -1,4 +1,4 @@
-"""From SymPy to tapes: every shared subexpression once, operations on constants folded."""
+"""Compiles SymPy expressions to tapes: common subexpressions once, constants folded."""
 
 from __future__ import annotations
 
@@ -74,27 +74,12 @@ def compile_tape(
     time: sp.Symbol,
     definitions: Sequence[tuple[sp.Symbol, sp.Expr]] = (),
 ) -> Tape:
-    """Compile expressions to a tape.
+    """Compile expressions in variables, parameters and time to a tape.
 
-    Raises `StatechartError` if an expression holds an unknown symbol, a function without an
-    operation, or a constant that is not a finite real number, or if two symbols are the same.
-
-    Parameters
-    ----------
-    outputs : sequence of Expr
-        The expressions wanted.
-    variables, parameters : sequence of Symbol
-        What a state and the parameters consist of, in order.
-    time : Symbol
-        The absolute time.
-    definitions : sequence of (Symbol, Expr)
-        Named intermediate results, each in terms of earlier ones; only those that the outputs
-        need are compiled.
-
-    Returns
-    -------
-    Tape
-        The program.
+    `definitions` are named intermediate results, each in terms of earlier ones; only those that
+    the outputs need are compiled. Raises `StatechartError` if an expression holds an unknown
+    symbol, a function without an operation, or a constant that is not a finite real number, or if
+    two symbols are the same.
     """
     inputs = [*variables, time, *parameters]
     names = [*inputs, *(symbol for symbol, _ in definitions)]
@@ -335,13 +320,8 @@ def exponential_joined(
     """Return the factors of a product without a number that is no float but for an exponential.
 
     SymPy makes exp(x + 3000.0) a product of two exponentials, whose first is beyond all floats.
-
-    Returns
-    -------
-    factors : sequence of Expr
-        Those left.
-    exponent : Expr or None
-        Of the exponential that the number was joined to.
+    With the factors left comes the exponent of the exponential that the number was joined to, or
+    None.
     """
     exponentials = [factor for factor in factors if isinstance(factor, sp.exp)]
     numbers = [f for f in factors if exponentials and f.is_Float and f and _is_extreme(f)]

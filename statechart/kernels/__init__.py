@@ -3,7 +3,7 @@
 `jit` says which functions are kernels, of which `kinds`, that Python runs while it is cheap;
 `machine_code` compiles them with numba, by way of `compilation`, whose `lowering` leaves
 `aggregates` apart, and keeps it, of what runs seldom enter `later`; a `maker` does so beside a run;
-`copies` are cheap loops. `tapes` runs straight-line programs, `rows` those of many runs, `whole` is
+`copies` are cheap loops. `tapes` runs straight-line programs, `whole` is
 their floor; `intervals` and `jets` enclose their values and time derivatives, `ranges` the values
 over a run, `boxes` says what is known of them over a piece of a step, and `search` finds the first
 fall of a margin by branch and bound, in its `search_memory`, running what is `needed` of the

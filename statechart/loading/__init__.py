@@ -1,4 +1,4 @@
-"""From a path or a name to a model.
+"""Loads models by a path or a name.
 
 `kind` finds what packages offer for the kinds of documents, through entry points that `offered`
 loads; `load` reads a document and validates it as its kind; `schema` is its JSON Schema.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a package offers for one kind of document.
+    """One kind of document, as a package offers it.
 
     What must hold for its runs, and by how much it does not, it offers under the kind's name in the
     groups `statechart.properties` and `statechart.violations` (see `offered`).

@@ -1,4 +1,4 @@
-"""From a path, or the name of a shipped model, to a model."""
+"""Loads models from files, or by the names of shipped ones."""
 
 from __future__ import annotations
 
@@ -25,17 +25,10 @@ def interpret(document: Document) -> Declaration:
         return validate(document, loaded(offered).model)
     at = document.position(("kind",))
     given, known = name is not None, close_matches(str(name), kinds())
-    raise DeclarationError(
-        f"unknown kind {name!r}"
-        if given
-        else "kind: nothing is written"
-        if "kind" in document.data
-        else "'kind' is missing",
-        advice=known if given else f"begin with kind: scene; {known}",
-        source=at.source,
-        line=at.line,
-        column=at.column,
-    )
+    if given:
+        raise at.error(f"unknown kind {name!r}", known)
+    wrong = "kind: nothing is written" if "kind" in document.data else "'kind' is missing"
+    raise at.error(wrong, f"begin with kind: scene; {known}")
 
 
 def load(path_or_name: str | Path) -> Declaration:

@@ -1,4 +1,4 @@
-"""What packages offer through entry points, found where it is though a folder may hide it.
+"""Loads entry points of packages, also where a folder of the same name hides them.
 
 The packages of this project have names that others use, too: a folder `models` or `contacts` beside
 a script comes first on Python's path.

@@ -12,8 +12,8 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
+from statechart.observation.batch_outputs import OutputValue as Output
 from statechart.observation.outputs import NO_SCALES, Scales
-from statechart.observation.outputs import OutputValue as Output
 from statechart.observation.sampling import at_times
 from statechart.observation.zeno_tails import without_summed
 

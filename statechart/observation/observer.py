@@ -261,7 +261,6 @@ class Observer:
         Modes of no duration belong to it, its start and its end. Places where the formula is
         undefined do not count; both are not a number if it is everywhere.
         """
-        trace.require_motion()
         found = np.full(2, np.nan)
         include(found, self.initial(trace, (formula,)))
         self.widened(trace, formula, found)
@@ -272,7 +271,6 @@ class Observer:
 
     def lowest(self, trace: Trace, formula: Callable[[Key], sp.Expr]) -> float:
         """Return the least value over a run of what depends on the mode; see `extremes`."""
-        trace.require_motion()
         found, jumps = np.full(2, np.nan), passed(trace)
         flowed = (arc.mode for arc in trace.arcs)
         jumped = (jump.target for jump in jumps)
@@ -295,6 +293,7 @@ class Observer:
 
     def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
         """Let an interval (2,) hold the values of a formula over all arcs, too."""
+        trace.require_motion()
         expressions = (self.programs.expression(formula),)
         for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
             widen(

@@ -16,8 +16,7 @@ from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
-from statechart.observation.on_the_way import OnTheWay
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import OutputAccumulator, Outputs
 
 
 class Observers:
@@ -57,7 +56,7 @@ class Observers:
             simulator = self._simulator(setting, off)
             observer = found = self._kept[setting, off] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
-                simulator.new_outputs = lambda: OnTheWay(self.outputs(observer))
+                simulator.new_outputs = lambda: OutputAccumulator(self.outputs(observer))
         return found
 
     def outputs(self, observer: Observer) -> Outputs:

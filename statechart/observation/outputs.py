@@ -1,8 +1,10 @@
-"""The outputs that a model declares, computed from a trace."""
+"""Outputs that a model declares, accumulated over the arcs and jumps of a run."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
@@ -12,17 +14,14 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.events import happened
-from statechart.automaton.trace import Jump, Trace
+from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.documents.outputs import Event, Moment, Value
-from statechart.execution.rows import Batch
-from statechart.observation.grouped import Grouped
-from statechart.observation.observer import Observer
-from statechart.observation.rows import RowOutputs
+from statechart.execution.simulator import Batch
+from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
+from statechart.observation.flows import passed
+from statechart.observation.observer import Observer, include
 from statechart.observation.run_scales import RunScales
 from statechart.observation.zeno_tails import last_resolved
-
-OutputValue = float | int | list[float] | None
-"""A number; a list for a value at `each` event; None where the event never happened."""
 
 
 class Scales(NamedTuple):
@@ -50,7 +49,7 @@ NO_SCALES = Scales()
 """Each number is relative to itself."""
 
 
-class Outputs(Grouped):
+class Outputs(OutputGroups):
     """The declared outputs of a model, made ready once for many runs."""
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
@@ -67,56 +66,16 @@ class Outputs(Grouped):
             return {name: trace.outputs[name] for name in self.names}
         batch = getattr(trace.arcs, "source", None)
         if isinstance(batch, Batch):
-            return self._of_row(batch, trace)
-        observer = self.observer
-        found: dict[str, OutputValue] = {}
-        for name, output, moment in self.at:
-            found[name] = self._at_jumps(trace, output, moment)
-        for name, events in self.counts:
-            found[name] = len(self.jumps(trace, events))
-        for name, formula, which in self.extremes:
-            found[name] = observer.extremes(trace, formula)[which]
-        if self.start:
-            values = observer.initial(trace, list(self.start.values())).tolist()
-            found |= zip(self.start, values, strict=True)
-        if self.end:
-            values = observer.final(trace, list(self.end.values())).tolist()
-            found |= zip(self.end, values, strict=True)
-        if self.integrals:
-            found |= zip(self.integrals, self.integrated(trace).tolist(), strict=True)
-        return {name: found[name] for name in self.names}
-
-    def integrated(self, trace: Trace, total: Array | None = None) -> Array:
-        """Return the declared integrals (f,), beside the `total` of what precedes."""
-        formulas = [output.integral for output in self.integrals.values()]
-        during = [output.during for output in self.integrals.values()]
-        return self.observer.integrals(trace, formulas, during, total)
-
-    def _of_row(self, batch: Batch, trace: Trace) -> dict[str, OutputValue]:
-        """Return the outputs of a run that a loop has made from its start to its end."""
-        values = self.rows.values(batch, lambda _, j: trace.jumps[j])
-        found: dict[str, OutputValue] = {}
-        for (name, _, moment), listed, (count,) in zip(
-            self.at, values.listed.tolist(), values.tally.tolist(), strict=True
-        ):
-            one = listed[0] if count else None
-            found[name] = listed[:count] if moment.several else one
-        found |= zip([name for name, _ in self.counts], values.counted[:, 0].tolist(), strict=True)
-        for group, table in (
-            (self.start, values.start),
-            (self.end, values.end),
-            (self.integrals, values.integrals),
-        ):
-            if group:
-                found |= zip(group, table[0].tolist(), strict=True)
-        for name, formula, which in self.extremes:
-            found[name] = values.extremes.item(self.rows.place(formula), 0, which)
-        return {name: found[name] for name in self.names}
+            found = self.batches.of_single(batch, trace.jumps)
+            return {name: found[name] for name in self.names}
+        accumulator = OutputAccumulator(self)
+        accumulator.add(trace)
+        return accumulator.end(trace)
 
     @cached_property
-    def rows(self) -> RowOutputs:
-        """What computes them of runs that loops have made from their start to their end."""
-        return RowOutputs(self)
+    def batches(self) -> BatchOutputs:
+        """Computes the outputs of runs that compiled loops made."""
+        return BatchOutputs(self)
 
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.
@@ -181,14 +140,6 @@ class Outputs(Grouped):
         magnitudes[~np.isfinite(magnitudes)] = 0.0
         return np.maximum.accumulate(magnitudes)
 
-    def _at_jumps(self, trace: Trace, output: Value, moment: Moment) -> float | list[float] | None:
-        jumps = self._chosen(trace, moment)
-        if not jumps:
-            return [] if moment.several else None
-        table = self.observer.at(trace, [output.value], jumps, before=output.before)
-        values: list[float] = table[:, 0].tolist()
-        return values if moment.several else values[0]
-
     def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
         """Return the first, the last or each of the jumps that are one of a moment's events."""
         jumps = self.jumps(trace, moment.events)
@@ -203,6 +154,134 @@ class Outputs(Grouped):
         return [
             jump for jump in trace.jumps if any(happened(regions, jump, event) for event in events)
         ]
+
+
+class OutputAccumulator:
+    """Accumulates the outputs of one run over its pieces: a whole run is one, a stream many.
+
+    Sums and extremes go on from piece to piece in the order of the arcs, so that the outputs do not
+    depend on the pieces. Implements `statechart.automaton.recording_policy.OutputStream`.
+    """
+
+    def __init__(self, outputs: Outputs) -> None:
+        self._outputs, self._observer = outputs, outputs.observer
+        self._moments = [_AtMoment(outputs, output, moment) for _, output, moment in outputs.at]
+        self._counted = [0] * len(outputs.counts)
+        self._extremes = {formula: np.full(2, np.nan) for _, formula, _ in outputs.extremes}
+        self._integrals: Array = np.zeros(len(outputs.integrals))
+        self._start: list[float] | None = None
+        self._last: tuple[Arc, ...] = ()
+
+    @property
+    def events(self) -> bool:
+        """Whether it needs jumps, and the modes of arcs."""
+        outputs = self._outputs
+        during = any(output.during for output in outputs.integrals.values())
+        return bool(outputs.at or outputs.counts or during)
+
+    @property
+    def motion(self) -> bool:
+        """Whether it needs arcs and jumps between the start and the end."""
+        outputs, programs = self._outputs, self._observer.programs
+        if self.events or outputs.extremes or outputs.integrals:
+            return True
+        values = programs.expressions([*outputs.start.values(), *outputs.end.values()])
+        # Forces of a step that holds an impulse are those of the steps beside it.
+        return bool(programs.needed(values))
+
+    def add(self, piece: Trace) -> None:
+        """Take the arcs and jumps since the last call."""
+        outputs, observer = self._outputs, self._observer
+        for place, (_, events) in enumerate(outputs.counts):
+            self._counted[place] += len(outputs.jumps(piece, events))
+        # Values at a jump may need what steps solved for on both sides of it.
+        beside = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
+        for moment in self._moments:
+            moment.add(beside)
+        if not piece.arcs:
+            return
+        if not self._last:
+            self._begin(piece)
+        jumps = passed(piece) if self._extremes else []
+        for formula, found in self._extremes.items():
+            observer.widened(piece, formula, found)
+            if jumps:
+                include(found, observer.at(piece, (formula,), jumps))
+        if outputs.integrals:
+            formulas = [output.integral for output in outputs.integrals.values()]
+            during = [output.during for output in outputs.integrals.values()]
+            self._integrals = observer.integrals(piece, formulas, during, self._integrals)
+        self._last = (piece.arcs[-1],)
+
+    def end(self, piece: Trace) -> dict[str, OutputValue]:
+        """Take the end of the run, with the whole run or no arcs; return the outputs."""
+        outputs, observer = self._outputs, self._observer
+        if not self._last:
+            self._begin(piece)
+            for formula, extremes in self._extremes.items():
+                if jumps := passed(piece):
+                    include(extremes, observer.at(piece, (formula,), jumps))
+        last = piece if piece.arcs else replace(piece, arcs=self._last)
+        found: dict[str, OutputValue] = {}
+        for (name, *_), moment in zip(outputs.at, self._moments, strict=True):
+            found[name] = moment.end(last)
+        found |= {name: n for (name, _), n in zip(outputs.counts, self._counted, strict=True)}
+        for formula, extremes in self._extremes.items():
+            include(extremes, observer.final(last, (formula,)))
+        for name, formula, which in outputs.extremes:
+            found[name] = self._extremes[formula].item(which)
+        found |= zip(outputs.start, self._start or (), strict=True)
+        if outputs.end:
+            values = observer.final(last, list(outputs.end.values())).tolist()
+            found |= zip(outputs.end, values, strict=True)
+        found |= zip(outputs.integrals, self._integrals.tolist(), strict=True)
+        return {name: found[name] for name in outputs.names}
+
+    def _begin(self, piece: Trace) -> None:
+        """Take the values at the start."""
+        outputs, observer = self._outputs, self._observer
+        if outputs.start:
+            self._start = observer.initial(piece, list(outputs.start.values())).tolist()
+        for formula, found in self._extremes.items():
+            include(found, observer.initial(piece, (formula,)))
+
+
+class _AtMoment:
+    """Accumulates a value at some events, at most as many as are asked for."""
+
+    def __init__(self, outputs: Outputs, output: Value, moment: Moment) -> None:
+        self._outputs, self._output, self._moment = outputs, output, moment
+        self._most = None if moment.when == "each" else moment.most or 1
+        self._values: deque[float] = deque(maxlen=self._most)
+        self._waiting: list[Jump] = []
+
+    def add(self, beside: Trace) -> None:
+        """Take the jumps of a piece, with the arcs before and after them."""
+        full = self._moment.when == "first" and len(self._values) == self._most
+        if not full:
+            self._waiting += self._outputs.jumps(beside, self._moment.events)
+        if self._waiting and beside.arcs:
+            known = [jump for jump in self._waiting if jump.j < beside.arcs[-1].j]
+            self._waiting = self._waiting[len(known) :]
+            self._evaluate(beside, known)
+
+    def end(self, beside: Trace) -> OutputValue:
+        """Return the value, or those of several events."""
+        self._evaluate(beside, self._waiting)
+        values = list(self._values)
+        if self._moment.several:
+            return values
+        return values[0] if values else None
+
+    def _evaluate(self, beside: Trace, jumps: list[Jump]) -> None:
+        if self._moment.when == "first" and self._most is not None:
+            jumps = jumps[: self._most - len(self._values)]
+        elif self._most is not None:
+            jumps = jumps[-self._most :]
+        if jumps:
+            output = self._output
+            table = self._outputs.observer.at(beside, [output.value], jumps, before=output.before)
+            self._values.extend(table[:, 0].tolist())
 
 
 def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:

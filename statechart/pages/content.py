@@ -1,4 +1,4 @@
-"""What the page of a run shows, as one plain object; arrays are base64 of their bytes."""
+"""Content of the page of a run, as one plain object; arrays are base64 of their bytes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,18 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, LINES
 from statechart.pictures.film import LONGEST, Film, Shape, strokes
-from statechart.reporting.bands import banded, unbanded
-from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
+from statechart.reporting.curves import (
+    Line,
+    Panel,
+    busy_until,
+    curves,
+    impulse_label,
+    impulses_of,
+    largest,
+)
+from statechart.reporting.figure import banded, unbanded
 from statechart.reporting.film import filmed, stage_of
 from statechart.reporting.text import change, computed, explanation
-from statechart.reporting.thinning import Line
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
@@ -50,7 +57,7 @@ _NAMES = 4
 def content(
     observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram | None
 ) -> dict[str, Any]:
-    """Return what a page shows of a run."""
+    """Return the content of the page of a run."""
     automaton = observer.automaton
     declared = automaton.declaration.parameters
     seen = kind(automaton.declaration.kind).stage is not None
@@ -59,8 +66,8 @@ def content(
     end = busy_until(trace, drawn, panels)
     width = 3 * len(automaton.regions) + 9 if seen else 1
     count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
-    told = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
-    events = [event for event in report["events"] if event["t"] <= end][:told]
+    limit = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
+    events = [event for event in report["events"] if event["t"] <= end][:limit]
     times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
     film = None if stage is None else filmed(stage, observer, trace, times)
     samples = observer.sample(trace, automaton.names[:1], times=times)
@@ -96,7 +103,7 @@ def content(
 def _regions(
     automaton: Automaton, keys: Sequence[Key], rows: Sequence[int]
 ) -> list[dict[str, Any]]:
-    untold = len(automaton.regions) - len(keys[0])
+    unrecorded = len(automaton.regions) - len(keys[0])
     colours = automaton.colours
     named = zip(automaton.region_names, automaton.states_told(keys[0]), strict=True)
     return [
@@ -105,10 +112,12 @@ def _regions(
             "states": list(states),
             "colours": [colours[name].get(state, GRID) for state in states],
             "state": _packed(
-                np.array([states.index(key[k - untold]) if k >= untold else 0 for key in keys]),
+                np.array(
+                    [states.index(key[k - unrecorded]) if k >= unrecorded else 0 for key in keys]
+                ),
                 np.uint8,
             ),
-            "shown": k - untold in rows,
+            "shown": k - unrecorded in rows,
         }
         for k, (name, states) in enumerate(named)
     ]
@@ -200,16 +209,16 @@ def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict
                 "curves": [drawn(samples.columns[name]) for name in names],
                 "colours": list(LINES[: len(names)]),
                 "cone": cone,
-                "struck": [_struck(trace, panel, region, end) for region in panel.impulses],
+                "struck": [_impulses_of(trace, panel, region, end) for region in panel.impulses],
                 "remarks": list(panel.remarks),
             }
         )
     return made
 
 
-def _struck(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
+def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
     """Return the impulses of a region: with sizes where no forces have the axis."""
-    times, sizes = struck(trace, region)
+    times, sizes = impulses_of(trace, region)
     seen = times <= end
     return {
         "name": impulse_label(panel, sizes) if panel.names else region,
@@ -297,10 +306,10 @@ def _followed(
 
 
 def _bare(diagram: Diagram) -> Diagram:
-    """Return a diagram without what the page tells elsewhere: its title, guards and conditions."""
+    """Return a diagram without its title, guards, conditions and actions, for the page."""
 
     def bare(chart: Chart) -> Chart:
-        nodes = tuple(replace(node, invariants=()) for node in chart.nodes)
+        nodes = tuple(replace(node, invariants=(), actions=()) for node in chart.nodes)
         links = tuple(replace(link, guard="", reset="") for link in chart.links)
         axes = None if chart.axes is None else (bare(chart.axes[0]), bare(chart.axes[1]))
         return replace(chart, nodes=nodes, links=links, axes=axes)
@@ -310,18 +319,18 @@ def _bare(diagram: Diagram) -> Diagram:
 
 
 def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, str]:
-    """Return values in words, with their units."""
+    """Return values as text, with their units."""
     return {
-        name: f"{_told(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
+        name: f"{_format(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
         for name, value in values.items()
     }
 
 
-def _told(value: object) -> str:
+def _format(value: object) -> str:
     if value is None:
         return "none"
     if isinstance(value, list):
-        return ", ".join(map(_told, value))
+        return ", ".join(map(_format, value))
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
 
 

@@ -1,6 +1,6 @@
-"""What a run looks like: a model's shapes at instants of a run, drawn and set in motion.
+"""Pictures of runs: a model's shapes at instants of a run, drawn and animated.
 
-`film` is the picture as plain values, and `stage` what a kind of document offers to make it of;
-`scenery` and `drawing` draw it, `names` says what is what, `snapshots` puts some in a row,
+`film` is the picture as plain values, and `stage` the interface by which a kind of document makes
+it; `scenery` and `drawing` draw it, `names` labels it, `snapshots` puts instants in a row,
 `animation` writes GIF and MP4.
 """

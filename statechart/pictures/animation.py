@@ -26,7 +26,7 @@ from statechart.pictures.snapshots import shaped
 from statechart.progress import counted
 
 if TYPE_CHECKING:
-    from PIL import Image
+    from PIL import Image, ImageFont
 
 SUFFIXES = (".gif", ".mp4")
 """What `write` can write."""
@@ -49,13 +49,7 @@ _FAINTEST = 240.0
 
 
 def pace(end: float, speed: float | None) -> tuple[float, Array]:
-    """Return how many units of the run's time pass in a second, and the times of the pictures.
-
-    Raises
-    ------
-    DeclarationError
-        If the speed is not positive and finite.
-    """
+    """Return how many units of the run's time pass in a second, and the times of the pictures."""
     if speed is None:
         speed = 1.0 if _SHORT <= end <= _LONG or end == 0.0 else _round(end)
     _check_speed(speed)
@@ -80,12 +74,8 @@ def _round(end: float) -> float:
 def check(path: Path, size: int, speed: float | None = None, trail: float | None = None) -> None:
     """Check that an animation can be written, before the work that leads to it.
 
-    Raises
-    ------
-    DeclarationError
-        If its suffix, its size, its speed or its trail is none.
-    StatechartError
-        If the program that it needs is not there.
+    A wrong suffix, size, speed or trail raises a DeclarationError, a missing ffmpeg a
+    StatechartError.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise DeclarationError(
@@ -115,27 +105,12 @@ def write(
     trail: float | None = None,
     progress: bool = False,
 ) -> None:
-    """Write a film as an animation, whole or not at all.
+    """Write a film as an animation, whole or not at all, in the format of the path's suffix.
 
-    Parameters
-    ----------
-    film : Film
-        Its instants evenly spaced.
-    path : Path
-        What to write; its suffix says how, see `SUFFIXES`.
-    speed : float
-        Units of its time that pass in a second.
-    size : int
-        Pixels of the longer side.
-    trail : float, optional
-        See `Drawing`.
-    progress : bool
-        Whether pictures are counted on stderr.
-
-    Raises
-    ------
-    StatechartError
-        As `check` does, and if the file cannot be written.
+    The instants of the film are evenly spaced, `speed` units of its time pass in a second, and
+    `size` is the number of pixels of the longer side; `trail` as in `Drawing`. With `progress`
+    pictures are counted on stderr. Raises what `check` does, and a StatechartError if the file
+    cannot be written.
     """
     check(path, size)
     pictures = _pictures(film, _clock(speed), size, trail)
@@ -160,7 +135,8 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
     """Yield the pictures of a film; what does not move is drawn once for all of them."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from PIL import Image
+    from matplotlib.font_manager import FontProperties, findfont
+    from PIL import Image, ImageFont
 
     width, height = shaped(film, size / _DPI, size / _DPI)
     even = [2 * round(side * _DPI / 2) / _DPI for side in (width, height)]
@@ -172,43 +148,27 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
         artist.set_animated(True)
     canvas.draw()
     still, renderer = canvas.copy_from_bbox(figure.bbox), canvas.get_renderer()
-    told = _Clock(clock)
-    for instant in range(len(film.times)):
+    font = ImageFont.truetype(findfont(FontProperties()), _LETTERS)
+    for instant, time in enumerate(film.times):
         drawing.show(instant)
         canvas.restore_region(still)
         for artist in moving:
             artist.draw(renderer)
         drawn = canvas.buffer_rgba()
         made = Image.frombuffer("RGBA", drawn.shape[1::-1], drawn).convert("RGB")
-        told.write(made, film.times[instant])
+        _write_clock(made, f"t = {time:.4g}{clock}", font)
         yield made
 
 
-class _Clock:
-    """The time in the corner of a picture, by Pillow: matplotlib took a third of a picture for it.
+def _write_clock(picture: Image.Image, words: str, font: ImageFont.FreeTypeFont) -> None:
+    """Write the time on paper, by Pillow: matplotlib took a third of a picture for it."""
+    from PIL import ImageDraw
 
-    Parameters
-    ----------
-    speed : str
-        What stands behind the time.
-    """
-
-    def __init__(self, speed: str) -> None:
-        from matplotlib.font_manager import FontProperties, findfont
-        from PIL import ImageFont
-
-        self._speed = speed
-        self._font = ImageFont.truetype(findfont(FontProperties()), _LETTERS)
-
-    def write(self, picture: Image.Image, time: float) -> None:
-        """Write it into a picture, on paper."""
-        from PIL import ImageDraw
-
-        on, said = ImageDraw.Draw(picture), f"t = {time:.4g}{self._speed}"
-        place = (round(_CORNER[0] * picture.width), round(_CORNER[1] * picture.height))
-        left, top, right, bottom = on.textbbox(place, said, self._font)
-        on.rectangle((left - _EDGE, top - _EDGE, right + _EDGE, bottom + _EDGE), PAPER)
-        on.text(place, said, INK, self._font)
+    drawn = ImageDraw.Draw(picture)
+    place = (round(_CORNER[0] * picture.width), round(_CORNER[1] * picture.height))
+    left, top, right, bottom = drawn.textbbox(place, words, font)
+    drawn.rectangle((left - _EDGE, top - _EDGE, right + _EDGE, bottom + _EDGE), PAPER)
+    drawn.text(place, words, INK, font)
 
 
 def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
@@ -230,15 +190,8 @@ def _gif(pictures: Iterator[Image.Image], lasting: float) -> bytes:
 
 def _palette() -> list[int]:
     """Return red, green and blue of all colours of a drawing, and of their edges on paper."""
-    inks = {
-        INK,
-        FRAME,
-        FAINT,
-        BODY,
-        FORCE,
-        TRAIL,
-        *state_colours((*CLOSED, "free", "off")).values(),
-    }
+    states = state_colours((*CLOSED, "free", "off")).values()
+    inks = {INK, FRAME, FAINT, BODY, FORCE, TRAIL, *states}
     colours = [[int(ink[k : k + 2], 16) for k in (1, 3, 5)] for ink in sorted(inks)]
     shades = np.linspace(0.0, 1.0, 255 // len(colours), endpoint=False)
     found = [255.0 + (np.array(c) - 255.0) * (1.0 - shade) for c in colours for shade in shades]
@@ -256,14 +209,14 @@ def _mp4(pictures: Iterator[Image.Image], lasting: float) -> bytes:
             "-s", f"{width}x{height}", "-r", f"{1.0 / lasting:.6g}", "-i", "-",
             "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target),
         ]  # fmt: skip
-        with tempfile.TemporaryFile() as said:
-            with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as process:
+        with tempfile.TemporaryFile() as errors:
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors) as process:
                 assert process.stdin is not None
-                with suppress(BrokenPipeError), process.stdin:  # then it has said why
+                with suppress(BrokenPipeError), process.stdin:  # then ffmpeg reports why
                     for picture in (first, *pictures):
                         process.stdin.write(picture.tobytes())
             if process.returncode != 0:
-                said.seek(0)
-                why = said.read().decode(errors="replace").strip()
+                errors.seek(0)
+                why = errors.read().decode(errors="replace").strip()
                 raise StatechartError(f"ffmpeg made no mp4: {why}")
         return target.read_bytes()

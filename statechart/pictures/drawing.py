@@ -34,16 +34,8 @@ _HEAD, _SHAFT = 5.0, 0.2
 class Drawing:
     """A film on axes, shown at one instant after another.
 
-    Parameters
-    ----------
-    ax : Axes
-        Of a figure that has its size.
-    film : Film
-        What is shown.
-    trail : float, optional
-        How far back in time trails reach; all the way by default, 0 for none.
-    names : bool
-        Whether bodies, contacts and surfaces are named.
+    Trails reach `trail` back in time, all the way by default. With `names` bodies, contacts and
+    surfaces are named.
     """
 
     def __init__(
@@ -113,15 +105,8 @@ class Drawing:
         )  # fmt: skip
         self._ax.add_patch(cone)
         self._ax.add_patch(arrow)
-        (mark,) = self._ax.plot(
-            [],
-            [],
-            "o",
-            ms=self._size,
-            markeredgecolor=INK,
-            markeredgewidth=0.9 * self._thin,
-            zorder=3.2,
-        )
+        edge = 0.9 * self._thin
+        (mark,) = self._ax.plot([], [], "o", ms=self._size, markeredgewidth=edge, zorder=3.2)
         return mark, arrow, cone
 
     def _show(self, touch: Touch, artists: tuple[Any, Any, Any], instant: int) -> None:

@@ -39,24 +39,10 @@ WORLD = 0
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Something to draw, in a frame that moves.
+    """A shape in a frame that moves; its points (m, 2) are in that frame.
 
-    Attributes
-    ----------
-    kind : ShapeKind
-        How it is drawn.
-    points : (m, 2) array
-        In its frame.
-    frame : int
-        Which of the film's; `WORLD` does not move.
-    other : int
-        The frame of the last point, of what joins two frames; else as `frame`.
-    radius : float
-        Of a disc.
-    region : int
-        Of the film's regions, the one whose state colours it; -1 for none.
-    name : str
-        What it belongs to.
+    The last point of what joins two frames is in the frame `other`; `radius` is that of a disc. The
+    state of `region` (a number in the film, -1 for none) colours it, and `name` is its owner's.
     """
 
     kind: ShapeKind
@@ -70,18 +56,10 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """A contact along a film of k instants.
+    """A contact, of a region of the film, along its k instants.
 
-    Attributes
-    ----------
-    name : str
-        Of the contact.
-    region : int
-        Of the film's regions.
-    places, normals, forces : (k, 2) array
-        Where it touches, the unit normal of the surface there, the force on the body.
-    friction : (k,) array
-        Coulomb's coefficient, 0 to inf.
+    `places`, `normals` (unit, of the surface) and `forces` (on the body) are (k, 2); `friction`
+    (k,) is Coulomb's coefficient, 0 to inf.
     """
 
     name: str
@@ -94,51 +72,21 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What a run looks like at k instants.
-
-    Attributes
-    ----------
-    title : str
-        Of the model.
-    times : (k,) array
-        In order.
-    jumps : (k,) array of int
-        How many jumps precede each.
-    regions : tuple of str
-        The regions of the model.
-    states : tuple of tuple of str
-        Their states.
-    modes : (k, r) array of int
-        The state of every region, as its place among these.
-    shapes : tuple of Shape
-        What is drawn, from back to front.
-    poses : (k, f, 3) array
-        Place and angle of every frame.
-    touches : tuple of Touch
-        Contacts.
-    centres : (k, 2) array
-        The middle of what is shown.
-    half : (float, float)
-        Half of its width and height.
-    force : float
-        The force whose arrow is as long as a quarter of the smaller of width and height.
-    trails : tuple of int
-        Frames that leave a trail.
-    """
+    """The look of a run at k instants, the shapes from back to front."""
 
     title: str
-    times: Array
-    jumps: NDArray[np.int64]
+    times: Array  # (k,), in order
+    jumps: NDArray[np.int64]  # (k,), how many precede each instant
     regions: tuple[str, ...]
-    states: tuple[tuple[str, ...], ...]
-    modes: NDArray[np.intp]
+    states: tuple[tuple[str, ...], ...]  # of every region
+    modes: NDArray[np.intp]  # (k, r), the state of every region as its place among these
     shapes: tuple[Shape, ...]
-    poses: Array
+    poses: Array  # (k, f, 3), place and angle of every frame
     touches: tuple[Touch, ...]
-    centres: Array
-    half: tuple[float, float]
-    force: float
-    trails: tuple[int, ...] = ()
+    centres: Array  # (k, 2), the middle of the picture
+    half: tuple[float, float]  # of its width and height
+    force: float  # its arrow is as long as a quarter of the smaller of width and height
+    trails: tuple[int, ...] = ()  # frames that leave one
 
     @property
     def unit(self) -> float:

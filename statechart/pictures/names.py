@@ -65,17 +65,17 @@ def write_names(ax: Axes, film: Film, mark: float) -> None:
 def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
     """Return names with their places, those with the fewest of these first."""
     scale = ax.figure.dpi / 72.0
-    told = set()
+    named = set()
     for touch in film.touches:
         place, size = ax.transData.transform(touch.places[0]), _size(ax, touch.name)
         yield _Name(touch.name, {"color": LINES[0]}, size, _around(place, size, radius, scale))
     for shape in film.shapes:
         # What is one of many is coloured by what it does, and has no name.
-        if shape.name in told or shape.kind in (*BETWEEN, "joint", "pivot"):
+        if shape.name in named or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
         if shape.region >= 0:
             continue
-        told.add(shape.name)
+        named.add(shape.name)
         if shape.kind == "ground":
             style: dict[str, Any] = {"color": INK}
             size = _size(ax, shape.name)
@@ -141,10 +141,7 @@ def _costs(
     taken: list[Array],
     box: Array,
 ) -> Array:
-    """Return how much is in the way of a name at each of its places.
-
-    `around` is how far lines and marks reach.
-    """
+    """Return the cost of each place of a name; lines and marks reach as far as `around`."""
     low, high = name.places - name.size / 2.0, name.places + name.size / 2.0
     costs = np.linspace(0.0, _FARTHER * _ROUND, len(low))
     clear, radius = around

@@ -52,15 +52,7 @@ def bar_width(paper: float) -> float:
 
 
 class Scenery:
-    """The shapes of a film on axes.
-
-    Parameters
-    ----------
-    ax : Axes
-        Of the same scale along x and y, its limits set.
-    film : Film
-        What is drawn.
-    """
+    """The shapes of a film on axes, which have one scale along x and y and their limits set."""
 
     def __init__(self, ax: Axes, film: Film) -> None:
         self._ax, self._film = ax, film
@@ -121,16 +113,10 @@ class Scenery:
         from matplotlib.lines import Line2D
 
         x, y = shape.points.T
-        size = max(size * self._paper, 4.0 * self._thin)
-        mark: dict[str, Any] = {
-            "marker": marker,
-            "markersize": size,
-            "markeredgecolor": INK,
-            "linestyle": "none",
-        }
-        return [
-            Line2D(x, y, markerfacecolor=face, markeredgewidth=0.9 * self._thin, zorder=2.5, **mark)
-        ]
+        mark = Line2D(x, y, marker=marker, linestyle="none", color=INK, zorder=2.5)
+        mark.set(markersize=max(size * self._paper, 4.0 * self._thin), markerfacecolor=face)
+        mark.set_markeredgewidth(0.9 * self._thin)
+        return [mark]
 
     def _mass(self, shape: Shape) -> list[Artist]:
         return self._marked(shape, "o", _MASS, BODY)
@@ -166,17 +152,7 @@ class Scenery:
 
 
 class _Bodies:
-    """Outlines and discs, one on the other, as one artist: a thousand are drawn as fast as some.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    film : Film
-        What is drawn.
-    shapes : list of Shape
-        Those of its shapes, from back to front.
-    """
+    """Outlines and discs, back to front, as one artist: a thousand are drawn as fast as some."""
 
     def __init__(self, ax: Axes, film: Film, shapes: list[Shape]) -> None:
         from matplotlib.collections import LineCollection, PathCollection

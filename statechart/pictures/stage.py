@@ -1,4 +1,4 @@
-"""What a kind of document offers so that its runs can be seen."""
+"""Interface by which a kind of document shows its runs."""
 
 from __future__ import annotations
 
@@ -16,29 +16,13 @@ from statechart.pictures.film import Film
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Some instants of a run, as a stage wants them.
+    """Instants of a run, as a stage wants them."""
 
-    Attributes
-    ----------
-    times : (k,) array
-        In order.
-    jumps : (k,) array of int
-        How many jumps precede each.
-    keys : tuple of Key
-        The mode at each.
-    states : (k, n) array
-        The automaton's variables.
-    columns : mapping of str to (k,) array
-        The observables that the stage wants; not a number where they have no value.
-    parameters : mapping of str to float
-        Of the run.
-    """
-
-    times: Array
-    jumps: NDArray[np.int64]
-    keys: tuple[Key, ...]
-    states: Array
-    columns: Mapping[str, Array]
+    times: Array  # (k,), in order
+    jumps: NDArray[np.int64]  # (k,), how many precede each instant
+    keys: tuple[Key, ...]  # the mode at each
+    states: Array  # (k, n), the automaton's variables
+    columns: Mapping[str, Array]  # the observables that the stage wants; nan without a value
     parameters: Mapping[str, float]
 
     @property
@@ -52,7 +36,7 @@ class Stage(Protocol):
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """The observables that a film needs beside the variables."""
+        """Observables that a film needs beside the variables."""
 
     def film(self, moments: Moments) -> Film:
-        """Return what the model looks like at instants of a run."""
+        """Return the look of the model at instants of a run."""

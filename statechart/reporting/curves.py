@@ -1,4 +1,4 @@
-"""Which curves of a run are looked at, on which axes, and until when anything happens."""
+"""Curves of a run: their choice, their axes, their end, and thinning of very many points."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -14,26 +15,29 @@ from statechart.documents.declaration import TIME
 from statechart.documents.quantities import beside, entitled, unit_of
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.reporting.thinning import strongest
 
-MOST = 5
+# Columns of a figure: more than any screen or print shows of a curve.
+COLUMNS = 2000
+# Of a curve with more points in a column, on average, its least and greatest there are drawn.
+_DENSE = 10
+MAX_CURVES = 5
 """Curves of a panel."""
 
-_MOST_FORCES = 3
+_MAX_FORCES = 3
 # Sizes of one order of magnitude are alike.
 _ALIKE = 0.1
-# What is not drawn is named up to so many.
+# Columns that are not drawn are named up to so many.
 _NAMED = 2
-_MOST_PANELS = 4
-# Relative to the largest value: below this a curve is the rounding of zero.
+_MAX_PANELS = 4
+# Relative to the largest value: below this a curve is round-off of zero.
 _NOTHING = 1e-9
-# In parts by which impulses miss their laws: of the fastest, a speed below this is what is left.
+# Speed, in residuals of impulses relative to the fastest, below which it is round-off.
 _MISSED = 10.0
-# Of a force, in its tolerances: what is less is none.
+# Force, in its tolerances, below which it is round-off.
 _FORCE = 10.0
-# What changes by less than this part of its range does not change any more.
+# A curve that changes by less than this part of its range is constant.
 _STILL = 2e-3
-# How much of a run is shown after that, of what comes before; a cut saves this much at least.
+# Part of a run shown after the last change; a cut saves at least the second part.
 _REST, _SAVED = 0.08, 0.25
 _STATES = {
     "length": "position",
@@ -51,22 +55,14 @@ class Panel:
 
     Attributes
     ----------
-    title : str
-        What they are.
-    names : tuple of str
-        Columns.
-    unit : str
-        Of all of them; empty where it is unknown.
-    left_out : tuple of str
-        What belongs to them and is not drawn.
-    nothing : tuple of str
-        What is zero all along, and is not drawn either.
+    title, unit : str
+        Their common name and unit; the unit is empty where it is unknown.
+    names, left_out, nothing : tuple of str
+        Columns that are drawn, those that are not, and those that are zero all along.
     cone : (str, float or array) or None
         The column and the factor that make the edges of the friction cone.
     impulses : tuple of str
-        Regions whose impulses are marked.
-    impulse_unit : str
-        Of these.
+        Regions whose impulses are marked, in `impulse_unit`.
     """
 
     title: str
@@ -80,30 +76,30 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """What stands at the axis."""
+        """Label of the axis."""
         return entitled(self.title, self.unit)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is not drawn, the first by name, and why where it is for a reason."""
+        """Columns that are not drawn, the first by name."""
         return remarks({"not drawn": self.left_out, "0 all along": self.nothing})
 
 
 def remarks(names: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return what is said of names, of many the first ones and how many more there are."""
+    """Return remarks on names, of many the first ones and how many more there are."""
     found = []
-    for said, those in names.items():
+    for remark, those in names.items():
         more = len(those) - _NAMED
         shown = [*those[:_NAMED], *([f"{more} more"] if more > 0 else [])]
         if shown:
-            found.append(f"{said}: {', '.join(shown)}")
+            found.append(f"{remark}: {', '.join(shown)}")
     return tuple(found)
 
 
 def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
-    """Return a run sampled for curves, and which of them share an axis."""
+    """Return a run sampled for curves, and the panels of curves that share an axis."""
     samples = observer.sample(trace, per_step=_per_step(trace))
-    samples = without_rounding(observer.automaton, trace, samples)
+    samples = without_round_off(observer.automaton, trace, samples)
     states = _states(observer.automaton, samples)
     forces = _forces(observer.automaton, trace, samples)
     panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
@@ -112,10 +108,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
 
 
 def busy_until(trace: Trace, samples: Samples, panels: Iterable[Panel]) -> float:
-    """Return when nothing changes any more, and a little later; at most the end.
-
-    What is left out of a panel changes where that could be seen in it.
-    """
+    """Return when the last visible change is over, and a little later; at most the end."""
     events = [jump.t for jump in trace.jumps if jump.t < trace.t_end]
     last = max(events, default=0.0)
     for panel in panels:
@@ -140,15 +133,15 @@ def largest(values: Array) -> float:
     return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
 
 
-def struck(trace: Trace, region: str) -> tuple[Array, Array]:
-    """Return when a region was struck, and the normal impulses; of many the greatest."""
+def impulses_of(trace: Trace, region: str) -> tuple[Array, Array]:
+    """Return the times and normal impulses of impacts in a region; of many the greatest."""
     found = [(jump.t, jump.impulse[region][0]) for jump in trace.jumps if region in jump.impulse]
     times, impulses = np.array(found).reshape(-1, 2).T
     return strongest(times, impulses, trace.t_end)
 
 
 def impulse_label(panel: Panel, impulses: Array) -> str:
-    """Return what is said of impulses on an axis of forces, which has no place for their size."""
+    """Return the label of impulses on an axis of forces, which does not show their size."""
     return f"impulse, up to {largest(impulses):.3g} {beside(panel.impulse_unit)}".rstrip()
 
 
@@ -158,11 +151,12 @@ def _per_step(trace: Trace) -> int:
     return int(np.clip(4000 // max(steps, 1), 4, 64))
 
 
-def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
-    """Return samples whose columns are zero where they are the rounding of zero.
+def without_round_off(automaton: Automaton, trace: Trace, samples: Samples) -> Samples:
+    """Return samples with round-off of zero replaced by zero.
 
-    That is told beside the largest of their kind, beside a radian, and beside speeds that in all of
-    the run go as far as that. Of steps speeds, and angles, are known to what impulses miss.
+    A column is round-off by comparison with the largest of its kind, with a radian, and with the
+    speed that covers that length in the run. Time stepping knows speeds and angles to the residual
+    of its impulses.
     """
     columns = dict(samples.columns)
     groups: dict[str, list[str]] = {}
@@ -172,17 +166,17 @@ def without_rounding(automaton: Automaton, trace: Trace, samples: Samples) -> Sa
         max((largest(columns[name]) for name in groups.get(dimension, ())), default=0.0)
         for dimension in ("length", "length/time")
     )
-    usual = {"angle": 1.0}
+    scales = {"angle": 1.0}
     if trace.t_end > 0.0:
         turning = max(1.0 / trace.t_end, speed / length if length > 0.0 else 0.0)
-        usual |= {"length/time": length / trace.t_end, "angle/time": turning}
+        scales |= {"length/time": length / trace.t_end, "angle/time": turning}
     known = max(_NOTHING, _MISSED * trace.tolerances.get("impulse", 0.0))
     for dimension, names in groups.items():
         if not dimension:
             continue
         found = max(largest(columns[name]) for name in names)
         part = known if dimension in ("angle", "length/time", "angle/time") else _NOTHING
-        nothing = part * max(found, usual.get(dimension, 0.0))
+        nothing = part * max(found, scales.get(dimension, 0.0))
         if dimension == "force":
             nothing = max(nothing, _FORCE * trace.tolerances.get("force", 0.0))
         for name in names:
@@ -202,7 +196,7 @@ def _chosen(title: str, names: Sequence[str], unit: str, samples: Samples) -> Pa
     if not kept:
         # Of those that stand still the ones that are far off zero.
         order = {n: (-m if m > nothing else 0.0, -largest(columns[n])) for n, m in moves.items()}
-        kept = sorted(names, key=order.__getitem__)[:MOST]
+        kept = sorted(names, key=order.__getitem__)[:MAX_CURVES]
     drawn = tuple(name for name in names if name in kept)
     return Panel(title, drawn, unit, tuple(name for name in names if name not in kept))
 
@@ -217,9 +211,9 @@ def _spread(sizes: Mapping[str, float], nothing: float = 0.0) -> list[str]:
     """Return a handful of many that are alike, from the first to the last; else none."""
     most = max(sizes.values())
     alike = [name for name, size in sizes.items() if size >= _ALIKE * most > nothing]
-    if len(alike) <= MOST:
+    if len(alike) <= MAX_CURVES:
         return []
-    return [alike[round(k * (len(alike) - 1) / (MOST - 1))] for k in range(MOST)]
+    return [alike[round(k * (len(alike) - 1) / (MAX_CURVES - 1))] for k in range(MAX_CURVES)]
 
 
 def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
@@ -228,7 +222,7 @@ def _states(automaton: Automaton, samples: Samples) -> list[Panel]:
     places = {symbol: k for k, symbol in enumerate(automaton.variables)}
     speeds = {places[rate] for rate in automaton.rates if rate in places}
     moved = {k for k, rate in enumerate(automaton.rates) if rate in places}
-    few = len(automaton.names) < _MOST_PANELS
+    few = len(automaton.names) < _MAX_PANELS
     groups: dict[tuple[str, str], list[str]] = {}
     for k, name in enumerate(automaton.names):
         if name in model.timers:
@@ -261,7 +255,7 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     names = []
     for region in trace.regions:
         gap = columns.get(f"{region}.gap")
-        # On the ground all the time, or the height that is drawn already: nothing to see.
+        # Zero all the time, or the height that is drawn already.
         if gap is not None and largest(gap) > _NOTHING * scale:
             others = (largest(gap - columns[name]) for name in automaton.names)
             if min(others, default=np.inf) > _NOTHING * scale:
@@ -275,10 +269,10 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
         if left != entered
     }
     # Of many, those of contacts that do something.
-    told = [name for name in names if name in changing]
-    told = told if told and len(names) > MOST else names
-    panel = _chosen("gap", told, model.unit(names[0]), samples)
-    idle = tuple(name for name in names if name not in told)
+    active = [name for name in names if name in changing]
+    active = active if active and len(names) > MAX_CURVES else names
+    panel = _chosen("gap", active, model.unit(names[0]), samples)
+    idle = tuple(name for name in names if name not in active)
     return [replace(panel, left_out=(*panel.left_out, *idle))]
 
 
@@ -311,7 +305,7 @@ def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]
                 impulse_unit=unit,
             )
         )
-    kept, others = found[:_MOST_FORCES], found[_MOST_FORCES:]
+    kept, others = found[:_MAX_FORCES], found[_MAX_FORCES:]
     if others:
         left = tuple(name for panel in others for name in panel.names)
         kept[-1] = replace(kept[-1], left_out=left)
@@ -329,7 +323,7 @@ def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> li
     if not any(most.values()):
         return []
     ordered = {region: most[region] for region in trace.regions if region in most}
-    kept = _spread(ordered) or sorted(most, key=lambda region: -most[region])[:MOST]
+    kept = _spread(ordered) or sorted(most, key=lambda region: -most[region])[:MAX_CURVES]
     marked = tuple(region for region in trace.regions if region in kept)
     left_out = tuple(region for region in trace.regions if region in most and region not in kept)
     unit = unit_of("impulse", automaton.declaration.units)
@@ -347,3 +341,55 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
     for name in names:
         groups.setdefault(automaton.declaration.unit(name), []).append(name)
     return [_chosen("control", group, unit, samples) for unit, group in groups.items()]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """How columns of samples are drawn: broken at jumps, which take no time.
+
+    Attributes
+    ----------
+    times : (m,) array
+        Of the points drawn, not a number at breaks.
+    """
+
+    times: Array
+    _begins: NDArray[np.intp] | None
+    _breaks: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, samples: Samples) -> Line:
+        """Return how samples are drawn; many by the least and the greatest in every column."""
+        t, jumped = samples.t, np.flatnonzero(np.diff(samples.j)) + 1
+        if len(t) <= _DENSE * COLUMNS:
+            return cls(np.insert(t, jumped, np.nan), None, jumped)
+        begins = _first_rows(t)
+        if len(jumped) <= COLUMNS:
+            begins = np.union1d(begins, jumped)
+        # Two points a column; of more jumps than columns a line shows those between two of them.
+        breaks = 2 * np.flatnonzero(np.isin(begins, jumped))
+        return cls(np.insert(np.repeat(t[begins], 2), breaks, np.nan), begins, breaks)
+
+    def values(self, column: Array) -> Array:
+        """Return the values (m,) of a column of the samples."""
+        if self._begins is not None:
+            low = np.fmin.reduceat(column, self._begins)
+            column = np.column_stack([low, np.fmax.reduceat(column, self._begins)]).ravel()
+        return np.insert(column, self._breaks, np.nan)
+
+
+def strongest(times: Array, sizes: Array, end: float) -> tuple[Array, Array]:
+    """Return events and their sizes; of very many the one of greatest magnitude in every column."""
+    if len(times) <= COLUMNS:
+        return times, sizes
+    column = np.minimum((times * (COLUMNS / end)).astype(np.intp), COLUMNS - 1)
+    order = np.lexsort((-np.abs(sizes), column))
+    chosen = order[np.flatnonzero(np.diff(column[order], prepend=-1))]
+    return times[chosen], sizes[chosen]
+
+
+def _first_rows(t: Array) -> NDArray[np.intp]:
+    """Return the first row in every column of the figure that has one."""
+    edges = np.linspace(t[0], t[-1], COLUMNS + 1)[:-1]
+    begins: NDArray[np.intp] = np.unique(np.searchsorted(t, edges))
+    return begins

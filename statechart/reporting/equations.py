@@ -1,10 +1,10 @@
-"""The equations of motion of a mode, as a person would write them: as text, or in LaTeX."""
+"""Equations of motion of a mode, in the form that people write: as text, JSON or LaTeX."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import sympy as sp
 
@@ -15,36 +15,24 @@ from statechart.automaton.reduction import Coordinates, Elimination, eliminated
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationError, close_matches
 
-# Formulas of more operations are shown as they are: to make them shorter takes too long.
+# Formulas of more operations are not shortened: it takes too long.
 _LONG = 400
 
 Equation = tuple[sp.Expr, sp.Expr]
 """Left and right side."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """Equations that belong together.
-
-    Attributes
-    ----------
-    title : str
-    equations : tuple of Equation
-    """
+class EquationBlock(NamedTuple):
+    """Equations under a title."""
 
     title: str
     equations: tuple[Equation, ...]
 
 
-def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
-    """Return the equations of a mode in words that are printed; see `blocks`.
+def format_equations(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
+    """Return the equations of a mode as text, JSON or LaTeX; see `blocks`.
 
     A prime is a derivative with respect to time.
-
-    Raises
-    ------
-    DeclarationError
-        If `mode` names none.
     """
     key = mode_named(automaton, mode)
     declared = automaton.declaration.parameters
@@ -54,13 +42,7 @@ def told(automaton: Automaton, setup: Setup, mode: str, form: str) -> str:
 
 
 def mode_named(automaton: Automaton, text: object) -> Key:
-    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone.
-
-    Raises
-    ------
-    DeclarationError
-        If it names none.
-    """
+    """Return the mode that a text names: ``tip:pin``, ``A:free B:slide+``, or ``pin`` alone."""
     example = automaton.label(tuple(r.states[0] for r in automaton.regions))
     if not isinstance(text, str):
         raise DeclarationError(
@@ -88,26 +70,26 @@ def mode_named(automaton: Automaton, text: object) -> Key:
     return tuple(states[region.name] for region in automaton.regions)
 
 
-def _lines(automaton: Automaton, block: Block) -> list[str]:
+def _lines(automaton: Automaton, block: EquationBlock) -> list[str]:
     names = {symbol: sp.Symbol(name) for symbol, name in _names(automaton).items()}
     pairs = [[sp.sstr(side.xreplace(names)) for side in sides] for sides in block.equations]
     return [" = ".join(pair) for pair in pairs]
 
 
-def _text(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+def _text(automaton: Automaton, key: Key, made: Sequence[EquationBlock]) -> str:
     lines = [f"{automaton.name}, {automaton.label(key)}"]
     for block in made:
         lines += [f"{block.title}:", *(f"  {line}" for line in _lines(automaton, block))]
     return "\n".join(lines) + "\n"
 
 
-def _json(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+def _json(automaton: Automaton, key: Key, made: Sequence[EquationBlock]) -> str:
     mode = {region.name: state for region, state in zip(automaton.regions, key, strict=True)}
     equations = {block.title: _lines(automaton, block) for block in made}
     return json.dumps({"model": automaton.name, "mode": mode, **equations}, indent=2) + "\n"
 
 
-def _latex(automaton: Automaton, key: Key, made: Sequence[Block]) -> str:
+def _latex(automaton: Automaton, key: Key, made: Sequence[EquationBlock]) -> str:
     sides = [side for block in made for equation in block.equations for side in equation]
     called = {symbol: symbol.name for side in sides for symbol in side.free_symbols}
     called |= _names(automaton)
@@ -127,7 +109,7 @@ _FORMS = {"text": _text, "latex": _latex, "json": _json}
 
 
 def _names(automaton: Automaton) -> dict[sp.Symbol, str]:
-    """Return how symbols are called; derivatives with primes."""
+    """Return the names of symbols; derivatives with primes."""
     found: dict[sp.Symbol, str] = {e: n for n, e in automaton.observables.items() if e.is_Symbol}
     found |= dict(zip(automaton.parameters, automaton.parameter_names, strict=True))
     coordinates = automaton.coordinates
@@ -162,11 +144,11 @@ def _typeset(automaton: Automaton, name: str) -> str:
     return rf"{stem}_{{{index[:-1]},{whose}}}" if below else rf"{letter}_{{{whose}}}"
 
 
-def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[Block]:
+def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[EquationBlock]:
     """Return the equations of a mode, in the automaton's symbols.
 
-    What is eliminated, the motion of the coordinates that are left, what these hold besides, and
-    the forces that follow; of a chart, what its variables do.
+    Eliminated coordinates, the motion of the others, their holds, and the forces that follow; of a
+    chart, the rates of its variables.
     """
     if automaton.coordinates is None:
         mode = build_mode(automaton, roles_in(key), frozenset())
@@ -174,35 +156,25 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
         for symbol, value in mode.definitions:
             known[symbol] = value.xreplace(known)
         rates = zip(automaton.rates, mode.rates, strict=True)
-        return [Block("motion", tuple((rate, _short(e.xreplace(known))) for rate, e in rates))]
+        motion = tuple((rate, _short(e.xreplace(known))) for rate, e in rates)
+        return [EquationBlock("motion", motion)]
     rows = _rows(automaton, automaton.coordinates, key, zeros)
-    found: list[Block] = []
+    found: list[EquationBlock] = []
     if rows.elimination is not None:
         follows = rows.elimination.positions.items()
-        found.append(Block("eliminated", tuple((q, _short(place)) for q, place in follows)))
+        found.append(EquationBlock("eliminated", tuple((q, _short(place)) for q, place in follows)))
     moving = tuple(_moving(row, automaton.coordinates) for row in rows.motion)
     if moving:
-        found.append(Block("motion", moving))
+        found.append(EquationBlock("motion", moving))
     if rows.held:
-        found.append(Block("held", tuple((_short(place), sp.S.Zero) for place in rows.held)))
+        held = tuple((_short(place), sp.S.Zero) for place in rows.held)
+        found.append(EquationBlock("held", held))
     forces = _forces(rows, automaton)
-    return [*found, Block("forces", forces)] if forces else found
+    return [*found, EquationBlock("forces", forces)] if forces else found
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Equations of a mode, each = 0.
-
-    Attributes
-    ----------
-    elimination : Elimination or None
-    motion : list of Expr
-        Of the coordinates that are left.
-    held : list of Expr
-        Places that these hold besides.
-    forces : list of Expr
-        What tells the forces.
-    """
+class _Rows(NamedTuple):
+    """Equations of a mode, each = 0: motion of the coordinates left, holds, and forces."""
 
     elimination: Elimination | None
     motion: list[sp.Expr]
@@ -267,7 +239,7 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
 
 
 def _forces(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
-    """Return what forces follow from the motion, or from each other."""
+    """Return the forces that follow from the motion, or from each other."""
     assert automaton.coordinates is not None
     left = [row for row in rows.forces if row != 0]
     forces = [u for u in automaton.unknowns if u not in automaton.coordinates.accelerations]

@@ -1,7 +1,9 @@
-"""A run as one picture: states, forces with their cones, modes and events against time."""
+"""Figure of a run: states, forces with their cones, modes and events against time."""
 
 from __future__ import annotations
 
+import textwrap
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from itertools import groupby
@@ -11,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Jump, Trace
 from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
@@ -20,20 +23,29 @@ from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, INK, LINES, RUN
 from statechart.pictures.film import Film
-from statechart.reporting.bands import banded, draw_bands
-from statechart.reporting.curves import Panel, busy_until, curves, impulse_label, largest, struck
-from statechart.reporting.legends import legend, remark_lines, room
-from statechart.reporting.stack import stack
-from statechart.reporting.thinning import Line
+from statechart.pictures.snapshots import strip as draw_strip
+from statechart.pictures.snapshots import strip_height
+from statechart.reporting.curves import (
+    COLUMNS,
+    Line,
+    Panel,
+    busy_until,
+    curves,
+    impulse_label,
+    impulses_of,
+    largest,
+    remarks,
+)
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imported where a figure is drawn: it takes half a second
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-_MOST_LABELLED = 24
+_MAX_LABELLED = 24
 # Of more the lines make a grey area, which tells nothing that bands of modes do not.
-_MOST_LINES = 75
+_MAX_LINES = 75
 # Between a label that ends at its event and one that begins there, of the width.
 _GAP = 0.02
 # Lines of labels, and how far apart they are in points.
@@ -41,8 +53,21 @@ _LEVELS, _LINE = 3, 10.0
 # How high a panel is, of few and of many.
 _TALL, _LOW, _MANY = 1.3, 0.95, 5
 
+# In inches: of the picture, at least of axes; around them, between them, of a line of labels.
+_WIDTH, _NARROWEST = 7.2, 3.2
+_LEFT, _RIGHT, _BETWEEN, _BELOW, _TITLE, _ROW = 0.08, 0.1, 0.12, 0.48, 0.28, 0.14
+# Places are on a raster of an inch: letters are, and a picture is to the bit the same.
+_RASTER = 100.0
+# Of a region, by the states that it is in.
+Stretches = dict[str, list[tuple[float, float]]]
+
+# Rows, and stretches of a state in a row that are named.
+_MAX_BANDS, _MAX_NAMED = 12, 24
+# Characters of a line of a legend.
+_LEGEND = 26
+
 SUFFIXES = (".svg", ".png", ".pdf")
-"""Of the files that a figure can be written to."""
+"""Suffixes of the files that a figure can be written to."""
 
 STYLE = {
     "font.family": "sans-serif",
@@ -75,11 +100,6 @@ def figure(
     forces; controls. Of many curves those that move most are drawn, and the others named. Below, a
     band of modes for every region. Dotted lines and labels mark events, where they do not crowd;
     diamonds mark modes of zero duration. Time ends where nothing happens any more.
-
-    Raises
-    ------
-    StatechartError
-        If the suffix is none of these or the file cannot be written.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -105,13 +125,7 @@ def figure(
 
 
 def write(drawing: Figure, path: Path | str) -> None:
-    """Write a figure to a file: svg, png or pdf by its suffix.
-
-    Raises
-    ------
-    StatechartError
-        If the suffix is none of these or the file cannot be written.
-    """
+    """Write a figure to a file: svg, png or pdf by its suffix."""
     path = Path(path)
     kind = path.suffix.lower().lstrip(".")
     if f".{kind}" not in SUFFIXES:
@@ -172,7 +186,7 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
 def _mark_impulses(ax: Axes, panel: Panel, trace: Trace) -> None:
     """Mark impulses on the axis of forces, which has no place for their size."""
     for region in panel.impulses:
-        times, impulses = struck(trace, region)
+        times, impulses = impulses_of(trace, region)
         ax.plot(
             times,
             np.zeros(len(times)),
@@ -190,7 +204,7 @@ def _draw_impulses(ax: Axes, panel: Panel, trace: Trace) -> tuple[float, float]:
     """Draw impulses as stems; return the limits of the axis."""
     greatest = 0.0
     for region, colour in zip(panel.impulses, LINES, strict=False):
-        times, impulses = struck(trace, region)
+        times, impulses = impulses_of(trace, region)
         ax.vlines(times, 0.0, impulses, color=colour, linewidth=1.2, zorder=3)
         ax.plot(times, impulses, "o", markersize=2.5, color=colour, label=region, zorder=3)
         greatest = max(greatest, largest(impulses))
@@ -205,15 +219,15 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 
 
 def _time(unit: str, trace: Trace, end: float) -> str:
-    """Return what stands at the axis of time."""
+    """Return the label of the axis of time."""
     label = entitled("time", unit)
     if end < trace.t_end:
         label += f"; until the end at {trace.t_end:.6g} nothing happens any more"
     return label
 
 
-def _called(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
-    """Yield events and what they are called; of more at one instant than have lines the first."""
+def _labelled(jumps: Sequence[Jump]) -> Iterator[tuple[Jump, str]]:
+    """Yield events with their labels; of more at one instant than have lines the first."""
     for _, group in groupby(jumps, key=lambda jump: jump.t):
         together = list(group)
         named = [f"{jump.region}.{jump.cause}".removeprefix(".") for jump in together]
@@ -231,9 +245,9 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
         # Events that accumulate would make a black bar.
         if not times or jump.t - times[-1] > span / 250:
             times.append(jump.t)
-    if len(times) > _MOST_LINES:
+    if len(times) > _MAX_LINES:
         return 0
-    faint = 0.8 if len(jumps) <= _MOST_LABELLED else 0.35
+    faint = 0.8 if len(jumps) <= _MAX_LABELLED else 0.35
     for ax in axes:
         ax.vlines(
             times,
@@ -246,20 +260,20 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
             linestyle=(0, (1, 2)),
             zorder=2,
         )
-    if len(jumps) > _MOST_LABELLED:
+    if len(jumps) > _MAX_LABELLED:
         return 0
-    # Labels on levels over the first panel; what has no room on them is left out.
+    # Labels on levels over the first panel; those that do not fit are left out.
     free = [-1.0] * _LEVELS
     top = axes[0].get_xaxis_transform()
-    for jump, said in _called(jumps):
-        place, width = jump.t / span, room(said)
+    for jump, label in _labelled(jumps):
+        place, width = jump.t / span, label_width(label)
         left = place if place + width <= 1.0 else place - width
         level = next((k for k, last in enumerate(free) if left >= last), None)
         if level is None:
             continue
         free[level] = left + width + (_GAP if left < place else 0.0)
         axes[0].annotate(
-            said,
+            label,
             (jump.t, 1.0),
             (0.0, 2.0 + _LINE * level),
             xycoords=top,
@@ -270,3 +284,199 @@ def _draw_events(axes: Sequence[Axes], trace: Trace, span: float) -> int:
             va="bottom",
         )
     return sum(last > -1.0 for last in free)
+
+
+def banded(automaton: Automaton, trace: Trace) -> list[int]:
+    """Return the regions whose modes are shown: all, or of many the first ones that change.
+
+    Before those that are one of many come those that have states of their own, such as controllers.
+    """
+    places = list(range(len(trace.regions)))
+    if len(places) > _MAX_BANDS:
+        changing = [k for k in places if len(_stretches(trace, k)) > 1 or _instants(trace, k)]
+        states = {region.name: region.states for region in automaton.regions}
+        alike = Counter(states[name] for name in trace.regions)
+        own = sorted(changing or places, key=lambda k: alike[states[trace.regions[k]]] > 1)
+        places = sorted(own[:_MAX_BANDS])
+    return places
+
+
+def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None:
+    """Draw one row per region, the first on top, its states as coloured stretches of time."""
+    from matplotlib.patches import Patch
+
+    places = banded(automaton, trace)
+    unnamed: dict[str, Artist] = {}
+    for y, row in zip(reversed(range(len(places))), places, strict=True):
+        colours = automaton.colours[trace.regions[row]]
+        for state, stretches in _visible(_stretches(trace, row), end).items():
+            ax.broken_barh(
+                [(start, last - start) for start, last in stretches],
+                (y + 0.1, 0.8),
+                facecolors=colours[state],
+                edgecolor="white",
+                linewidth=0.4 if len(stretches) < _MAX_NAMED else 0.0,
+            )
+            seen = [(start, min(last, end)) for start, last in stretches if start < end]
+            wide = [pair for pair in seen if (pair[1] - pair[0]) / end > label_width(state)]
+            for start, last in wide[:_MAX_NAMED]:
+                ax.text((start + last) / 2, y + 0.5, state, ha="center", va="center", fontsize=8)
+            if not wide:
+                unnamed[state] = Patch(facecolor=colours[state], label=state)
+        for state, times in _instants(trace, row).items():
+            label = f"{state} for no time"
+            (unnamed[label],) = ax.plot(
+                times, [y + 0.5] * len(times), "D", markersize=4.5, clip_on=False, label=label,
+                color=colours[state], markeredgecolor=INK, markeredgewidth=0.7,
+            )  # fmt: skip
+    rows = len(places)
+    ax.set_ylim(0, rows or 1)
+    ax.set_yticks([rows - 0.5 - k for k in range(rows)], [trace.regions[k] for k in places])
+    ax.tick_params(axis="y", length=0)
+    for side in ("top", "right", "left"):
+        ax.spines[side].set_visible(False)
+    ax.set_xlim(0.0, end)
+    left = remark_lines(unbanded(trace, places))
+    if unnamed or left:
+        legend(ax, [*unnamed.values(), *left], 2 if len(unnamed) > max(2 * rows, 3) else 1)
+
+
+def unbanded(trace: Trace, places: Sequence[int]) -> tuple[str, ...]:
+    """Return remarks on regions that have no row, and on those that stay in one state."""
+    found: dict[str, list[str]] = {}
+    for k, name in enumerate(trace.regions):
+        if k not in places:
+            states = list(_stretches(trace, k))
+            still = len(states) == 1 and not _instants(trace, k)
+            found.setdefault(f"always {states[0]}" if still else "not drawn", []).append(name)
+    return remarks(found)
+
+
+def _stretches(trace: Trace, row: int) -> Stretches:
+    """Return state -> times that the region spends in it, adjoining ones joined."""
+    result: Stretches = {}
+    last = ""
+    for arc in trace.arcs:
+        state, start, end = arc.mode[row], arc.start.high, arc.end.high
+        stretches = result.setdefault(state, [])
+        if state == last:
+            stretches[-1] = (stretches[-1][0], end)
+        else:
+            stretches.append((start, end))
+        last = state
+    return result
+
+
+def _visible(stretches: Stretches, end: float) -> Stretches:
+    """Thin very many stretches to the state at one time of every column."""
+    if sum(map(len, stretches.values())) <= COLUMNS:
+        return stretches
+    every = sorted((start, state) for state, those in stretches.items() for start, _ in those)
+    edges = np.linspace(0.0, end, COLUMNS + 1)
+    # Multiples of the golden ratio keep no step with what goes on in a regular way.
+    times = edges[:-1] + np.arange(COLUMNS) * ((5**0.5 - 1) / 2) % 1 * (end / COLUMNS)
+    places = np.searchsorted([start for start, _ in every], times, side="right") - 1
+    states = np.array([every[place][1] for place in places])
+    begins = np.flatnonzero(states != np.roll(states, 1))
+    begins = np.union1d(begins, [0])
+    seen: Stretches = {state: [] for state in stretches}
+    for first, after in zip(begins, [*begins[1:], COLUMNS], strict=True):
+        seen[str(states[first])].append((float(edges[first]), float(edges[after])))
+    return seen
+
+
+def _instants(trace: Trace, row: int) -> dict[str, list[float]]:
+    """Return state -> times at which the region passed through it in no time."""
+    flowed = {arc.j for arc in trace.arcs}
+    result: dict[str, list[float]] = {}
+    for jump, following in zip(trace.jumps, trace.jumps[1:], strict=False):
+        state = jump.target[row]
+        if jump.j + 1 not in flowed and state not in (jump.source[row], following.target[row]):
+            result.setdefault(state, []).append(jump.t)
+    return result
+
+
+def remark_lines(texts: Sequence[str]) -> list[Artist]:
+    """Return entries of a legend for texts, in a few lines each."""
+    from matplotlib.lines import Line2D
+
+    wrapped = ("\n".join(textwrap.wrap(text, _LEGEND)) for text in texts)
+    return [Line2D([], [], linestyle="none", label=text) for text in wrapped]
+
+
+def legend(ax: Axes, handles: Sequence[Artist], columns: int = 1) -> None:
+    """Write a legend; of many short entries in columns."""
+    ax.legend(
+        handles=handles,
+        loc="center left",
+        bbox_to_anchor=(1.0, 0.5),
+        borderaxespad=0.3,
+        handlelength=1.4,
+        labelspacing=0.2,
+        columnspacing=1.0,
+        ncols=columns,
+    )
+
+
+def label_width(text: str) -> float:
+    """Return the width of a label as a part of the axis."""
+    return 0.0145 * (len(text) + 1)
+
+
+def stack(
+    figure: Figure,
+    axes: Sequence[Axes],
+    heights: Sequence[float],
+    *,
+    lines: int = 0,
+    strip: Film | None = None,
+) -> None:
+    """Put drawn axes in their places, and give the figure its size.
+
+    Axes come from the top, ready but for their places, with legends on their right; heights are in
+    inches, and those of legends where these are higher. Above the first stand `lines` of labels,
+    and instants of a film side by side.
+    """
+    dpi = figure.dpi
+    figure.set_size_inches(_WIDTH, 2.0 * sum(heights))
+    for ax, height in zip(axes, heights, strict=True):  # on which the number of its ticks depends
+        ax.set_position((0.15, 0.1, 0.5, height / (2.0 * sum(heights))))
+        label, room = ax.yaxis.label, (height + _BETWEEN / 2.0) * dpi
+        if label.get_window_extent().height > room:
+            label.set_text(label.get_text().replace(" in ", "\nin "))
+    figure.align_ylabels(axes)
+    left = max(ax.bbox.x0 - _outer(ax) for ax in axes) / dpi + _LEFT
+    legends = [
+        np.zeros(2) if legend is None else np.array(legend.get_window_extent().size) / dpi
+        for legend in (ax.get_legend() for ax in axes)
+    ]
+    right = max(float(size[0]) for size in legends) + _RIGHT
+    left, right = np.ceil(np.array([left, right]) * _RASTER) / _RASTER
+    rows = [max(h, float(size[1])) for h, size in zip(heights, legends, strict=True)]
+    # The power of ten of numbers that are very small or large stands above their axis.
+    powers = [_ROW if ax.yaxis.get_offset_text().get_text() else 0.0 for ax in axes]
+    rows = [max(r, h + 2.0 * p) for r, h, p in zip(rows, heights, powers, strict=True)]
+    rows = [np.ceil(row * _RASTER) / _RASTER for row in rows]
+    width = max(_WIDTH, left + right + _NARROWEST)
+    above = _TITLE + _ROW * lines
+    above += 0.0 if strip is None else strip_height(strip, width) + _BETWEEN
+    high = above + sum(rows) + _BETWEEN * len(rows) + _BELOW
+    figure.set_size_inches(width, high)
+    top = high - above
+    if strip is not None:
+        draw_strip(figure, strip, high - _TITLE)
+    for ax, row, height in zip(axes, rows, heights, strict=True):
+        bottom = top - (row + height) / 2.0
+        ax.set_position((left / width, bottom / high, 1.0 - (left + right) / width, height / high))
+        top -= row + _BETWEEN
+    if figure.get_suptitle():
+        figure.suptitle(
+            figure.get_suptitle(), x=0.01, y=1.0 - 0.06 / high, ha="left", va="top",
+            fontsize=10, fontweight="bold",
+        )  # fmt: skip
+
+
+def _outer(ax: Axes) -> float:
+    """Return where the labels on the left of axes begin, in pixels."""
+    box = ax.yaxis.get_tightbbox()
+    return ax.bbox.x0 if box is None else float(box.x0)

@@ -1,4 +1,4 @@
-"""A run as a film: instants chosen, and what its kind of document shows of them."""
+"""Animation of a run: instants, and the poses of its bodies at them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,17 @@ from statechart.observation.observer import Observer
 from statechart.pictures import animation
 from statechart.pictures.film import Film
 from statechart.pictures.stage import Moments, Stage
-from statechart.reporting.curves import without_rounding
+from statechart.reporting.curves import without_round_off
 
-# What moves less than this part of the picture does not move.
+# Motion below this part of the picture is rest.
 _STILL = 2e-3
-# How much of a run is shown after that, of what comes before.
+# Part of a run shown after the last motion.
 _REST = 0.08
-_LOOKED_AT = 400
+_INSTANTS = 400
 
 
 def stage_of(automaton: Automaton) -> Stage:
-    """Return what runs of a model are seen on.
-
-    Raises
-    ------
-    StatechartError
-        If nothing of its kind is to be seen.
-    """
+    """Return the stage that runs of a model are seen on."""
     name = automaton.declaration.kind
     made = kind(name).stage
     if made is None:
@@ -47,7 +41,7 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
     automaton = observer.automaton
     names = (*automaton.names, *stage.wanted)
     samples = observer.sample(trace, names, times=times)
-    seen = without_rounding(automaton, trace, samples).columns
+    seen = without_round_off(automaton, trace, samples).columns
     return stage.film(
         Moments(
             samples.t,
@@ -61,8 +55,8 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
 
 
 def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
-    """Return when nothing that can be seen moves any more, and a little later; at most the end."""
-    times = np.linspace(0.0, trace.t_end, _LOOKED_AT)
+    """Return when the last visible motion is over, and a little later; at most the end."""
+    times = np.linspace(0.0, trace.t_end, _INSTANTS)
     film = filmed(stage, observer, trace, times)
     moved = np.abs(film.poses[:, :, :2] - film.poses[-1:, :, :2]).max(axis=(1, 2)) / film.unit
     turned = np.abs(film.poses[:, :, 2] - film.poses[-1:, :, 2]).max(axis=1)
@@ -75,17 +69,10 @@ def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:
 
 @dataclass(frozen=True)
 class Showing:
-    """How an animation is shown.
+    """Options of an animation.
 
-    Attributes
-    ----------
-    speed : float or None
-        Units of the run's time that pass in a second; None for what makes it neither short nor
-        long.
-    size : int
-        Pixels of the longer side.
-    trail : float or None
-        How far back in time trails of bodies reach: None for all the way, 0 for none.
+    `speed` is units of the run's time a second, by default neither short nor long; `size` pixels of
+    the longer side; `trail` how far back in time trails of bodies reach, by default all the way.
     """
 
     speed: float | None = None
@@ -101,32 +88,7 @@ def animate(
     *,
     progress: bool = False,
 ) -> Path:
-    """Write a run as an animation, from its start until nothing moves any more.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    path : Path or str
-        What to write: .gif, or .mp4 where the program ffmpeg is.
-    showing : Showing
-        How it is shown.
-    progress : bool
-        Whether pictures are counted on stderr.
-
-    Returns
-    -------
-    Path
-        What was written.
-
-    Raises
-    ------
-    StatechartError
-        If there is nothing to see, the suffix, the speed, the size or the trail is none, or the
-        file cannot be written.
-    """
+    """Write a run as an animation, from its start until nothing moves any more."""
     path = Path(path)
     animation.check(path, showing.size, showing.speed, showing.trail)
     stage = stage_of(observer.automaton)
@@ -139,9 +101,9 @@ def animate(
 
 
 def strip_of(observer: Observer, trace: Trace) -> Film | None:
-    """Return a run to be seen above its curves; None where nothing is to be seen."""
+    """Return the film of a run to be seen above its curves; None where it has no bodies."""
     if kind(observer.automaton.declaration.kind).stage is None:
         return None
     stage = stage_of(observer.automaton)
     end = until_rest(stage, observer, trace)
-    return filmed(stage, observer, trace, np.linspace(0.0, end, _LOOKED_AT))
+    return filmed(stage, observer, trace, np.linspace(0.0, end, _INSTANTS))

@@ -25,18 +25,7 @@ def listing(
 ) -> dict[str, Any]:
     """Return the modes of a model as one plain object, ready for JSON.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose modes.
-    built : int
-        How many of them have been built.
-    time : float
-        Of the configuration.
-    state : mapping
-        Variable -> value there.
-    found : Feasibility or None
-        What is possible there; None where nothing was judged.
+    `built` modes exist so far; feasibility was judged at a time and a state, or is None.
     """
     return {
         "model": automaton.name,
@@ -63,12 +52,12 @@ def check_variables(automaton: Automaton, names: Iterable[str]) -> None:
 
 def text(listed: Mapping[str, Any]) -> str:
     """Return a listing as lines of text; of modes those without direction of sliding."""
-    return plain(told(listed))
+    return plain(format_listing(listed))
 
 
-def told(listed: Mapping[str, Any]) -> list[Block]:
-    """Return a listing as `text` does, its tables as such."""
-    count = counted(listed["modes_declared"], listed["modes_total"])
+def format_listing(listed: Mapping[str, Any]) -> list[Block]:
+    """Return the blocks of `text`: lines and tables."""
+    count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
     head = f"{listed['model']}: {count}; {built or 'none'} built, each when a run enters it\n"
     parts: list[list[Block]] = [[head]]
@@ -76,7 +65,7 @@ def told(listed: Mapping[str, Any]) -> list[Block]:
         counts = [
             (f"  ... {r} more: --json has all", "")
             if isinstance(r, int)
-            else (f"  {r['name']}", counted(r["modes_declared"], r["modes_total"]))
+            else (f"  {r['name']}", format_count(r["modes_declared"], r["modes_total"]))
             for r in ends(listed["regions"])
         ]
         words = f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
@@ -90,7 +79,7 @@ def told(listed: Mapping[str, Any]) -> list[Block]:
     return apart(parts)
 
 
-def counted(declared: int, total: int) -> str:
+def format_count(declared: int, total: int) -> str:
     """Return numbers of modes in words, without and with directions of sliding."""
     words = several(declared, "mode")
     return words if declared == total else f"{words} ({whole(total)} with directions of sliding)"

@@ -1,4 +1,4 @@
-"""A run as a notebook shows it: a compact table and the figure, in HTML of its own."""
+"""Display of a run in a notebook: compact tables and the figure, in HTML."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _DIGITS = 6
 def html(report: Mapping[str, Any], drawing: Figure | str) -> str:
     """Return a run as a part of a page."""
     head = f"<b>{escape(report['model'])}: {escape(report['outcome'])}</b>"
-    said = escape(Outcome[report["outcome"]].value)
-    parts = [f"<p>{head}<br>{said} {escape(report['message'])}</p>"]
+    words = escape(Outcome[report["outcome"]].value)
+    parts = [f"<p>{head}<br>{words} {escape(report['message'])}</p>"]
     parts += [f"<p>Warning: {escape(warning)}</p>" for warning in report["warnings"]]
     units = report["units"]
     outputs = [
@@ -60,8 +60,8 @@ def number(value: object) -> str:
         return f"{value:.{_DIGITS}g}"
     if isinstance(value, list):
         many = len(value) > _DIGITS
-        told = ", ".join(number(part) for part in value[:_DIGITS])
-        return f"[{told}{f', ... {len(value) - _DIGITS} more' if many else ''}]"
+        parts = ", ".join(number(part) for part in value[:_DIGITS])
+        return f"[{parts}{f', ... {len(value) - _DIGITS} more' if many else ''}]"
     return escape("none" if value is None else str(value))
 
 

@@ -1,4 +1,4 @@
-"""Work of several pieces of which some may fail: the others are done all the same."""
+"""Work in pieces of which some may fail: the others are done all the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run as one plain object: what `statechart run --json` prints."""
+"""Report of a run: the plain object that `statechart run --json` prints."""
 
 from __future__ import annotations
 
@@ -8,58 +8,61 @@ import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import zip_longest
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.dense_output import lowest
+from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.regions import Invariant, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
-from statechart.observation.grazes import grazes, told
+from statechart.observation.grazes import grazes
+from statechart.observation.grazes import told as graze_warnings
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
-from statechart.reporting.inventory import built, left_out, unkept_invariants
 from statechart.reporting.pieces import Pieces
+from statechart.tabular import several, whole
+
+
+class Computation(NamedTuple):
+    """How a run was computed, as far as its trace does not tell.
+
+    Attributes
+    ----------
+    error_estimate : float or None
+        Where an accuracy was asked for.
+    timings : mapping of str to float
+        Seconds that parts of the work took.
+    asked : mapping or None
+        The accuracy or budget that was asked for, and its cost.
+    conditions : sequence of float or None
+        Of every event, from `statechart.observation.condition.conditions`; shown where given.
+    """
+
+    error_estimate: float | None = None
+    timings: Mapping[str, float] = MappingProxyType({})
+    asked: Mapping[str, Any] | None = None
+    conditions: Sequence[float | None] = ()
 
 
 def report(
     observer: Observer,
     trace: Trace,
+    computation: Computation = Computation(),  # noqa: B008, it does not change
     *,
-    error_estimate: float | None = None,
-    timings: Mapping[str, float] | None = None,
     explain: bool = False,
     most: int | None = None,
-    asked: Mapping[str, Any] | None = None,
-    conditions: Sequence[float | None] = (),
     pieces: Pieces | None = None,
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
     Infinite and undefined numbers are the strings ``"inf"``, ``"-inf"`` and ``"nan"``, since
     strict JSON has no others; `float` reads all three, and ``json.dumps(..., allow_nan=False)``
-    never fails. Finite floats keep all their digits.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    error_estimate : float, optional
-        Of the final state, where an accuracy was asked for.
-    timings : mapping of str to float, optional
-        What took how many seconds.
-    explain : bool
-        Give every event its `margins`: those of the mode left, at that instant.
-    most : int, optional
-        How many of the first events `events` has; all by default.
-    asked : mapping, optional
-        What was asked for instead of a tolerance, and what it took.
-    conditions : sequence of float or None
-        Of every event, from `statechart.observation.condition.conditions`; shown where given.
-    pieces : Pieces, optional
-        Takes what could not be evaluated, and why, instead of an error; `left_out` has it too.
+    never fails. Finite floats keep all their digits. With `explain` every event has its `margins`:
+    those of the mode left, at that instant. Of the events the first `most` are reported. What
+    cannot be evaluated goes to `pieces`, and why, instead of an error; `left_out` has it, too.
 
     Returns
     -------
@@ -73,17 +76,17 @@ def report(
         margin of each), `warnings`, `counts`, `timings`, `parameters`, `tolerances`,
         `units` (of outputs, variables and parameters, where they are known).
     """
-    automaton = observer.automaton
+    automaton, conditions = observer.automaton, computation.conditions
     done = Pieces(strict=True) if pieces is None else pieces
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
-    # Of many events it takes long to say why they were what they were.
+    # Margins of many events take long.
     left_open: tuple[str, ...] = ()
     if done.hurried:
         done.leave("margins")
     else:
         found_margins = done.attempt("margins", lambda: margins(observer, trace), {})
-        left_open = done.attempt("grazes", lambda: told(grazes(observer, trace)), ())
+        left_open = done.attempt("grazes", lambda: graze_warnings(grazes(observer, trace)), ())
     found_invariants: dict[str, float] = done.attempt(
         "invariants", lambda: invariants(observer, trace), {}
     )
@@ -92,8 +95,8 @@ def report(
     without = left_out(automaton, trace)
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _ended(trace) | {
-        "error_estimate": error_estimate,
-        "asked": asked,
+        "error_estimate": computation.error_estimate,
+        "asked": computation.asked,
         "condition": max((c for c in conditions if c is not None), default=None),
         "modes_total": automaton.modes_total,
         "modes_declared": automaton.modes_declared,
@@ -112,7 +115,7 @@ def report(
         "invariants": found_invariants,
         "warnings": trace.warnings + left_open,
         "counts": trace.counts,
-        "timings": timings or {},
+        "timings": computation.timings,
         "parameters": trace.parameters,
         "tolerances": trace.tolerances,
         "units": {
@@ -229,12 +232,12 @@ def dumps(report: Mapping[str, Any]) -> str:
 
 def json_safe(value: Any) -> Any:
     """Return `value` with tuples as lists, keys as text, and non-finite floats as text."""
-    # Of many events most values are numbers and names: what they are is asked for first.
+    # Numbers and names first: most values of many events are.
     if isinstance(value, float):
         return value if math.isfinite(value) else repr(float(value))
     if isinstance(value, str | int):
         return value
-    # What is safe already is returned itself: copies of many events would fill the memory.
+    # A safe value is returned itself: copies of many events would fill the memory.
     if isinstance(value, list | tuple):
         items = [json_safe(item) for item in value]
         same = type(value) is list and all(map(operator.is_, items, value))
@@ -294,3 +297,92 @@ def _event(
 
 def _states(trace: Trace, key: Key) -> dict[str, str]:
     return dict(zip(trace.regions, key, strict=True))
+
+
+def built(observer: Observer, trace: Trace) -> dict[str, Any]:
+    """Return the modes that a run built, with their coordinates, unknowns and guards."""
+    automaton = observer.automaton
+    simulator = observer.simulator
+    if not isinstance(simulator, Simulator):
+        return {
+            "modes": [],
+            "unknowns": len(automaton.unknowns),
+            "recognised": len(set(trace.modes)),
+        }
+    modes: dict[tuple[str, ...], dict[str, Any]] = {}
+    rates = () if automaton.coordinates is None else automaton.coordinates.rates
+    named = enumerate(zip(automaton.names, automaton.variables, strict=True))
+    coordinates = [(i, name) for i, (name, symbol) in named if symbol not in rates]
+    for arc in trace.arcs:
+        key = moving_mode(arc.roles)
+        if HELD in key or key in modes:
+            continue
+        mode = simulator.compiled(arc.roles, trace.zeros).mode
+        # Contacts that are open have forces that are zero: they are no unknowns.
+        known = {s for s, e in mode.definitions if e == 0}
+        known |= {mode.rates[place] for place in mode.eliminated}
+        solved = {s for s, _ in mode.definitions if s in automaton.unknowns} - known
+        modes[key] = {
+            "mode": dict(zip(trace.regions, key, strict=True)),
+            "integrated": [n for i, n in coordinates if i not in mode.eliminated],
+            "eliminated": [n for i, n in coordinates if i in mode.eliminated],
+            "unknowns": len(solved),
+            "guards": {m.name: trace.evidence.get(m.name, "") for m in mode.margins},
+        }
+    return {
+        "modes": list(modes.values()),
+        "unknowns": max((mode["unknowns"] for mode in modes.values()), default=0),
+        "recognised": 0,
+    }
+
+
+def unkept_invariants(automaton: Automaton, trace: Trace) -> list[Invariant]:
+    """Return the invariants that ask for states which the run has not kept."""
+    kept = {*trace.regions}
+    return [
+        one
+        for one in automaton.invariants
+        if not kept.issuperset(member.region for member in one.relation.members)
+    ]
+
+
+def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
+    """Return the parts of the model that a run did not need: `what`, and `why`."""
+    found = []
+    total, made = automaton.modes_total, trace.counts.get("modes_built", 0)
+    if trace.step is not None:
+        found.append(
+            {
+                "what": f"the equations of {'all ' * (total > 1)}{several(total, 'mode')}",
+                "why": "a step solves for all contacts at once, and modes are told from it",
+            }
+        )
+        found.append(
+            {
+                "what": "guards and the location of events",
+                "why": "events are at steps, or half-way",
+            }
+        )
+        if trace.record is not Record.MODES:
+            found.append(
+                {
+                    "what": "modes of contacts and their events",
+                    "why": f"record: {trace.record.value} keeps none; ask for record: modes",
+                }
+            )
+    elif made < total:
+        found.append(
+            {
+                "what": f"the equations of {whole(total - made)} of {several(total, 'mode')}",
+                "why": "the run did not enter them",
+            }
+        )
+    found += [
+        {
+            "what": f"the invariant {one.name!r}",
+            "why": f"record: {trace.record.value} keeps none of its states; ask for record: modes",
+        }
+        for one in unkept_invariants(automaton, trace)
+    ]
+    omitted = automaton.declaration.omitted(trace.parameters, stepped=trace.step is not None)
+    return found + [{"what": what, "why": why} for what, why in omitted.items()]

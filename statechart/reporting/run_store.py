@@ -1,4 +1,4 @@
-"""A run as a Zarr store: states at every step as arrays, written piece by piece."""
+"""Zarr store of a run: states at every step as arrays, written piece by piece."""
 
 from __future__ import annotations
 
@@ -34,12 +34,7 @@ def write_store(
     Dimension `t`: the beginning of every step, after the jumps there, and the end. Variables
     ``NAME.q`` that several NAMEs have, as those of bodies, are one array ``q`` over `t` and
     `body`; the others are arrays over `t`. Dimension `event`: `event_t`, `event_region`,
-    `event_cause`. What `report` has besides is in the attribute `report`, as JSON.
-
-    Raises
-    ------
-    StatechartError
-        If nothing of the run was kept, or the store cannot be written.
+    `event_cause`. The rest of `report` is in the attribute `report`, as JSON.
     """
     import zarr
 
@@ -50,8 +45,8 @@ def write_store(
     model = observer.automaton.declaration
     bodies, shared, own = _arrays(trace.variables)
     with _explained(path):
-        told = {key: value for key, value in report.items() if key not in ("events", "final")}
-        group.attrs.update({"model": trace.name, "report": json.dumps(told)})
+        rest = {key: value for key, value in report.items() if key not in ("events", "final")}
+        group.attrs.update({"model": trace.name, "report": json.dumps(rest)})
         width = len(trace.variables)
         rows = max(1, _CHUNK // (8 * width))
         _table(group, "t", "t", np.zeros(0), rows, _unit(model.unit(TIME)))
@@ -118,7 +113,7 @@ def _table(
     dims: str | tuple[str, ...],
     values: Any,
     rows: int,
-    told: Mapping[str, str],
+    attributes: Mapping[str, str],
 ) -> None:
     """Make an array along dimensions, of which the first may grow by about so many rows."""
     chunks = (rows, *(max(1, size) for size in values.shape[1:]))
@@ -128,7 +123,7 @@ def _table(
         dtype=str if values.dtype.kind == "U" else values.dtype,
         chunks=chunks,
         dimension_names=(dims,) if isinstance(dims, str) else dims,
-        attributes=dict(told),
+        attributes=dict(attributes),
     )
     if values.size:
         array[...] = values

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import errno
-import io
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -164,19 +162,6 @@ def by_time(data: xr.Dataset) -> xr.Dataset:
     return data.isel(sample=last).swap_dims(sample="t")
 
 
-def save(observer: Observer, trace: Trace, path: Path | str) -> None:
-    """Write a run to a NetCDF file (version 3), whole or not at all.
-
-    Raises
-    ------
-    StatechartError
-        If it cannot be written.
-    """
-    path = Path(path)
-    with _explained(path):
-        write_atomic(path, _netcdf(to_xarray(observer, trace)))
-
-
 def write_run(
     folder: Path | str,
     observer: Observer,
@@ -193,30 +178,8 @@ def write_run(
     these names are replaced one by one and others are left alone. What cannot be written does not
     keep the rest from it.
 
-    Parameters
-    ----------
-    folder : Path or str
-        Where to; made if it does not exist, its parents too.
-    observer : Observer
-        Of the simulator that made the run.
-    trace : Trace
-        The run.
-    report : callable
-        Makes it, as `statechart.reporting.report.report` does, after the trajectory is safe.
-    pieces : Pieces, optional
-        Takes what could not be written, and why, instead of an error, where some could.
-    samples : bool
-        Whether samples.csv is written.
-
-    Returns
-    -------
-    tuple of str
-        Names of the files.
-
-    Raises
-    ------
-    StatechartError
-        If the folder is a file or not writable, or the disk is full.
+    `report` makes the report after the trajectory is safe; `pieces` takes parts that could not be
+    written, and why, instead of an error, where some could. Returns the names of the files.
     """
     from statechart.reporting.figure import figure, render
 
@@ -229,7 +192,7 @@ def write_run(
         return run, observer.sample(run, per_step=per_step)
 
     def data(short: bool) -> bytes:
-        return _netcdf(_data_set(observer, *seen(short)))
+        return netcdf(_data_set(observer, *seen(short)))
 
     def sampled(short: bool) -> bytes:
         return _csv(_table(observer, seen(short)[1]))
@@ -274,27 +237,16 @@ def write_run(
 
 
 def _rows_of(trace: Trace) -> int:
-    """Return how many rows a step has: of poses there is one."""
+    """Return the rows of a step: of poses there is one."""
     return 1 if trace.record is Record.POSES else _ROWS
 
 
 def _csv(table: pd.DataFrame) -> bytes:
-    # As pandas writes it, which takes three times as long.
-    columns = []
-    for _, column in table.items():
-        values = column.tolist()
-        if column.dtype == np.float64 and column.isna().any():
-            values = ["" if value != value else value for value in values]
-        columns.append(values)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows(zip(*columns, strict=True))
-    return text.getvalue().encode()
+    return bytes(table.to_csv(index=False, lineterminator="\n").encode())
 
 
 def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
-    """Return a run and how many rows a step of it has; in short, some of its flows and events."""
+    """Return a run and the rows of a step; in short, some of its flows and events."""
     if not short:
         return trace, _rows_of(trace)
     width = len(trace.variables)
@@ -309,8 +261,8 @@ def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
     return replace(trace, arcs=arcs, jumps=jumps), per_step
 
 
-def _netcdf(data: xr.Dataset) -> bytes:
-    # Without a path the scipy engine returns the content, so that no library opens a half file.
+def netcdf(data: xr.Dataset) -> bytes:
+    """Return a NetCDF file: without a path the scipy engine returns it, so that none is half."""
     return bytes(data.to_netcdf(engine="scipy"))
 
 

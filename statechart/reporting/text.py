@@ -1,4 +1,4 @@
-"""A run's report as text for people."""
+"""The report of a run as text for people."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import beside
 from statechart.tabular import FEW, Block, Table, apart, ends, plain, several, table
 
-# Of more events than twice this only the first and the last are listed.
+# Events listed from the start and from the end.
 _SHOWN = 20
-# Where the values are that are not listed.
 _ALL = "--json or --output has all"
 
 _CERTIFIED: Mapping[object, str] = {
@@ -24,11 +23,11 @@ _CERTIFIED: Mapping[object, str] = {
 
 def summary(report: Mapping[str, Any]) -> str:
     """Return the report of a run as lines of text; numbers keep all their digits."""
-    return plain(told(report))
+    return plain(describe_run(report))
 
 
-def told(report: Mapping[str, Any]) -> list[Block]:
-    """Return the report of a run as `summary` does, its tables as such."""
+def describe_run(report: Mapping[str, Any]) -> list[Block]:
+    """Return the blocks of `summary`: texts and tables."""
     parts: list[list[Block]] = [[_head(report)], _events(report)]
     units = report.get("units", {})
     parts += [
@@ -52,7 +51,7 @@ def _head(report: Mapping[str, Any]) -> str:
 
 
 def computed(report: Mapping[str, Any]) -> list[str]:
-    """Return how a run was computed, what that took, and how exact it is, in lines."""
+    """Return how a run was computed, its cost, and how exact it is, in lines."""
     counts = report["counts"]
     certified = _CERTIFIED[report["certified"]]
     lines = [
@@ -106,14 +105,14 @@ def _events(report: Mapping[str, Any]) -> list[Block]:
 
 
 def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
-    """Return the events that people are shown, in the place of many the number left out."""
+    """Return the events to list, with the number left out in the place of many."""
     return ends(events, _SHOWN)
 
 
 def change(event: Mapping[str, Any], most: int | None = None) -> str:
     """Return what an event changes, such as ``A: free -> pin; B, C: free again``.
 
-    Of more than `most` names that change alike the first are told, and how many there are.
+    Of more than `most` names that change alike the first are listed, and how many there are.
     """
     before, after = event["from"], event["to"]
     changes: dict[str, list[str]] = {}
@@ -161,7 +160,7 @@ def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
         return list(values.items())
 
     def size(item: tuple[str, Any]) -> float:
-        # What is undefined or absent is looked at first.
+        # Undefined and absent values come first.
         number = math.nan if item[1] is None else float(item[1])
         return -math.inf if math.isnan(number) else number
 
@@ -198,12 +197,12 @@ def _text(value: object) -> str:
 
 
 def explanation(report: Mapping[str, Any]) -> str:
-    """Return what fired at every jump, the margins, what it did, and what else was considered."""
-    return plain(explained(report))
+    """Return the explanation of every jump: guards that fired, margins, effects, candidates."""
+    return plain(explain_events(report))
 
 
-def explained(report: Mapping[str, Any]) -> list[Block]:
-    """Return what `explanation` does, its tables as such."""
+def explain_events(report: Mapping[str, Any]) -> list[Block]:
+    """Return the blocks of `explanation`: titles and tables."""
     return apart(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
@@ -220,21 +219,21 @@ def _event(event: Mapping[str, Any]) -> list[Block]:
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )
-    rows += _entitled("margins", [(name, _told(value)) for name, value in margins])
+    rows += _entitled("margins", [(name, _number(value)) for name, value in margins])
     impulses = event["impulse"].items()
     rows += _entitled(
         "impulse",
         [
-            (name, f"normal {_told(i['normal'])}, tangential {_told(i['tangential'])}")
+            (name, f"normal {_number(i['normal'])}, tangential {_number(i['tangential'])}")
             for name, i in impulses
         ],
     )
     rows += _entitled("path", [(step,) for step in event["path"]])
     if event["energy"] is not None:
         before, after = event["energy"]
-        rows.append(("energy", f"{_told(before)} -> {_told(after)}"))
+        rows.append(("energy", f"{_number(before)} -> {_number(after)}"))
     if event["skipped"]:
-        rows.append(("skipped", f"the bounces of {_told(event['skipped'])} units of time"))
+        rows.append(("skipped", f"the bounces of {_number(event['skipped'])} units of time"))
     rows += _entitled("considered", _candidates(event))
     return [title, Table([(f"  {head}", text) for head, text in rows])]
 
@@ -257,5 +256,5 @@ def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _told(value: object) -> str:
+def _number(value: object) -> str:
     return value if isinstance(value, str) else repr(value)

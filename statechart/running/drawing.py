@@ -1,4 +1,4 @@
-"""A model's statechart as a picture, as text, or as a graph."""
+"""Drawings of a model: its statechart, its scene, and its product automaton as a graph."""
 
 from __future__ import annotations
 
@@ -43,10 +43,9 @@ def draw(
     model : Declaration, str or Path
         A model, the path of its file, or the name of a shipped one.
     path : str or Path, optional
-        What to write; its suffix says how: .svg, .png, .pdf, .dot, .mmd, .scxml or
-        .graphml.
+        The file to write: .svg, .png, .pdf, .dot, .mmd, .scxml or .graphml.
     visited : bool
-        Whether the modes and the path of a run are drawn, and nothing else.
+        Whether the modes and the path of a run are drawn alone.
     guards : str
         Whether guards, resets and conditions stand once in a ``legend``, or ``inline`` at every
         arrow.
@@ -54,7 +53,7 @@ def draw(
     Returns
     -------
     Diagram
-        What was drawn; a notebook shows it.
+        The drawing; a notebook shows it.
 
     Raises
     ------

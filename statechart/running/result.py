@@ -1,42 +1,46 @@
-"""What a run gave: its trace, what can be evaluated along it, and what was asked for."""
+"""The result of a run: its trace, what is evaluated along it, tables, pictures, and its page."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from statechart.automaton.trace import Trace
 from statechart.documents.hints import checked
-from statechart.documents.setting import Record, Setting
+from statechart.documents.setting import Record
+from statechart.engines.request import Measured
 from statechart.errors import StatechartError
+from statechart.observation.grazes import grazes
+from statechart.observation.grazes import told as graze_warnings
 from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
 from statechart.reporting.pieces import Pieces
-from statechart.running.answer import Asked
+from statechart.running.accuracy import AccuracyRequest
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what only some results are asked for takes long to import
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
 
     from statechart.diagram.model import Diagram
-    from statechart.engines.request import Measured
-    from statechart.running.runner import Runner
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What held at an instant of a run.
+    """State of a run at an instant.
 
     Attributes
     ----------
     t : float
-        When.
+        The instant.
     jumps : int
-        How many jumps precede it.
+        Number of jumps before it.
     mode : mapping of str to str
         Region -> its state.
     values : mapping of str to float
@@ -52,7 +56,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What a run gave.
+    """The result of a run.
 
     Attributes
     ----------
@@ -67,41 +71,36 @@ class Result:
         size; inf where there is none. Of a run that a study measured, its error against the study's
         reference, and what that may be off by. None where nothing was estimated.
     timings : mapping of str to float
-        What took how many seconds.
-    runner : Runner
-        What made it.
-    asked : Asked or None
-        The accuracy or the budget that was asked for, and what it took.
+        Seconds that reading, composing and running took.
+    asked : AccuracyRequest or None
+        The accuracy or the budget that was asked for, and its cost.
+    study : Study or None
+        The study by which the engine and the tolerance were chosen.
+    source : callable
+        Makes again what evaluates the run; in another process it composes the model anew.
     """
 
     trace: Trace
     observer: Observer
     error_estimate: float | None
     timings: Mapping[str, float]
-    runner: Runner
-    asked: Asked | None = None
+    source: Callable[[], Outputs]
+    asked: AccuracyRequest | None = None
+    study: Measured | None = None
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel as what was found and what made it: the observer is made anew there."""
-        setting = self.runner.setting
-        if self.asked is not None:  # the tolerance or the step was found
-            found = {"step": self.trace.step, "accuracy": None}
-            tolerance = {"tolerance": self.trace.tolerance}
-            setting = replace(setting, **(found if setting.stepped else tolerance))
-        return _remade, (
-            self.runner, setting, self.trace, self.error_estimate, self.timings, self.asked
-        )  # fmt: skip
+        """Pickle the trace and its source: the observer is made anew in the other process."""
+        parts = (self.trace, self.error_estimate, self.timings, self.asked, self.study)
+        return _restored, (self.source, *parts)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader must know: of the run, and of guards that it leaves open."""
+        """Caveats: of the run, and of guards that it leaves open."""
         return self.trace.warnings + self._left_open
 
     @cached_property
     def _left_open(self) -> tuple[str, ...]:
-        from statechart.observation.grazes import grazes, told
-
-        return told(grazes(self.observer, self.trace))
+        return graze_warnings(grazes(self.observer, self.trace))
 
     @cached_property
     def outputs(self) -> Mapping[str, Any]:
@@ -110,12 +109,12 @@ class Result:
         A number each; a list at `each` event or some of them; None where the event never happened.
         What it is follows from the declaration, and not from its type.
         """
-        return self.runner.observers.outputs(self.observer).of(self.trace)
+        return self.source().of(self.trace)
 
     @property
     def endless(self) -> frozenset[str]:
         """The outputs that count or list events of which a Zeno sequence has no end."""
-        return self.runner.observers.outputs(self.observer).endless(self.trace)
+        return self.source().endless(self.trace)
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:
@@ -125,7 +124,7 @@ class Result:
         return conditions(self.observer, self.trace)
 
     def __str__(self) -> str:
-        """Return what the command line prints: how it ended, its events, outputs, margins."""
+        """Return the text that the command line prints: outcome, events, outputs, margins."""
         from statechart.reporting.text import summary
 
         return summary(self.to_dict())
@@ -133,7 +132,7 @@ class Result:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: tables of outputs and events, and the figure if any."""
+        """Return tables of outputs and events, and the figure if there is one, for a notebook."""
         from statechart.reporting.notebook import html
 
         try:
@@ -146,7 +145,7 @@ class Result:
     def events(self) -> pd.DataFrame:
         """The jumps, a row each: when, of which region, why, from and to which state.
 
-        Then what was skipped, impulses, energies, and variables before and after; units are in
+        Then the time skipped, impulses, energies, and variables before and after; units are in
         ``attrs["units"]``.
         """
         from statechart.reporting.tables import events_table
@@ -179,7 +178,7 @@ class Result:
 
     @checked
     def at(self, t: float) -> Reading:
-        """Return what held at an instant; at the instant of a jump, after it.
+        """Return the state at an instant; at the instant of a jump, after it.
 
         Parameters
         ----------
@@ -242,11 +241,10 @@ class Result:
         from statechart.diagram.build import build
         from statechart.diagram.write import write
 
-        setup = self.runner.setup(self.overrides)
-        found = feasibility(self.runner.automaton, setup, setup.initial, 0.0)
-        diagram = build(
-            self.runner.automaton, self.trace.start_mode, self.trace, found, visited=True
-        )
+        automaton = self.observer.automaton
+        setup = automaton.setup(self.overrides, self.trace.tolerance)
+        found = feasibility(automaton, setup, setup.initial, 0.0)
+        diagram = build(automaton, self.trace.start_mode, self.trace, found, visited=True)
         if path is not None:
             write(diagram, Path(path))
         return diagram
@@ -302,34 +300,47 @@ class Result:
             If the suffix is another, the study is of another model, or the file cannot be written.
         """
         from statechart.pages.page import write
-        from statechart.running.paged import paged
 
         path = Path(path)
-        write(paged(self, study), path)
+        write(_page_content(self, study), path)
         return path
 
     @property
     def overrides(self) -> dict[str, float]:
         """The values of the model's parameters in this run."""
-        values = self.trace.parameters
-        return {name: values[name] for name in self.runner.model.parameters if name in values}
+        values, declared = self.trace.parameters, self.observer.automaton.declaration.parameters
+        return {name: values[name] for name in declared if name in values}
+
+    @property
+    def runner(self) -> Any:
+        """The runner that made the run.
+
+        .. deprecated:: 0.2
+            Keep the runner, or make one of the model, which is `observer.automaton.declaration`.
+        """
+        warnings.warn(
+            "Result.runner goes with version 0.3: keep the runner, or make one of the model, "
+            "observer.automaton.declaration",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return self.source.runner  # type: ignore[attr-defined]
 
     def to_dict(
         self, *, explain: bool = False, most: int | None = None, pieces: Pieces | None = None
     ) -> dict[str, Any]:
         """Return the run as one plain object, as ``statechart run --json`` prints it."""
-        from statechart.reporting.report import report
+        from statechart.reporting.report import Computation, report
 
+        asked, estimate = self.asked, self.error_estimate
+        computation = Computation(
+            estimate,
+            self.timings,
+            None if asked is None else asked.to_dict(estimate),
+            () if asked is None else self.conditions,
+        )
         return report(
-            self.observer,
-            self.trace,
-            error_estimate=self.error_estimate,
-            timings=self.timings,
-            explain=explain,
-            most=most,
-            asked=None if self.asked is None else self.asked.report(self.error_estimate),
-            conditions=() if self.asked is None else self.conditions,
-            pieces=pieces,
+            self.observer, self.trace, computation, explain=explain, most=most, pieces=pieces
         )
 
     @checked
@@ -359,12 +370,45 @@ class Result:
         return write_run(folder, self.observer, held.trace, made, samples=bool(samples))
 
 
-def _remade(
-    runner: Runner,
-    setting: Setting,
-    trace: Trace,
-    estimate: float | None,
-    timings: Mapping[str, float],
-    asked: Asked | None,
-) -> Result:
-    return Result(trace, runner.observers.at(setting), estimate, timings, runner, asked)
+def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Result:
+    estimate, timings, asked, study = parts
+    return Result(trace, source().observer, estimate, timings, source, asked, study)
+
+
+def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
+    """Return the content of the page of a run.
+
+    Raises
+    ------
+    StatechartError
+        If the study is of another model, or the run has kept nothing to show.
+    """
+    from statechart.pages.content import MOST_EVENTS, content
+
+    trace, model = result.trace, result.observer.automaton.declaration
+    if study is None:
+        known = result.study
+        study = known if known is not None and known.of(model) else None
+    elif not study.of(model):
+        raise StatechartError(
+            f"the study is not of {model.name!r} as it is now and as this version runs it; make "
+            "it anew with trade"
+        )
+    trace.require_motion()
+    held = replace(result, trace=trace.at_hand())
+    report = held.to_dict(explain=True, most=MOST_EVENTS)
+    diagram = held.diagram() if trace.record is Record.MODES else None
+    page = content(result.observer, held.trace, report, diagram)
+    return {**page, "study": None if study is None else _study_content(result, study)}
+
+
+def _study_content(result: Result, study: Measured) -> Mapping[str, Any]:
+    """Return the part of a page about a study; a remark where the run had other parameters."""
+    trace, setup = result.trace, result.observer.automaton.setup
+    fineness = f"{trace.tolerance:.2g}" if trace.step is None else f"step {trace.step:.3g}"
+    shown = study.shown(f"{trace.engine} {fineness}")
+    own, declared = (setup(values, trace.tolerance) for values in (result.overrides, {}))
+    if np.array_equal(own.values, declared.values):
+        return shown
+    other = "measured with the parameters that the model declares; this run had others"
+    return {**shown, "above": [*shown["above"], other], "own": []}

@@ -1,4 +1,4 @@
-"""A model and an end to a result: what is asked for, on an engine, with its problems located."""
+"""A model on an engine: checks its inputs, makes runs, and locates problems in its document."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Unpack
 
 from statechart.automaton.laws import Setup
 from statechart.automaton.sampling import Control
@@ -18,33 +17,29 @@ from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.hints import checked
-from statechart.documents.setting import Record, Setting
+from statechart.documents.setting import Record, Setting, SettingWords
 from statechart.documents.validation import located
 from statechart.engines.budget import Allowance
-from statechart.engines.request import planned
+from statechart.engines.request import Measured, planned
 from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
-from statechart.execution.rows import RowRunner
-from statechart.execution.simulator import Simulator
+from statechart.execution.simulator import BatchRunner, Simulator
 from statechart.kernels.jit import meanwhile
 from statechart.loading.kind import kind
 from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.answer import Asked
-from statechart.running.answers import Answers
-from statechart.running.given import Given, overridden
+from statechart.observation.outputs import Outputs
+from statechart.running.accuracy import AccuracyRequest
+from statechart.running.inputs import RunInputs, as_overrides
+from statechart.running.planner import RunPlanner
 from statechart.running.result import Result
-from statechart.running.streaming import placed, sampled, unsearched
-
-if TYPE_CHECKING:
-    from statechart.engines.request import Measured
 
 
 class Runner:
     """A model on an engine, compiled once for many runs.
 
-    What is not given is what the model's settings say.
+    The model's settings hold for arguments that are left out.
 
     Parameters
     ----------
@@ -71,14 +66,14 @@ class Runner:
         of the step's fastest approach, 1e-6 by default: more is told, and beyond the bound, which
         is none by default, ends the run.
     record : str, optional
-        What is kept of a run of the engine impulse: modes, poses (states at every step) or nothing
+        Recording of a run of the engine impulse: modes, poses (states at every step) or nothing
         (start, end and outputs).
     study : Study, optional
-        What was measured of this model: engine and tolerance are chosen by it.
+        Measurements of this model, by which engine and tolerance are chosen.
     once : bool
-        Whether what is chosen is to be the cheapest for a single run, which loads and compiles
-        all that it needs, as those of the command line; else for many runs of this runner. Python
-        may take its steps of time while another process compiles what takes them.
+        Whether the choice is the cheapest for a single run, which loads and compiles all that it
+        needs, as those of the command line; else for many runs of this runner. Python may take its
+        steps of time while another process compiles the kernels that take them.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -88,68 +83,54 @@ class Runner:
         If the model or one of the settings is wrong.
     """
 
-    # One argument for every word of a setting: what a person writes.
     @checked
     def __init__(
         self,
         model: Declaration | Document | str | Path,
         *,
-        engine: str | None = None,
-        method: str | None = None,
-        tolerance: float | None = None,
-        accuracy: float | None = None,
-        step: float | None = None,
-        budget: float | None = None,
-        max_step: float | None = None,
-        impulse_tolerance: float | None = None,
-        impulse_bound: float | None = None,
-        record: str | None = None,
         study: Measured | None = None,
         once: bool = False,
         progress: bool = False,
+        **setting: Unpack[SettingWords],
     ) -> None:
         began = working_time()
-        model, self.document = resolved(model)
+        model, document = resolved(model)
         self.model = model
-        self._given = Given(model)
-        self._counted = self._given.counted({}, self.document)
+        self._inputs = RunInputs(model, document)
+        self._copies = self._inputs.copies({})
         read_at = working_time()
         try:
             self.automaton = kind(model.kind).automaton(model)
         except FormulaError as error:
-            loc = self.document.where(error.text) if self.document else ()
-            with located(self.document, {}, loc):
+            loc = document.where(error.text) if document else ()
+            with located(document, {}, loc):
                 raise
         self._timings = {"read": read_at - began, "compose": working_time() - read_at}
-        self._asked = Setting(
-            engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
-            impulse_bound, record,
-        )  # fmt: skip
+        self._asked = Setting(**setting)
         self.study, self._alone, self._progress = study, once, progress
-        self._turn = threading.RLock()  # what is compiled has memory that serves one run at a time
-        # The last one with other copies of bodies: composing takes its time.
+        self._turn = threading.RLock()  # the memory of what is compiled serves one run at a time
+        # The last one with another number of copies of bodies: composing takes its time.
         self._varied: Runner | None = None
-        with located(self.document, {}):
+        with located(document, {}):
             self._plan = planned(self._asked, model, self.automaton, study, once=once)
         budget = self._plan.setting.budget
         allowance = None if budget is None else Allowance(budget)
         self.observers = Observers(self.automaton, allowance=allowance, progress=progress)
-        self._answers = Answers(model, self.observers, self._plan, allowance)
+        self._planner = RunPlanner(model, self.observers, self._plan, allowance)
+
+    @property
+    def document(self) -> Document | None:
+        """The document that the model was read from, if there is one."""
+        return self._inputs.document
 
     @property
     def setting(self) -> Setting:
-        """How it is run; the engine is another one where the first choice could not."""
-        return self._answers.setting
+        """Its engine, and what that is told; another engine where the first choice could not."""
+        return self._planner.setting
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel as the model and what is asked for: what is compiled is compiled anew there."""
-        asked = {
-            **asdict(self._asked),
-            "study": self.study,
-            "once": self._alone,
-            "progress": self._progress,
-        }
-        return partial(Runner, self.model, **asked), (), {"document": self.document}
+        """Pickle the model and the setting: the other process compiles anew."""
+        return _restored, (self.model, self._arguments(self.study), self.document)
 
     @checked
     def run(
@@ -181,7 +162,7 @@ class Runner:
         SimulationError
             With the trace so far, if the run cannot go on and `throw` is set.
         """
-        overrides = overridden(parameters)
+        overrides = as_overrides(parameters)
         end = self.end(overrides, until=until)
         fitting = self._fitting(overrides)
         if (measured := fitting._plan.measured) is not None and (overrides or end != measured):
@@ -189,49 +170,57 @@ class Runner:
         return fitting._run(overrides, end, certify=certify, throw=throw)
 
     def _fitting(self, overrides: Mapping[str, float]) -> Runner:
-        """Return what runs as many copies as these values make: this one where it does."""
-        if self._given.counted(overrides, self.document) == self._counted:
+        """Return the runner of as many copies of bodies as these values make."""
+        if self._inputs.copies(overrides) == self._copies:
             return self
         varied = self._varied
-        if varied is None or varied._given.counted(overrides, self.document) != varied._counted:
+        if varied is None or varied._inputs.copies(overrides) != varied._copies:
             with located(self.document, overrides):
                 variant = self.model.variant(overrides)
             self._varied = varied = self._other(variant, self.study)
         return varied
 
-    def _run(self, given: Mapping[str, float], end: float, *, certify: bool, throw: bool) -> Result:
+    def _run(
+        self, overrides: Mapping[str, float], end: float, *, certify: bool, throw: bool
+    ) -> Result:
         if certify and self.setting.stepped:
             raise DeclarationError(
                 "the engine impulse cannot certify: its steps follow no differential equation",
                 advice="leave certify out, or take the engine taylor or scipy",
             )
-        # Where it is declared is known later than what is run, of a runner that travelled.
-        with self._turn, located(self.document, given):
-            began, answers = working_time(), self._answers
-            # Whoever looks for a tolerance measures what runs take.
-            with meanwhile() if self._alone and not answers.searching else nullcontext():
-                answer, basis = answers.answer(given, end)
-            trace = answers.certified(answer, given, end) if certify else answer.trace
-            sought = (self.setting, basis, answer.cost, answer.not_judged, answer.decides)
-            asked = Asked(*sought) if answers.searching else None
-            warnings = (*filter(None, (answers.reason, *trace.warnings)), *answer.warnings)
+        planner = self._planner
+        with self._turn, located(self.document, overrides):
+            began = working_time()
+            # Whoever searches for a tolerance measures what runs take.
+            with meanwhile() if self._alone and not planner.searching else nullcontext():
+                found, basis = planner.run(overrides, end)
+            trace = planner.certified(found, overrides, end) if certify else found.trace
+            setting, asked = self.setting, None
+            if planner.searching:
+                asked = AccuracyRequest(setting, basis, found.cost, found.not_judged, found.decides)
+            warnings = (*filter(None, (planner.reason, *trace.warnings)), *found.warnings)
         trace = trace if warnings == trace.warnings else replace(trace, warnings=warnings)
         if throw and not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
         timings = {**self._timings, "run": working_time() - began}
-        return Result(trace, answer.observer, answer.estimate, timings, self, asked)
+        if asked is not None and setting.stepped:
+            setting = replace(setting, step=trace.step, accuracy=None)
+        elif asked is not None:
+            setting = replace(setting, tolerance=trace.tolerance)
+        source = _Source(self, setting, found.observer)
+        return Result(trace, found.observer, found.error, timings, source, asked, self.study)
 
-    def rows(self, names: Sequence[str]) -> tuple[Observer, RowRunner] | None:
+    def rows(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
         """Return what runs rows of values of some parameters, and what observes such runs.
 
-        None where each run is to be looked at alone: an accuracy is looked for, time is stepped.
+        None where each run is made alone: an accuracy is searched for, time is stepped.
         """
-        answers = self._answers
-        if answers.searching or self.setting.stepped or self._plan.measured is not None:
+        planner = self._planner
+        if planner.searching or self.setting.stepped or self._plan.measured is not None:
             return None
-        observer = self.observers.at(answers.first)
+        observer = self.observers.at(planner.first)
         assert isinstance(observer.simulator, Simulator)
-        return observer, RowRunner(observer.simulator, names)
+        return observer, BatchRunner(observer.simulator, names)
 
     @checked
     def stream(
@@ -268,25 +257,34 @@ class Runner:
         >>> [piece.cause for piece in pieces if isinstance(piece, Jump)]
         ['slip', 'reverse', 'stop']
         """
-        overrides = overridden(parameters)
+        overrides = as_overrides(parameters)
         end = self.end(overrides, until=until)
+        setting = self.setting
         with located(self.document, overrides):
             variant = self.model.variant(overrides)
             if variant is not self.model:
                 other = self._other(variant, None)
                 return other.stream(overrides, until=end, every=every, control=control)
-            self._given.values(overrides, self.document)
-            simulator = self.observers.fresh(unsearched(self.setting))
-            check = partial(self._given.check, document=self.document)
-            limit, sampling = self.model.settings.max_jumps, sampled(every, end, control, check)
-            pieces = simulator.stream(overrides, sampling, until=end, max_jumps=limit)
-        return placed(pieces, located(self.document, overrides))
+            self._inputs.values(overrides)
+            if setting.accuracy is not None or setting.budget is not None:
+                raise DeclarationError(
+                    "an accuracy or a budget takes several runs, a stream is one",
+                    advice="ask for a tolerance, or a step",
+                )
+            simulator = self.observers.fresh(setting)
+            sampling = self._inputs.sampling(every, end, control)
+            pieces = simulator.stream(
+                overrides, sampling, until=end, max_jumps=self.model.settings.max_jumps
+            )
+
+        def located_pieces() -> Iterator[Arc | Jump]:
+            with located(self.document, overrides):  # errors of a control come later
+                yield from pieces
+
+        return located_pieces()
 
     def alternatives(self) -> dict[str, Runner]:
-        """Return what runs the model under the other choices that its laws leave open.
-
-        Each is asked for what this one is, by the name of the choice.
-        """
+        """Return runners of the model under the other choices that its laws leave open, by name."""
         others = self.model.alternatives()
         return {choice: self._other(model, None) for choice, model in others.items()}
 
@@ -303,16 +301,16 @@ class Runner:
         DeclarationError, SimulationError
             If no run can start there.
         """
-        overrides = overridden(parameters)
+        overrides = as_overrides(parameters)
         with located(self.document, overrides):
             if self.automaton.stepper is not None and self.setting.stepped:
-                self._given.values(overrides, self.document)
+                self._inputs.values(overrides)
                 mode, warnings = self.automaton.stepper().start(overrides)
             else:
                 setup = self.setup(overrides)
                 flow, _ = self.automaton.laws_of_events.begin(setup)
                 mode, warnings = flow.mode, (*setup.warnings, flow.warning)
-        return mode, tuple(dict.fromkeys(filter(None, (self._answers.reason, *warnings))))
+        return mode, tuple(dict.fromkeys(filter(None, (self._planner.reason, *warnings))))
 
     def setup(self, parameters: Mapping[str, float] | None = None) -> Setup:
         """Return the numbers of a run: parameters, initial state, tolerances.
@@ -327,8 +325,8 @@ class Runner:
         DeclarationError
             If a parameter or a number that follows from it is wrong.
         """
-        overrides = overridden(parameters)
-        self._given.values(overrides, self.document)
+        overrides = as_overrides(parameters)
+        self._inputs.values(overrides)
         stepped = self.setting.stepped
         relative = math.nan if stepped else self.observers.engine(self.setting).tolerance
         with located(self.document, overrides):
@@ -349,47 +347,60 @@ class Runner:
         DeclarationError
             If a parameter or the end is wrong, or there is none.
         """
-        return self._given.end(overridden(parameters), until, self.document)
+        return self._inputs.end(as_overrides(parameters), until)
 
     def with_modes(self) -> Runner:
-        """Return what runs the same and keeps modes: this one where it does."""
+        """Return a runner of the same that records modes: this one where it does."""
         if self.setting.kept is Record.MODES:
             return self
         return self._other(self.model, None, record=Record.MODES.value)
 
-    def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
-        """Return what runs another model, or is asked otherwise, in the place of this one."""
+    def _arguments(self, study: Measured | None, **changed: str) -> dict[str, Any]:
         asked = {**asdict(self._asked), **changed}
-        other = Runner(model, **asked, study=study, once=self._alone, progress=self._progress)
-        other.document = self.document
-        return other
+        return {**asked, "study": study, "once": self._alone, "progress": self._progress}
+
+    def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
+        """Return a runner of another model, or with another setting, in the place of this one."""
+        return _restored(model, self._arguments(study, **changed), self.document)
 
 
-# As `Runner` and `Runner.run` together.
+def _restored(model: Declaration, arguments: Any, document: Document | None) -> Runner:
+    runner = Runner(model, **arguments)
+    runner._inputs.document = document
+    return runner
+
+
+class _Source:
+    """Makes the outputs, and with them the observer, of runs of a runner at a setting."""
+
+    def __init__(self, runner: Runner, setting: Setting, observer: Observer | None = None) -> None:
+        self.runner, self._setting, self._observer = runner, setting, observer
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _Source, (self.runner, self._setting)
+
+    def __call__(self) -> Outputs:
+        observers = self.runner.observers
+        if self._observer is None:
+            self._observer = observers.at(self._setting)
+        return observers.outputs(self._observer)
+
+
 @checked
 def run(
     model: Declaration | Document | str | Path,
     *,
     parameters: Mapping[str, float] | None = None,
     until: float | None = None,
-    engine: str | None = None,
-    method: str | None = None,
-    tolerance: float | None = None,
-    accuracy: float | None = None,
-    step: float | None = None,
-    budget: float | None = None,
-    max_step: float | None = None,
-    impulse_tolerance: float | None = None,
-    impulse_bound: float | None = None,
-    record: str | None = None,
     study: Measured | None = None,
     progress: bool = False,
     certify: bool = False,
     throw: bool = True,
+    **setting: Unpack[SettingWords],
 ) -> Result:
     """Run a model once; see `Runner` and `Runner.run` for the parameters.
 
-    By a study what is cheapest is chosen as for `Runner(once=True)`.
+    By a study the cheapest setting is chosen as for `Runner(once=True)`.
 
     Examples
     --------
@@ -397,9 +408,5 @@ def run(
     >>> result.trace.outcome.name
     'HORIZON'
     """
-    asked = Setting(
-        engine, method, tolerance, accuracy, step, budget, max_step, impulse_tolerance,
-        impulse_bound, record,
-    )  # fmt: skip
-    runner = Runner(model, **asdict(asked), study=study, once=True, progress=progress)
+    runner = Runner(model, **setting, study=study, once=True, progress=progress)
     return runner.run(parameters, until=until, certify=certify, throw=throw)

@@ -1,7 +1,7 @@
-"""Speed against accuracy.
+"""Speed against accuracy: work-precision studies of a model.
 
-`trade` runs a model at many settings on the `bench`, against a `reference` of two runs or three,
-every `point` warm and `cold`, into a `record` that chooses the cheapest setting for an accuracy.
-`slopes` compares with theory, `notes` tells what runs warn of; `report`, `figure` and `file` show
-and keep a record.
+`trade` runs a model at many settings against a `reference` of two runs or three, every one warm
+and with its `startup_cost`. `measurements` are errors and costs, of which the cheapest setting for
+an accuracy is chosen; `slopes` are their convergence orders, `warnings` those of the runs. `text`
+and `figure` show them; `study` is what users get, and the file that keeps it.
 """

@@ -7,9 +7,8 @@ import io
 import math
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.palette import GRID, INK, LINES
 from statechart.reporting.figure import STYLE, render
-from statechart.study.point import Point
-from statechart.study.record import Study
-from statechart.study.report import told
+from statechart.study.measurements import Measurements, Point
 from statechart.study.slopes import Slope, fitted, slopes
+from statechart.study.text import describe_study
 from statechart.tabular import Table
 
 if TYPE_CHECKING:
@@ -35,11 +33,11 @@ _LABELS = (
     "tolerance or accuracy (impulse: step)",
     "tolerance",
 )
-# A scale of fewer decades has more than one mark in each.
+# A scale that spans less than this factor has more than one mark in a decade.
 _SHORT = 100.0
 
 
-def figure(study: Study) -> Figure:
+def figure(study: Measurements) -> Figure:
     """Draw a study: errors above, against the time of a run and against evaluations of the rates.
 
     Below, errors and accepted steps against the tolerance (the step, where it is fixed), with the
@@ -103,14 +101,8 @@ def figure(study: Study) -> Figure:
     return drawing
 
 
-def write(folder: Path | str, study: Study) -> None:
-    """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder.
-
-    Raises
-    ------
-    StatechartError
-        If they cannot be written.
-    """
+def write(folder: Path | str, study: Measurements) -> None:
+    """Write a study's figure (trade.svg, trade.png) and table (trade.csv) to a folder."""
     from matplotlib import rc_context
 
     folder = Path(folder)
@@ -126,16 +118,13 @@ def write(folder: Path | str, study: Study) -> None:
         raise StatechartError(f"cannot write to {folder}: {error.strerror or error}") from error
 
 
-def shown(study: Study, label: str) -> dict[str, Any]:
-    """Return a study as the page of a run shows it.
-
-    Its figure is a picture of its own, base64: its style would be that of the whole page.
-    """
+def page_content(study: Measurements, label: str) -> dict[str, Any]:
+    """Return the content of a page about a study; its figure as base64, with its own style."""
     from matplotlib import rc_context
 
     with rc_context({"svg.fonttype": "none"}):
         drawn = render(figure(study), "svg")
-    above, table, below = told(study)
+    above, table, below = describe_study(study)
     assert isinstance(table, Table)
     own = [place for place, point in enumerate(study.points, 1) if point.setting.label == label]
     return {
@@ -147,7 +136,7 @@ def shown(study: Study, label: str) -> dict[str, Any]:
     }
 
 
-def _csv(study: Study) -> str:
+def _csv(study: Measurements) -> str:
     """Return one row per point."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     stream = io.StringIO()
@@ -169,15 +158,14 @@ def _csv(study: Study) -> str:
     return stream.getvalue()
 
 
-@dataclass(frozen=True)
-class _Look:
-    """How a family is drawn."""
+class _Look(NamedTuple):
+    """Colour and marker of a family."""
 
     colour: str
     marker: str
 
 
-def _families(study: Study) -> list[str]:
+def _families(study: Measurements) -> list[str]:
     return list(dict.fromkeys(p.setting.family for p in study.points))
 
 
@@ -205,7 +193,7 @@ def _work(point: Point) -> float:
     return float(count) if count else math.nan
 
 
-def _height(study: Study, point: Point) -> float:
+def _height(study: Measurements, point: Point) -> float:
     found = study.error(point) if study.parted is None else point.parted
     return math.nan if found is None else found
 
@@ -236,7 +224,7 @@ def _draw(
             )
 
 
-def _front(ax: Axes, study: Study, *, once: bool) -> None:
+def _front(ax: Axes, study: Measurements, *, once: bool) -> None:
     front = study.front(once=once)
     ax.step(
         [point.cost(once=once) for point in front],
@@ -249,7 +237,7 @@ def _front(ax: Axes, study: Study, *, once: bool) -> None:
     )
 
 
-def _slope(ax: Axes, study: Study, slope: Slope, colour: str) -> None:
+def _slope(ax: Axes, study: Measurements, slope: Slope, colour: str) -> None:
     """Draw a fitted line through the points that it was fitted to, with its power."""
     x, y = np.log(np.array(fitted(study, slope.family, slope.of))).T
     ends = np.array([x.min(), x.max()])

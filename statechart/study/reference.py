@@ -1,9 +1,9 @@
-"""What runs are compared with: two runs of different kinds, and a third where these disagree."""
+"""Reference solutions: two runs of different kinds, and a third where these disagree."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice
 
@@ -18,14 +18,12 @@ from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.execution.perturbation import shifted, widened
 from statechart.loading.kind import offered
-from statechart.observation.difference import compare, distance, paired, parted
+from statechart.observation.difference import distance, paired, parted
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs, Scales
-from statechart.observation.outputs import OutputValue as Output
-from statechart.running.estimate import BRIEF
-from statechart.study.point import RESOLVED, Errors, Third
-from statechart.study.record import Study
+from statechart.running.accuracy import BRIEF, EvaluatedRun
+from statechart.study.measurements import RESOLVED, Errors, Third
+from statechart.study.study import Study
 
 # References, the best first; what steps in time is last, at parts of the run. Each is checked by
 # the next of another kind that can run the model.
@@ -50,32 +48,25 @@ _REACH = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run that others are compared with, or that is compared."""
+    """A run at a setting, with its outputs."""
 
     setting: Setting
-    observer: Observer
-    trace: Trace
-    outputs: Mapping[str, Output]
-    scales: Scales
-    endless: frozenset[str]
+    evaluated: EvaluatedRun
 
-    @classmethod
-    def of(cls, setting: Setting, observer: Observer, trace: Trace) -> Run:
-        """Evaluate the outputs of a trace."""
-        outputs = Outputs(observer)
-        return cls(
-            setting,
-            observer,
-            trace,
-            outputs.of(trace),
-            outputs.scales(trace),
-            outputs.endless(trace),
-        )
+    @property
+    def observer(self) -> Observer:
+        """Of the simulator that made it."""
+        return self.evaluated.observer
+
+    @property
+    def trace(self) -> Trace:
+        """Its trace."""
+        return self.evaluated.trace
 
     def brief(self, other: Run) -> float:
         """Return for which part of the run the modes of another may differ from this reference's.
 
-        What steps in time knows no event better than to its step.
+        Time stepping knows events to its step.
         """
         if self.setting.step is None:
             return BRIEF
@@ -130,19 +121,7 @@ class _Pair:
 
 @dataclass(frozen=True, eq=False)
 class References:
-    """Makes the runs that others are compared with.
-
-    Attributes
-    ----------
-    model : Declaration
-        What is run.
-    automaton : Automaton
-        Of it.
-    until : float
-        End of the runs.
-    run : callable
-        Makes the trace of an observer's simulator.
-    """
+    """Makes reference runs of a model to an end; `run` makes the trace of an observer."""
 
     model: Declaration
     automaton: Automaton
@@ -158,13 +137,6 @@ class References:
             The reference.
         Study
             Of it, without points.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If the user interrupted one of them.
-        SimulationError
-            If not two of them come to the end of the run.
         """
         failures: list[str] = []
         some = self._runs(failures)
@@ -234,14 +206,14 @@ class References:
             raise KeyboardInterrupt
         if not trace.outcome.succeeded:
             raise error_of(trace)
-        return Run.of(setting, observer, trace)
+        return Run(setting, EvaluatedRun.of(observer, trace))
 
     def _pair(self, reference: Run, check: Run) -> _Pair:
         errors, _ = errors_of(self.model, reference, check)
         return _Pair(reference, check, _Apart(reference.left(check), errors))
 
     def _judged(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
-        """Return the two of three runs that agree best, and what is to be said of the third.
+        """Return the two of three runs that agree best, and the verdict on the third.
 
         It is the odd one out where it is much farther from both than they are from each other, and
         than the one of them is from itself with its start off by what the errors of runs amount to.
@@ -260,7 +232,7 @@ class References:
         if odd:
             shaken = self._shaken(best.reference, part)
             odd, edge = off.size > RESOLVED * shaken.size, shaken.parted
-        told = Third(
+        verdict = Third(
             setting=third.setting.label,
             parted=off.parted,
             errors=off.errors,
@@ -270,7 +242,7 @@ class References:
         )
         if not odd and best.apart.parted is None:
             best = _Pair(best.reference, best.check, best.apart.worse(off))
-        return best, told
+        return best, verdict
 
     def _shaken(self, run: Run, part: float) -> _Apart:
         """Return how far a run is at most from itself with its start off by a part.
@@ -295,7 +267,7 @@ class References:
 
 
 def _kind(setting: Setting) -> str | None:
-    """Return what runs share their mistakes by: the family of methods."""
+    """Return the family of methods: runs of one family share their errors."""
     return setting.method if setting.engine == "scipy" else setting.engine
 
 
@@ -306,15 +278,8 @@ def _tolerance(run: Run) -> float:
 
 def errors_of(model: Declaration, reference: Run, run: Run) -> tuple[Errors, float | None]:
     """Return the errors of a run of a model, and when it took other modes than the reference."""
-    found = compare(
-        reference.trace,
-        run.trace,
-        reference.outputs,
-        run.outputs,
-        scales=reference.scales,
-        endless=reference.endless | run.endless,
-        brief=reference.brief(run),
-    )
+    one, other = reference.evaluated, run.evaluated
+    found = one.difference(other, one.scales, brief=reference.brief(run))
     pairs, _ = paired(reference.trace, run.trace, brief=reference.brief(run))
     ours = run.energies([other for _, other in pairs])
     theirs = reference.energies([one for one, _ in pairs])

@@ -1,4 +1,4 @@
-"""With which powers of the tolerance errors and steps of a study fall, against the theory."""
+"""Convergence orders: powers of the tolerance with which errors and steps fall, against theory."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from statechart.study.notes import reasons
-from statechart.study.point import RESOLVED, Point
-from statechart.study.record import LEAST_POINTS, Study, median_slope
+from statechart.study.measurements import MIN_POINTS, RESOLVED, Measurements, Point, median_slope
+from statechart.study.warnings import reasons
 
 Quantity = Literal["error", "steps"]
 
@@ -30,7 +29,7 @@ rejected falls with the tolerance. The theory of a fixed step is order 1 (Moreau
 path that a run takes: it holds whether or not its modes are those of the reference, as where
 bounces accumulate."""
 
-# What a slope of the error is fitted to: above, the error is as large as the motion.
+# Largest error that a slope is fitted to: above, the error is as large as the motion.
 _SATURATED = 1e-1
 # A slope of the steps is fitted where a flow takes at least so many: its first step and its last,
 # which an event cuts short, are no matter of the tolerance.
@@ -50,16 +49,14 @@ class Slope:
     family : str
         See `Setting.family`.
     of : str
-        What follows the fineness, the tolerance or the step: error, or steps (accepted ones).
-    slope : float
-        With which power.
+        The quantity that follows the tolerance or the step: error, or steps (accepted ones).
+    slope, theory : float
+        Its power, and that of theory, see `SLOPES`.
     scatter : float
-        Standard error of it, from how far the points are off the line. With a fixed step it is
-        large: an event falls anywhere between two steps, and so does its error.
-    theory : float
-        What it should be, see `SLOPES`.
+        Standard error of the slope, from the distances of points from the line. With a fixed step
+        it is large: an event falls anywhere between two steps, and so does its error.
     points : int
-        How many points it was fitted to.
+        Number of points that it was fitted to.
     """
 
     family: str
@@ -70,13 +67,13 @@ class Slope:
     points: int
 
 
-def slopes(study: Study) -> tuple[Slope, ...]:
+def slopes(study: Measurements) -> tuple[Slope, ...]:
     """Fit the slopes of the families that have enough points to fit, where a theory holds."""
     found = []
     for family, theories in _theories(study).items():
         for of, theory in theories.items():
             points = fitted(study, family, of)
-            if len(points) < LEAST_POINTS:
+            if len(points) < MIN_POINTS:
                 continue
             x, y = np.log(np.array(points)).T
             # Where errors of steps and events happen to cancel, one point is far below the line.
@@ -89,21 +86,21 @@ def slopes(study: Study) -> tuple[Slope, ...]:
     return tuple(found)
 
 
-def unfitted(study: Study) -> dict[str, str]:
-    """Return what has no slope, of the families that have a theory and were run -> why."""
+def unfitted(study: Measurements) -> dict[str, str]:
+    """Return quantities of the families run that have a theory but no slope -> why."""
     known = {(slope.family, slope.of) for slope in slopes(study)}
-    told, found = reasons(study), {}
+    deviating, found = reasons(study), {}
     for family, theories in _theories(study).items():
         for of in theories:
             if (family, of) in known:
                 continue
             if study.parted is not None and of == "error":
                 why = "there are no errors"
-            elif family in told and of == "error":
+            elif family in deviating and of == "error":
                 why = "its runs deviate by what they warn of"
-            elif len(fitted(study, family, of)) >= LEAST_POINTS:
+            elif len(fitted(study, family, of)) >= MIN_POINTS:
                 why = "it does not fall: it is rounding, or these runs take another course"
-            elif len(_same(study, family)) < LEAST_POINTS:
+            elif len(_same(study, family)) < MIN_POINTS:
                 why = "few runs take the modes of the reference"
             elif not _grown(study, family, of):
                 why = "the tolerance hardly decides the steps"
@@ -118,28 +115,28 @@ def unfitted(study: Study) -> dict[str, str]:
     return found
 
 
-def _theories(study: Study) -> dict[str, Mapping[Quantity, float]]:
+def _theories(study: Measurements) -> dict[str, Mapping[Quantity, float]]:
     """Return the families of a study that have a theory -> it."""
     families = dict.fromkeys(point.setting.family for point in study.points)
     names = {family: family.split()[0] for family in families}
     return {family: SLOPES[name] for family, name in names.items() if name in SLOPES}
 
 
-def _same(study: Study, family: str) -> list[Point]:
+def _same(study: Measurements, family: str) -> list[Point]:
     """Return the points of a family that took the reference's modes, or do not have to."""
     return [
         p for p in study.points if p.setting.family == family and (p.same_modes or p.setting.step)
     ]
 
 
-def _grown(study: Study, family: str, of: Quantity) -> list[Point]:
+def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
     """Return them if their steps grow enough."""
     points = _same(study, family)
     steps = [p.steps for p in points]
     return points if points and max(steps) >= _GROWN[of] * min(steps) else []
 
 
-def fitted(study: Study, family: str, of: Quantity) -> list[tuple[float, float]]:
+def fitted(study: Measurements, family: str, of: Quantity) -> list[tuple[float, float]]:
     """Return (fineness, error or steps) of the points that a slope is fitted to."""
     points = _grown(study, family, of)
     if of == "steps":

@@ -1,26 +1,32 @@
-"""Running a model at many settings against a reference: `statechart trade`."""
+"""Work-precision study: a model at many settings against a reference, `statechart trade`."""
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 
 from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.files import obstacle
 from statechart.documents.hints import checked
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError, StatechartError
+from statechart.execution.outcome import error_of
+from statechart.observation.observer import Observer
+from statechart.observation.observers import Observers
+from statechart.running.accuracy import Cost, EvaluatedRun, RunEstimate, tighten
 from statechart.running.runner import Runner
-from statechart.study.bench import Bench
-from statechart.study.cold import Fresh
-from statechart.study.file import load, save
-from statechart.study.point import Point
-from statechart.study.record import Study, fingerprint
+from statechart.study.measurements import Errors, Point, fingerprint
+from statechart.study.reference import References, Run, errors_of
+from statechart.study.startup_cost import FreshProcess
+from statechart.study.study import Study, load, save
 
-# Tolerances of every method, as powers of ten: from where it begins to be of use to where it only
-# takes long.
+# Tolerances of every method, as powers of ten: from the first useful one to one that takes long.
 _POWERS: Mapping[str, range] = {
     "RK45": range(3, 11),
     "DOP853": range(3, 14),
@@ -36,6 +42,11 @@ _IMPULSES = (1e-2, 1e-4, 1e-6, 1e-8)
 _ACCURACIES = (1e-3, 1e-6, 1e-9)
 # A family whose run takes longer than so many seconds, once compiled, is tightened no more.
 _TOO_LONG = 4.0
+# Repeats end once they took so many seconds.
+_ENOUGH = 2.0
+# Where events fall between two steps decides the error of one run: what is told of a step is the
+# worst of runs at these parts of it.
+_PARTS = (1.0, 0.983, 0.967, 0.951)
 
 
 def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
@@ -58,6 +69,114 @@ def plan(automaton: Automaton, until: float) -> tuple[Setting, ...]:
         settings += [Setting(engine="impulse", step=step) for step in steps]
     settings += [Setting(engine="auto", accuracy=accuracy) for accuracy in _ACCURACIES]
     return tuple(settings)
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Runs a model at settings, and takes the time."""
+
+    model: Declaration
+    automaton: Automaton
+    until: float
+    repeats: int
+    clock: Callable[[], float]
+    cold: Callable[[Setting], float | None]
+
+    def reference(self, mark: str) -> tuple[Run, Study]:
+        """Make what runs are compared with; see `References.make`."""
+        return References(self.model, self.automaton, self.until, self.once).make(mark)
+
+    def once(self, observer: Observer) -> Trace:
+        """Run the model once."""
+        return observer.simulator.run(
+            until=self.until, max_jumps=self.model.settings.max_jumps, throw=False
+        )
+
+    def runner(self, setting: Setting) -> Callable[[], RunEstimate]:
+        """Return a function that makes the run of a setting; compiled programs are kept."""
+        observers = Observers(self.automaton)
+
+        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
+            observer = observers.at(replace(setting, tolerance=tolerance), off=off)
+            return observer, self.once(observer)
+
+        def run() -> RunEstimate:
+            if setting.accuracy is not None:
+                floor, first = observers.floor(setting), observers.first(setting)
+                return tighten(once, setting.accuracy, floor=floor, first=first)
+            observer = observers.at(setting)
+            trace = self.once(observer)
+            counts = trace.counts
+            cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
+            return RunEstimate(observer, trace, None, cost)
+
+        return run
+
+    def measure(self, setting: Setting, reference: Run) -> Point:
+        """Run a setting and compare it.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the user interrupted it.
+        StatechartError
+            If the engine cannot run the model.
+        """
+        step = setting.step
+        settings = (
+            [setting] if step is None else [replace(setting, step=part * step) for part in _PARTS]
+        )
+        makers = [self.runner(one) for one in settings]
+
+        def timed(make: Callable[[], RunEstimate]) -> tuple[RunEstimate, float]:
+            began = self.clock()
+            found = make()
+            if found.trace.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
+            if found.trace.outcome is Outcome.UNSUPPORTED:
+                raise error_of(found.trace)
+            return found, self.clock() - began
+
+        found, _ = timed(makers[0])
+        shown = [found]
+        times: list[float] = []
+        # The first run compiles, however long it takes: times are of those that follow.
+        while (len(times) < self.repeats and sum(times) < _ENOUGH) or len(shown) < len(makers):
+            again, seconds = timed(makers[len(shown) % len(makers)])
+            shown.append(again)
+            times.append(seconds)
+        seconds = statistics.median(times)
+        compared = shown[-len(makers) :]
+        errors, diverged, left = self._worst(reference, setting, compared)
+        return Point(
+            setting=setting,
+            outcome=found.trace.outcome.name,
+            same_modes=diverged is None,
+            diverged=diverged,
+            parted=left,
+            refused=found.warnings[0] if found.warnings else "",
+            warnings=tuple(dict.fromkeys(text for one in compared for text in one.trace.warnings)),
+            errors=errors,
+            seconds=seconds,
+            repeats=len(times),
+            cold=self.cold(setting),
+            steps=found.cost.steps,
+            evaluations=found.cost.evaluations,
+            flows=len(found.trace.arcs),
+        )
+
+    def _worst(
+        self, reference: Run, setting: Setting, found: Sequence[RunEstimate]
+    ) -> tuple[Errors, float | None, float | None]:
+        """Return the largest errors of runs, and when the first took other modes and left."""
+        runs = [Run(setting, EvaluatedRun.of(one.observer, one.trace)) for one in found]
+        pairs = [errors_of(self.model, reference, run) for run in runs]
+        left = [reference.left(run) for run in runs]
+        return (
+            reduce(Errors.worse, [errors for errors, _ in pairs]),
+            min((t for _, t in pairs if t is not None), default=None),
+            min((t for t in left if t is not None), default=None),
+        )
 
 
 @checked
@@ -120,7 +239,7 @@ def trade(
     progress = progress or (lambda line: None)
     end = runner.end(until=until)
     runner.start()
-    fresh = Fresh(runner.model, end)
+    fresh = FreshProcess(runner.model, end)
     clock, cold = clock or working_time, cold or fresh.seconds
     bench = Bench(runner.model, runner.automaton, end, repeats, clock, cold)
     mark = fingerprint(runner.model)

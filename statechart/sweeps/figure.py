@@ -27,31 +27,25 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 # Sequences of modes with a colour of their own; the rest are others.
-_MOST = 12
+_MAX_COLOURS = 12
 # Light enough for letters, apart enough for legends: Okabe and Ito's first, then Tol's (2021).
 _COLOURS = (
     "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2",
     "#D55E00", "#882255", "#999933", "#AA4499", "#332288", "#117733",
 )  # fmt: skip
 _OTHERS, _NOTHING, _BLANK = "#BBBBBB", "#FFFFFF", "#E6E6E6"
-# A second axis of so few values is lines beside each other, where the first has so many times more.
+# A second axis of so few values is drawn as lines, where the first has so many times more.
 _FEW, _DENSER = 7, 3
 _WIDTH = 7.6  # of a picture of lines, in inches
 # An axis may be logarithmic where the largest value is so many times the least.
 _WIDE = 5.0
 # Letters of a sequence of modes in a legend; of one in inches, and what stands beside it.
-_LONGEST, _LETTER, _HANDLE = 96, 0.058, 0.6
+_MAX_LETTERS, _LETTER, _HANDLE = 96, 0.058, 0.6
 _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
-def check(plan: Plan) -> None:
-    """Check that a sweep can be drawn.
-
-    Raises
-    ------
-    DeclarationError
-        If it varies none, or more than two parameters.
-    """
+def check_drawable(plan: Plan) -> None:
+    """Raise `DeclarationError` where a sweep varies no parameter, or more than two."""
     varied = [name for name, column in plan.columns.items() if len(np.unique(column)) > 1]
     if len(varied) not in (1, 2):
         fewer = "vary fewer, or draw what -o FILE.nc keeps"
@@ -65,7 +59,7 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
     """Draw a sweep over one or two parameters."""
     from matplotlib import rc_context
 
-    check(plan)
+    check_drawable(plan)
     with rc_context(STYLE):
         cells = _Cells.of(plan, data)
         if len(cells.names) < 2:
@@ -80,20 +74,9 @@ def figure(plan: Plan, data: xr.Dataset) -> Figure:
 class _Cells:
     """Cells in a row, whatever shape the sweep has.
 
-    Attributes
-    ----------
-    names, columns
-        The parameters that vary, and their value in every cell.
-    good : (n,) array
-        Whether a run came to an end that the declaration names.
-    done : (n,) array
-        Whether a cell was run.
-    modes : (n,) array
-        The code of its sequence of modes.
-    kinds : (n,) array
-        Place of its sequence of modes among `labels`, -1 for none.
-    labels, colours
-        Of sequences, from the most frequent on, the rest as one.
+    `columns` (n,) are values of the parameters that vary; `good` cells came to an end that the
+    declaration names, `done` ones were run. `modes` are codes of their sequences, `kinds` places
+    among `labels` and `colours`, from the most frequent on, the rest as one; -1 for none.
     """
 
     names: tuple[str, ...]
@@ -128,7 +111,7 @@ class _Cells:
         codes, counts = np.unique(modes[good], return_counts=True)
         # The most frequent first; of equals the one that came first.
         order = codes[np.argsort(-counts, kind="stable")]
-        shown = order if len(order) <= _MOST else order[: _MOST - 1]
+        shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
         places[shown] = np.arange(len(shown))
         labels = [_short(str(texts[code])) for code in shown]
@@ -142,7 +125,7 @@ class _Cells:
         return cls(names, columns, good, done, modes, kinds, tuple(labels), tuple(colours))
 
     def handles(self, *, blank: bool = False) -> list[Patch]:
-        """Return what a legend shows: modes, what could not run, and if any is blank, that."""
+        """Return the entries of a legend: modes, failed cells, cells without a value."""
         from matplotlib.patches import Patch
 
         found = [
@@ -160,30 +143,18 @@ class _Cells:
 
 def _short(text: str) -> str:
     """Return the begin and the end of a text that is too long for a legend."""
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 24]} ... {text[-19:]}"
+    return text if len(text) <= _MAX_LETTERS else f"{text[: _MAX_LETTERS - 24]} ... {text[-19:]}"
 
 
-def _beside(cells: _Cells, width: float, most: int) -> int:
-    """Return how many columns of a legend there is room for, in inches."""
+def _legend_columns(cells: _Cells, width: float, most: int) -> int:
+    """Return the number of columns of a legend that fit a width in inches."""
     longest = _HANDLE + _LETTER * max(map(len, cells.labels), default=0)
     return int(np.clip(width / longest, 1, most))
 
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """A parameter along an axis of a picture.
-
-    Attributes
-    ----------
-    name : str
-        The parameter, with its unit.
-    at : (n,) array
-        Place of every cell: its value; its rank, where a value is infinite.
-    log : bool
-        Whether the axis is logarithmic.
-    labels : tuple of str
-        Of the ranks, where they are places.
-    """
+    """A parameter along an axis; `at` is the value of each cell, or its rank if one is infinite."""
 
     name: str
     at: Array
@@ -235,7 +206,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     other = np.zeros(len(x.at)) if alone else cells.columns[1 - axis]
     count = len(plan.task.outputs)
     heights = [2.4 if count == 1 else 1.5] * count + ([0.3] if alone else [])
-    columns = _beside(cells, _WIDTH, 2)
+    columns = _legend_columns(cells, _WIDTH, 2)
     legend = 0.18 * math.ceil(len(cells.labels) / columns) if alone else 0.0
     size = (_WIDTH, 1.0 + 1.25 * sum(heights) + legend)
     drawing = Figure(figsize=size, layout="constrained")
@@ -354,7 +325,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     drawing.legend(
         handles=cells.handles(blank=blank),
         loc="outside lower center",
-        ncols=_beside(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
+        ncols=_legend_columns(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
     )
     return _titled(drawing, plan)
 

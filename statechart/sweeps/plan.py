@@ -1,4 +1,4 @@
-"""The cells of a sweep, and what is asked of each of them."""
+"""Plan of a sweep: its cells, and the task of each of them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _FORMAT = "statechart sweep 2"
 # Cells of a sweep: which of them are done is known in memory.
-_MOST = 100_000_000
+_MAX_CELLS = 100_000_000
 # Cells of a chunk: so many numbers are read at once by whoever looks at one of them.
 _CHUNK = 16384
 SAMPLE = "sample"
@@ -45,20 +45,18 @@ Slices = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked of every cell, as values that travel to any process.
+    """Task of every cell, as values that travel to any process.
 
     Attributes
     ----------
     model : bytes
         The declaration, pickled.
     setting : Setting
-        How runs are computed.
+        Engine, and what that is told.
     until : float or None
-        Their end; `stop.time` of the model where None.
-    names : tuple of str
-        The parameters that are swept.
-    outputs : tuple of str
-        The outputs that are asked for.
+        End of the runs; `stop.time` of the model where None.
+    names, outputs : tuple of str
+        The parameters that are swept, and the outputs that are computed.
     version : str
         Of this package: another one may give other bits.
     """
@@ -79,13 +77,7 @@ class Task:
         names: Sequence[str],
         outputs: Sequence[str] | None,
     ) -> Task:
-        """Return what is asked of a model.
-
-        Raises
-        ------
-        DeclarationError
-            If there is no such output, or a text is given in the place of a list.
-        """
+        """Return a task; raise `DeclarationError` where the model has no such output."""
         declared = model.outputs
         if isinstance(outputs, str):
             raise DeclarationError(
@@ -104,15 +96,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Tile:
-    """Cells that one chunk of the store holds.
-
-    Attributes
-    ----------
-    slices : tuple of slice
-        Where they are, along every dimension.
-    shape : tuple of int
-        How many, along every dimension.
-    """
+    """Cells that one chunk of the store holds: their slices and number along every dimension."""
 
     slices: Slices
     shape: tuple[int, ...]
@@ -124,14 +108,14 @@ class Tile:
 
 
 class Plan:
-    """A sweep: parameters, their values, and what is asked of every cell.
+    """A sweep: parameters, their values, and the task of every cell.
 
     Parameters
     ----------
     model : Declaration
-        What is run.
+        The model.
     setting : Setting
-        How.
+        Engine, and what that is told.
     columns : mapping of str to (n,) array
         The swept parameters: the values of each along its axis, or of all along a table.
     grid : bool
@@ -139,14 +123,9 @@ class Plan:
     until : float, optional
         End of the runs; `stop.time` of the model by default.
     outputs : sequence of str, optional
-        What is asked for; all outputs of the model by default.
+        Outputs to compute; all of the model by default.
     accurate : bool
         Whether runs estimate their error.
-
-    Raises
-    ------
-    DeclarationError
-        If the model has no such parameter or output, or there is nothing to run.
     """
 
     def __init__(
@@ -183,9 +162,10 @@ class Plan:
         elif len(set(lengths)) > 1:
             raise DeclarationError("the columns of a table of samples have one length")
         self.shape = lengths if grid else lengths[:1]
-        if self.size > _MOST:
+        if self.size > _MAX_CELLS:
             raise DeclarationError(
-                f"a sweep has at most {_MOST} cells, not {self.size}", advice="give fewer values"
+                f"a sweep has at most {_MAX_CELLS} cells, not {self.size}",
+                advice="give fewer values",
             )
 
     @property
@@ -195,13 +175,13 @@ class Plan:
 
     @cached_property
     def coordinates(self) -> dict[str, str]:
-        """Parameter -> what its coordinate is called."""
+        """Parameter -> name of its coordinate."""
         taken = {*_OWN, SAMPLE}
         return {name: _claimed(name, taken) for name in self.columns}
 
     @cached_property
     def variables(self) -> dict[str, str]:
-        """Output -> what its variable is called."""
+        """Output -> name of its variable."""
         taken = {*_OWN, SAMPLE, *self.coordinates.values()}
         return {
             name: _claimed(name, taken, ("", "_count", "_index") if name in self.lists else ("",))
@@ -224,21 +204,21 @@ class Plan:
         return tuple(name for name in self.task.outputs if name not in self.lists)
 
     def named(self, name: str) -> dict[str, str]:
-        """Return what a parameter or an output is called, and its unit, as attributes."""
+        """Return the name of a parameter or an output, and its unit, as attributes."""
         unit = self.model.unit(name)
         return {"long_name": name} | ({"units": unit} if unit else {})
 
     def entitled(self, name: str) -> str:
-        """Return what stands at the axis of a parameter or an output."""
+        """Return the label of an axis of a parameter or an output."""
         return entitled(name, self.model.unit(name))
 
     def declared(self, name: str) -> dict[str, str]:
-        """Return how an output is declared, as attributes of its variable."""
-        told = self.model.outputs[name].model_dump(mode="json", exclude_defaults=True)
-        return {key: value if isinstance(value, str) else str(value) for key, value in told.items()}
+        """Return the declaration of an output, as attributes of its variable."""
+        found = self.model.outputs[name].model_dump(mode="json", exclude_defaults=True)
+        return {key: str(value) for key, value in found.items()}
 
     def attributes(self) -> dict[str, str]:
-        """Return what tells this sweep from any other: in words, and its digest."""
+        """Return the identity of this sweep: in words, and as a digest."""
         task = self.task
         varied = ", ".join(
             f"{name}: {len(column)} from {column.min():g} to {column.max():g}"
@@ -257,9 +237,9 @@ class Plan:
         }
         return {**found, "digest": self._digest(found)}
 
-    def _digest(self, told: Mapping[str, str]) -> str:
+    def _digest(self, words: Mapping[str, str]) -> str:
         model = self.model.model_dump(mode="json", exclude={"doc", "ranges"})
-        text = json.dumps([model, told], sort_keys=True, default=str)
+        text = json.dumps([model, words], sort_keys=True, default=str)
         found = hashlib.sha256(text.encode())
         for column in self.columns.values():
             found.update(column.tobytes())
@@ -269,15 +249,15 @@ class Plan:
     def chunk(self) -> tuple[int, ...]:
         """Cells of a chunk along every dimension.
 
-        Whole trailing axes as far as they fit, and one value of a parameter that changes what the
-        model has: what such a value compiles serves all cells of a chunk.
+        Whole trailing axes as far as they fit, and one value of a parameter that changes the
+        structure of the model, so that the cells of a chunk share compiled programs.
         """
-        found, room = [], _CHUNK
+        found, free = [], _CHUNK
         for name, length in zip(reversed(self.columns), reversed(self.shape), strict=False):
-            longest = 1 if self.grid and name in self.model.whole else min(length, max(room, 1))
+            longest = 1 if self.grid and name in self.model.whole else min(length, max(free, 1))
             pieces = -(-length // longest)
             found.append(-(-length // pieces))
-            room //= found[-1]
+            free //= found[-1]
         return tuple(reversed(found))
 
     def tiles(self) -> Iterator[Tile]:
@@ -310,14 +290,8 @@ def lists(model: Declaration, names: Sequence[str]) -> frozenset[str]:
     )
 
 
-def of_table(samples: pd.DataFrame) -> dict[str, Array]:
-    """Return the columns of a table of samples.
-
-    Raises
-    ------
-    DeclarationError
-        If it is none, two have one name, or one holds no numbers.
-    """
+def columns_of(samples: pd.DataFrame) -> dict[str, Array]:
+    """Return the columns of a table of samples."""
     if not hasattr(samples, "columns"):
         raise DeclarationError(
             f"samples are a table, not of type {type(samples).__name__}",

@@ -22,25 +22,17 @@ if TYPE_CHECKING:
 
 _SPACINGS = ("lin", "log")
 _FORMS = "write lin:A:B:N, log:A:B:N, or the values themselves, such as 0.1,1/3,inf"
-# Values of one parameter: what is more than anybody waits for would only take the memory.
-_MOST = 10_000_000
+# Values of one parameter: more than anybody waits for would only take the memory.
+_MAX_NUMBERS = 10_000_000
 # Of a table: so many numbers with all their digits, a sign, an exponent and a comma.
-_MOST_BYTES = 25 * _MOST
+_MAX_BYTES = 25 * _MAX_NUMBERS
 # So that a sequence is the same wherever and whenever it is drawn.
 _SEED = 0
 
 
 @dataclass(frozen=True)
 class Interval:
-    """What a parameter varies over.
-
-    Attributes
-    ----------
-    spacing : str
-        lin or log.
-    least, greatest : float
-        Its ends, both part of it.
-    """
+    """A closed interval of a parameter, with its spacing: lin or log."""
 
     spacing: str
     least: float
@@ -53,7 +45,7 @@ class Interval:
         else:
             low, high = math.log(self.least), math.log(self.greatest)
             found = np.exp(low + places * (high - low))
-        # The ends are what was written, to the last bit.
+        # The ends are those written, to the last bit.
         found = np.where(places == 1.0, self.greatest, found)
         return np.where(places == 0.0, self.least, found)
 
@@ -61,13 +53,7 @@ class Interval:
 def cells(
     over: Mapping[str, str], table: str | None, sobol: int | None
 ) -> tuple[dict[str, Array] | None, pd.DataFrame | None]:
-    """Return a grid, or a table of samples, as a person asks for it; None for the other.
-
-    Raises
-    ------
-    DeclarationError
-        If what is asked for cannot be.
-    """
+    """Return the grid, or the table of samples, of a command line; None for the other."""
     if table is not None:
         if over:
             raise DeclarationError(
@@ -85,21 +71,16 @@ def cells(
 
 
 def values(name: str, text: str) -> Array:
-    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list of them.
-
-    Raises
-    ------
-    DeclarationError
-        If it stands for none.
-    """
+    """Return the values (n,) that a text stands for: `lin:A:B:N`, `log:A:B:N`, or a list."""
     if ":" not in text:
         return np.array([_number(name, word) for word in text.split(",")])
     spacing, *words = text.split(":")
     if spacing not in _SPACINGS or len(words) != 3:
         raise _wrong(name, f"{text!r} is no range", _FORMS)
     count = words[2].strip()
-    if not count.isdecimal() or not 0 < int(count) <= _MOST:
-        raise _wrong(name, f"{count!r} is not a number of values", f"write one from 1 to {_MOST}")
+    if not count.isdecimal() or not 0 < int(count) <= _MAX_NUMBERS:
+        advice = f"write one from 1 to {_MAX_NUMBERS}"
+        raise _wrong(name, f"{count!r} is not a number of values", advice)
     interval = _interval(name, spacing, *words[:2])
     if int(count) == 1:
         if interval.least != interval.greatest:
@@ -114,18 +95,13 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
     """Return a Sobol sequence over intervals, one row a point.
 
     Scrambled as Owen (1998) does, always by the same random numbers.
-
-    Raises
-    ------
-    DeclarationError
-        If an interval is none, or the number is no power of two.
     """
     import pandas as pd
     from scipy.stats import qmc
 
     power = count.bit_length() - 1
-    if count > _MOST:
-        raise DeclarationError(f"--sobol {count}: at most {_MOST} points can be drawn")
+    if count > _MAX_NUMBERS:
+        raise DeclarationError(f"--sobol {count}: at most {_MAX_NUMBERS} points can be drawn")
     if count != 1 << power:
         raise DeclarationError(
             f"--sobol {count}: a Sobol sequence is balanced for powers of two only",
@@ -144,20 +120,14 @@ def sobol_sequence(over: Mapping[str, str], count: int) -> pd.DataFrame:
 
 
 def read_table(path: Path | str) -> pd.DataFrame:
-    """Return the table of a CSV file: a column for every parameter, a row for every run.
-
-    Raises
-    ------
-    DeclarationError
-        If it cannot be read or is too large, or a cell is no number.
-    """
+    """Return the table of a CSV file: a column for every parameter, a row for every run."""
     import pandas as pd
 
-    raw = read_bounded(Path(path), _MOST_BYTES, "name a CSV file")
+    raw = read_bounded(Path(path), _MAX_BYTES, "name a CSV file")
     cells = raw.count(b",") + max(raw.count(b"\n"), raw.count(b"\r"))
-    if len(raw) > _MOST_BYTES or cells > _MOST:
+    if len(raw) > _MAX_BYTES or cells > _MAX_NUMBERS:
         raise DeclarationError(
-            f"{path}: more than {_MOST} numbers, or {_MOST_BYTES // 10**6} MB",
+            f"{path}: more than {_MAX_NUMBERS} numbers, or {_MAX_BYTES // 10**6} MB",
             advice="sweep over one part of the table at a time",
         )
     width = raw.partition(b"\n")[0].count(b",") + 1
@@ -194,13 +164,7 @@ def read_table(path: Path | str) -> pd.DataFrame:
 
 
 def numbers(name: str, given: Sequence[float] | Array) -> Array:
-    """Return given values (n,) of a parameter as numbers.
-
-    Raises
-    ------
-    DeclarationError
-        If there is none, or one is not a number.
-    """
+    """Return given values (n,) of a parameter as numbers."""
     try:
         found = np.atleast_1d(np.asarray(given, dtype=float))
     except (TypeError, ValueError):

@@ -1,39 +1,125 @@
-"""What the cells of a sweep gave, in Zarr: on disk, where a sweep goes on from, or in memory.
+"""Results of a sweep in Zarr: on disk, where a sweep goes on from, or in memory.
 
-A cell is done where its outcome is not empty, which is written after all else of its chunk. Modes
-are coded in the order in which their sequences come in; once all cells are done they are coded
-anew in the order of the cells, so that nothing in a store tells in what order it was made.
+A cell is done where its outcome is not empty, which is written after all else of its chunk. All
+chunks are written, those of fill values, too: Zarr reads a chunk that is missing as fill values, so
+that one that is not there was lost. Modes are coded in the order in which their sequences come in;
+once all cells are done they are coded anew in the order of the cells, so that a store does not
+depend on the order in which it was made.
 """
 
 from __future__ import annotations
 
+import errno
 import itertools
 import math
+import os
 import shutil
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import product
 from pathlib import Path
 from types import EllipsisType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
+from statechart.documents.declaration import TIME
+from statechart.documents.files import made
 from statechart.errors import DeclarationError, StatechartError
-from statechart.sweeps.block import Block
-from statechart.sweeps.chunks import ALL, lost
-from statechart.sweeps.claim import Claim
+from statechart.sweeps.cells import OUTCOMES, CellBlock
 from statechart.sweeps.plan import Plan, Slices, Tile
-from statechart.sweeps.variables import OWN, SEQUENCE, UNFINISHED, create
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imported where a store is made: they take half a second
     import xarray as xr
     import zarr
 
-# What zarr writes before it has a name.
+SEQUENCE, UNFINISHED = "sequence", "unfinished"
+"""The texts of sequences of modes; the group of their codes while a sweep is under way."""
+# Values of a list along its own dimension, and sequences, that one chunk holds.
+_LIST_CHUNK, _TABLE_CHUNK = 16, 256
+# Files that zarr writes before they get their names.
 _PARTIAL = "*.partial"
+_LOCK = ".lock"
+# Errors of file systems of networks that have no locks.
+_NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
+_ALL_CHUNKS = {"array.write_empty_chunks": True}
+
+
+class _Kind(NamedTuple):
+    """Type of an array, and its fill value."""
+
+    dtype: Any
+    fill: Any
+
+
+_NUMBER, _TEXT, _FLAG = _Kind(float, math.nan), _Kind(str, ""), _Kind(bool, False)
+_CODE, _COUNT = _Kind("int32", -1), _Kind("int32", 0)
+# In the order in which they are written: with its outcome a cell is done.
+_OWN: Mapping[str, tuple[_Kind, Mapping[str, str]]] = {
+    "message": (_TEXT, {"long_name": "what kept the run from its end"}),
+    "certified": (_FLAG, {"long_name": "every guard of every step was decided by enclosure"}),
+    "t_end": (_NUMBER, {"long_name": "time at which the run ended"}),
+    "seconds": (_NUMBER, {"long_name": "what the cell took", "units": "s"}),
+    "error_estimate": (_NUMBER, {"long_name": "estimated error of the run, relative"}),
+    "modes": (_CODE, {"long_name": "sequence of modes: place along sequence, -1 for none"}),
+    "outcome": (_TEXT, {"long_name": "why the run ended; empty: not run yet", **OUTCOMES}),
+}
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[Callable[[], None]]:
+    """Lock a folder, which is made if it does not exist; yield a check that it is still there.
+
+    Where the work in it fails before anything is written, no folder is left. The lock ends with the
+    process, however that ends.
+    """
+    from filelock import FileLock, Timeout
+
+    if path.exists() and not path.is_dir():  # it is refused later, as no store
+        yield lambda: None
+        return
+    file = path / _LOCK
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(made(path))
+            lock = FileLock(file)
+            try:
+                lock.acquire(timeout=0)
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+            file.touch()
+            began = file.stat()
+        except Timeout:
+            raise DeclarationError(
+                f"another process is writing {path}",
+                advice="wait until it has ended, or name another store",
+            ) from None
+        except OSError as error:
+            raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error
+
+        def is_there() -> bool:
+            try:
+                return os.path.samestat(began, file.stat())
+            except OSError:
+                return False
+
+        def check() -> None:
+            if not is_there():
+                raise StatechartError(
+                    f"{path} was removed while it was written; begin the sweep anew"
+                )
+
+        try:
+            yield check
+        finally:
+            if is_there():
+                with suppress(OSError):
+                    file.unlink()
+            lock.release()
 
 
 class Store:
@@ -44,18 +130,11 @@ class Store:
     plan : Plan
         The sweep.
     path : Path or str, optional
-        Where on disk; in memory by default.
+        Folder on disk; in memory by default.
     resume : bool
-        Go on with the sweep that is there, if one is.
-    claim : Claim, optional
-        That no other process writes there.
-
-    Raises
-    ------
-    DeclarationError
-        If something else is there.
-    StatechartError
-        If it cannot be written.
+        Whether to go on with the sweep that is there, if one is.
+    check_lock : callable, optional
+        Raises where the folder is no longer locked by this process.
     """
 
     def __init__(
@@ -64,13 +143,13 @@ class Store:
         path: Path | str | None = None,
         *,
         resume: bool = False,
-        claim: Claim | None = None,
+        check_lock: Callable[[], None] = lambda: None,
     ) -> None:
-        self._plan, self._claim = plan, claim
+        self._plan, self._check_lock = plan, check_lock
         self._path = None if path is None else Path(path)
         self._fresh = False
         self._codes: dict[str, int] = {}
-        self._written = 0  # of their texts
+        self._written = 0  # number of their texts
         self._arrays: dict[str, zarr.Array[Any]] = {}
         try:
             with self._explained():
@@ -96,13 +175,13 @@ class Store:
         """Return the places of the cells of a chunk that are not done."""
         return np.flatnonzero(~self._done[tile.slices])
 
-    def begun(self, tile: Tile) -> Block:
-        """Return what the cells of a chunk gave so far."""
+    def block(self, tile: Tile) -> CellBlock:
+        """Return the results of the cells of a chunk so far."""
         plan = self._plan
-        block = Block.empty(tile.size, plan.numbers, plan.lists)
+        block = CellBlock.empty(tile.size, plan.numbers, plan.lists)
         if not self._done[tile.slices].any():
             return block
-        for name, column in self._named(block):
+        for name, column in self._columns(block):
             column[:] = self._read(name, tile.slices).ravel()
         for name in plan.lists:
             variable = plan.variables[name]
@@ -111,20 +190,20 @@ class Store:
             block.lists[name] = [row[:n] for row, n in zip(table, counts, strict=True)]
         return block
 
-    def coded(self, block: Block) -> Ints32:
-        """Return the codes (n,) of the sequences of a block's cells, new ones noted."""
+    def codes(self, block: CellBlock) -> Ints32:
+        """Return the codes (n,) of the sequences of a block's cells; new sequences get one."""
         places = [self._codes.setdefault(text, len(self._codes)) for text in block.sequences]
         # The code of a cell without any, -1, is that of the last place.
         return np.array([*places, -1], dtype=np.int32)[block.modes]
 
-    def write(self, tile: Tile, block: Block) -> None:
-        """Write what the cells of a chunk gave so far; its modes are `coded`."""
+    def write(self, tile: Tile, block: CellBlock) -> None:
+        """Write the region of a chunk with the results so far; its modes are `codes`."""
         where = tile.slices
         with self._explained():
-            self._table()
+            self._write_sequences()
             for name, rows in block.lists.items():
-                self._list(name, tile, rows)
-            for name, column in self._named(block):
+                self._write_list(name, tile, rows)
+            for name, column in self._columns(block):
                 if name == "modes":
                     self._array(f"{UNFINISHED}/modes")[where] = column.reshape(tile.shape)
                 self._array(name)[where] = column.reshape(tile.shape)
@@ -143,7 +222,6 @@ class Store:
             codes = np.full(len(texts) + 1, -1, dtype=np.int32)
             codes[order] = np.arange(len(order))
             self._fill(self._array(SEQUENCE), [texts[k] for k in order])
-            # Chunk by chunk: what is written is what stays in memory.
             for tile in self._plan.tiles():
                 part = self._read(f"{UNFINISHED}/modes", tile.slices)
                 self._array("modes")[tile.slices] = codes[part]
@@ -152,14 +230,14 @@ class Store:
             self._consolidate()
 
     def discard(self) -> None:
-        """Remove what was made here, as nothing came of it."""
+        """Remove the store if it was made here."""
         if self._fresh and self._path is not None:
             with suppress(StatechartError):
-                self._check_claim()
+                self._check_lock()
                 shutil.rmtree(self._path, ignore_errors=True)
 
     def dataset(self) -> xr.Dataset:
-        """Return the sweep, read from the store where and when it is looked at."""
+        """Return the sweep, read from the store piece by piece when it is used."""
         import xarray as xr
 
         try:
@@ -182,8 +260,8 @@ class Store:
         path = self._path
         if path is None:
             return self._created(MemoryStore())
-        if path.is_dir() and all(part.match(_PARTIAL) for part in path.iterdir()):
-            return self._made_anew(path)
+        if path.is_dir() and all(p.match(_PARTIAL) or p.name == _LOCK for p in path.iterdir()):
+            return self._remake(path)
         if not resume:
             raise DeclarationError(
                 f"{path} exists already",
@@ -193,7 +271,7 @@ class Store:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
         except PermissionError:
             raise
-        except Exception:  # whatever the library makes of what is no store
+        except Exception:  # whatever the library raises for what is no store
             raise DeclarationError(
                 f"{path} is no store of a sweep", advice="name another, or remove it"
             ) from None
@@ -201,22 +279,16 @@ class Store:
         for part in path.rglob(_PARTIAL):  # of a process that was killed while it wrote them
             part.unlink()
         with self._whole("outcome"):
-            begun = "outcome" in group
-        if not begun:  # made by a process that was killed while it made it
-            return self._made_anew(path)
+            outcome = "outcome" in group
+        if not outcome:  # made by a process that was killed while it made it
+            return self._remake(path)
         self._group = group
-        self._look()
+        self._read_sequences()
         return group
 
-    def _look(self) -> None:
-        """Read what a sweep goes on with, but for what its cells gave.
-
-        Raises
-        ------
-        DeclarationError
-            If it is not whole.
-        """
-        for name, _ in self._named(Block.empty(0, self._plan.numbers, self._plan.lists)):
+    def _read_sequences(self) -> None:
+        """Check coordinates, and read the sequences of modes, of a sweep that goes on."""
+        for name in self._single:
             self._array(name)
         for name, column in self._plan.columns.items():
             if not np.array_equal(self._read(self._plan.coordinates[name]), column):
@@ -226,26 +298,25 @@ class Store:
             if UNFINISHED not in self._group:
                 raise self._damaged(UNFINISHED)
             texts = self._read(f"{UNFINISHED}/{SEQUENCE}")
-        # There may be room for more, of a process that ended before it wrote them.
+        # A process that ended before it wrote the last ones leaves empty texts.
         known = itertools.takewhile(bool, map(str, texts))
         self._codes = {text: code for code, text in enumerate(known)}
 
     def _check_whole(self) -> None:
-        """Raise `DeclarationError` where what cells gave is not there, or a text of their modes."""
+        """Raise `DeclarationError` where results of cells or texts of their modes are missing."""
         plan, root, complete = self._plan, self._path, self._complete
         assert root is not None
         modes = "modes" if complete else f"{UNFINISHED}/modes"
-        names = [name for name, _ in self._named(Block.empty(0, plan.numbers, ()))]
         counts = {plan.variables[name]: f"{plan.variables[name]}_count" for name in plan.lists}
         for tile in plan.tiles():
             if not (complete or self._done[tile.slices].any()):
                 continue
-            parts = dict.fromkeys([modes, *names, *sorted(counts.values())], tile.slices)
+            parts = dict.fromkeys([modes, *self._single, *sorted(counts.values())], tile.slices)
             for name, count in sorted(counts.items()):
                 longest = int(self._read(count, tile.slices).max())
                 parts[name] = (*tile.slices, slice(0, longest))
             for name, where in parts.items():
-                if file := lost(root, self._array(name), where):
+                if file := _missing_chunk(root, self._array(name), where):
                     raise self._damaged(file, "is missing")
             if self._read(modes, tile.slices).max() >= len(self._codes):
                 raise self._damaged(SEQUENCE)
@@ -255,27 +326,28 @@ class Store:
 
     def _check(self, group: zarr.Group) -> None:
         """Raise `DeclarationError` where a store holds another sweep."""
-        told, mine = dict(group.attrs), self._plan.attributes()
-        if told.get("format") != mine["format"]:
+        found, mine = dict(group.attrs), self._plan.attributes()
+        if found.get("format") != mine["format"]:
             raise DeclarationError(
                 f"{self._path} is no store of a sweep that this version can read",
                 advice="name another, or remove it",
             )
-        if told.get("digest") == mine["digest"]:
+        if found.get("digest") == mine["digest"]:
             return
-        differs = [key for key, value in mine.items() if key != "digest" and told.get(key) != value]
+        changed = [key for key, value in mine.items() if found.get(key) != value]
+        differs = [key for key in changed if key != "digest"]
         raise DeclarationError(
             f"{self._path} holds another sweep; it differs in "
             + (" and ".join(differs) or "its model, which was changed"),
             advice="repeat what made it, or name another store",
         )
 
-    def _made_anew(self, path: Path) -> zarr.Group:
-        """Return the group in a folder that holds nothing else from here on; its lock stays."""
+    def _remake(self, path: Path) -> zarr.Group:
+        """Empty a folder but for its lock, and make the group in it."""
         for part in path.iterdir():
             if part.is_dir():
                 shutil.rmtree(part)
-            else:
+            elif part.name != _LOCK:
                 part.unlink()
         return self._created(path)
 
@@ -283,22 +355,24 @@ class Store:
         import zarr
 
         self._fresh = True
-        told = {**self._plan.attributes(), "complete": 0}
-        self._group = group = zarr.create_group(where, attributes=told)
-        with zarr.config.set(ALL):
+        attributes = {**self._plan.attributes(), "complete": 0}
+        self._group = group = zarr.create_group(where, attributes=attributes)
+        with zarr.config.set(_ALL_CHUNKS):
             create(group, self._plan)
         self._consolidate()
         return group
 
-    def _named(self, block: Block) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield variables of one value a cell with their values (n,), the outcome last."""
-        for name, values in block.numbers.items():
-            yield self._plan.variables[name], values
-        for name in OWN:
-            if name != "error_estimate" or self._plan.accurate:
-                yield name, getattr(block, name)
+    @property
+    def _single(self) -> list[str]:
+        """The variables of one value a cell, the outcome last."""
+        return [*(self._plan.variables[name] for name in self._plan.numbers), *_own(self._plan)]
 
-    def _table(self) -> None:
+    def _columns(self, block: CellBlock) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Yield variables of one value a cell with their values (n,), the outcome last."""
+        values = [*block.numbers.values(), *(getattr(block, name) for name in _own(self._plan))]
+        yield from zip(self._single, values, strict=True)
+
+    def _write_sequences(self) -> None:
         """Write the texts of sequences that are new."""
         if len(self._codes) == self._written:
             return
@@ -314,7 +388,7 @@ class Store:
         if texts[known:]:
             array[known:] = np.array(texts[known:], dtype=object)
 
-    def _list(self, name: str, tile: Tile, values: list[Array]) -> None:
+    def _write_list(self, name: str, tile: Tile, values: list[Array]) -> None:
         variable = self._plan.variables[name]
         counts = np.array([len(row) for row in values], dtype=np.int32)
         longest = int(counts.max(initial=0))
@@ -335,7 +409,7 @@ class Store:
         if found is None:
             import zarr
 
-            with self._whole(name), zarr.config.set(ALL):
+            with self._whole(name), zarr.config.set(_ALL_CHUNKS):
                 found = zarr.open_array(self._group.store, path=name, mode="r+")
             self._arrays[name] = found
         return found
@@ -345,7 +419,7 @@ class Store:
             return np.asarray(self._array(name)[where])
 
     def _consolidate(self) -> None:
-        """Gather what readers open first: without it they warn that they read it piece by piece."""
+        """Write the metadata of all arrays to one file: without it readers warn."""
         import zarr
 
         with warnings.catch_warnings():
@@ -355,20 +429,16 @@ class Store:
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        self._check_claim()
+        self._check_lock()
         try:
             yield
         except OSError as error:
-            self._check_claim()
+            self._check_lock()
             raise self._problem("write", error) from error
-
-    def _check_claim(self) -> None:
-        if self._claim is not None:
-            self._claim.check()
 
     @contextmanager
     def _whole(self, name: str) -> Iterator[None]:
-        """Tell what the library makes of files that are cut off, or missing."""
+        """Raise `DeclarationError` for files that are cut off, or missing."""
         try:
             yield
         except (FileNotFoundError, ValueError, KeyError, RuntimeError):
@@ -382,3 +452,62 @@ class Store:
 
     def _problem(self, verb: str, error: OSError) -> StatechartError:
         return StatechartError(f"cannot {verb} {self._path}: {error.strerror or error}")
+
+
+def _own(plan: Plan) -> list[str]:
+    """Return the variables that every sweep has, the outcome last."""
+    return [name for name in _OWN if name != "error_estimate" or plan.accurate]
+
+
+def _missing_chunk(root: Path, array: zarr.Array[Any], where: Slices) -> str:
+    """Return the file of the first missing chunk in a part of an array, or an empty string."""
+    spans = (
+        range(part.start // size, -(-part.stop // size))
+        for part, size in zip(where, array.chunks, strict=True)
+    )
+    for place in product(*spans):
+        file = f"{array.path}/{array.metadata.encode_chunk_key(place)}"
+        if not (root / file).exists():
+            return file
+    return ""
+
+
+def create(group: zarr.Group, plan: Plan) -> None:
+    """Make the arrays of a sweep in a group; the outcome last."""
+
+    def make(
+        name: str, kind: _Kind, shape: Any, chunks: Any, dims: Any, attributes: Mapping[str, str]
+    ) -> zarr.Array[Any]:
+        return group.create_array(
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=kind.dtype,
+            fill_value=kind.fill,
+            dimension_names=dims,
+            attributes=dict(attributes),
+        )
+
+    for name, column in plan.columns.items():
+        attributes = {**plan.named(name), "declared": str(plan.model.parameters[name])}
+        dims = (plan.coordinates[name],) if plan.grid else plan.dims
+        shape = column.shape
+        make(plan.coordinates[name], _NUMBER, shape, shape, dims, attributes)[:] = column
+    shape, chunk, dims = plan.shape, plan.chunk, plan.dims
+    for name in plan.task.outputs:
+        variable, attributes = plan.variables[name], {**plan.named(name), **plan.declared(name)}
+        if name in plan.lists:
+            own = ((*shape, 0), (*chunk, _LIST_CHUNK), (*dims, f"{variable}_index"))
+            make(variable, _NUMBER, *own, attributes)
+            counts = {"long_name": f"number of {name}"}
+            make(f"{variable}_count", _COUNT, shape, chunk, dims, counts)
+        else:
+            make(variable, _NUMBER, shape, chunk, dims, attributes)
+    for place in (SEQUENCE, f"{UNFINISHED}/{SEQUENCE}"):
+        texts = {"long_name": "modes in the order in which they were entered"}
+        make(place, _TEXT, (0,), (_TABLE_CHUNK,), (SEQUENCE,), texts)
+    make(f"{UNFINISHED}/modes", _CODE, shape, chunk, dims, {})
+    for name in _own(plan):
+        kind, words = _OWN[name]
+        unit = plan.named(TIME) if name == "t_end" else {}
+        make(name, kind, shape, chunk, dims, {**unit, **words})

@@ -1,85 +1,78 @@
-"""Running every cell of a sweep: blocks handed out, here or to workers, and kept as they return."""
+"""Sweeps: blocks of cells are handed out, here or to workers, and kept as they return."""
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future
 from concurrent.futures import wait as wait_for
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart import interrupts
+from statechart import interrupts, progress
 from statechart.arrays import Array
+from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.document import Document
 from statechart.documents.hints import checked
-from statechart.documents.setting import Setting
+from statechart.documents.setting import IntegrationWords, Setting
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
-from statechart.sweeps.block import Block, run_block
-from statechart.sweeps.claim import claimed
-from statechart.sweeps.plan import Plan, Tile, of_table
-from statechart.sweeps.progress import told
-from statechart.sweeps.store import Store
-from statechart.sweeps.workers import Watch, unguarded
+from statechart.sweeps.cells import CellBlock, run_block
+from statechart.sweeps.plan import Plan, Tile, columns_of
+from statechart.sweeps.store import Store, locked
+from statechart.sweeps.workers import ClusterWatch, unguarded
+from statechart.tabular import several
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imported where a sweep is made: they take half a second
     import pandas as pd
     import xarray as xr
 
 # Seconds that a block takes: much longer than handing it out, much shorter than people wait.
 _BLOCK = 0.25
-_MOST_CELLS = 4096
-# What is handed out is no more than one part in so many of what is left, down to so many cells:
-# workers come to their end together, and cells of one compiled call are worth it.
-_PARTS, _FEWEST = 16, 64
-# Seconds between what is written; a kill loses no more.
+_MAX_CELLS = 4096
+# A block is no more than one part in so many of what is left, down to so many cells: workers come
+# to their end together, and cells of one compiled call are worth it.
+_PARTS, _MIN_CELLS = 16, 64
+# Seconds between writes; a kill loses no more.
 _WRITTEN = 4.0
 # Blocks handed out at first, and at most; each that returns makes room for one more.
-_FIRST, _MOST = 64, 2048
+_FIRST_BLOCKS, _MAX_BLOCKS = 64, 2048
 # Seconds between looks for a signal while workers work.
 _LOOK = 0.1
+# Seconds between lines of progress, where stderr is no terminal.
+_LINES = 10.0
 INTERRUPTED = "interrupted"
-"""What ended a sweep that a signal ended."""
+"""Why a sweep ended that a signal ended."""
+
+
+class SweepWords(IntegrationWords, total=False):
+    """Keyword arguments of the runs of a sweep."""
+
+    until: float | None
 
 
 @dataclass(frozen=True)
-class Made:
-    """A sweep as far as it has come.
-
-    Attributes
-    ----------
-    plan : Plan
-        The cells.
-    store : Store
-        What they gave.
-    ended : str
-        Why not all of them are done; else empty.
-    """
+class Sweep:
+    """A sweep as far as it has come: its plan, its store, and why not all of it is done."""
 
     plan: Plan
     store: Store
     ended: str
 
-    def dataset(self) -> xr.Dataset:
-        """Return what the cells gave, why it is not all of it among the attributes."""
-        return self._told(self.store.dataset())
-
-    def loaded(self) -> xr.Dataset:
-        """Return the same, read from the store."""
-        return self._told(self.store.loaded())
-
-    def _told(self, found: xr.Dataset) -> xr.Dataset:
+    def dataset(self, *, loaded: bool = False) -> xr.Dataset:
+        """Return the results, with why they are not complete among the attributes."""
+        found = self.store.loaded() if loaded else self.store.dataset()
         return found.assign_attrs(ended=self.ended) if self.ended else found
 
 
-# One argument for every word of a setting, as `Runner`.
 @checked
 def sweep(
     model: Declaration | Document | str | Path,
@@ -87,17 +80,11 @@ def sweep(
     *,
     samples: pd.DataFrame | None = None,
     outputs: Sequence[str] | None = None,
-    until: float | None = None,
-    engine: str | None = None,
-    method: str | None = None,
-    tolerance: float | None = None,
-    accuracy: float | None = None,
-    step: float | None = None,
-    max_step: float | None = None,
     executor: Executor | None = None,
     store: Path | str | None = None,
     resume: bool = False,
     progress: bool = False,
+    **words: Unpack[SweepWords],
 ) -> xr.Dataset:
     """Run a model at many values of its parameters.
 
@@ -111,19 +98,19 @@ def sweep(
         In the place of `over`: a column for every parameter, a row for every run.
     outputs : sequence of str, optional
         Outputs of the model to compute; all by default.
+    executor : concurrent.futures.Executor, optional
+        Runs blocks of cells: processes, or `client.get_executor()` of a Dask cluster; this process
+        by default.
+    store : Path or str, optional
+        Zarr store of the result, written block by block; in memory by default.
+    resume : bool
+        Whether to go on with the sweep that the store holds, if it does.
+    progress : bool
+        Whether to report to stderr.
     until : float, optional
         End of the runs; `stop.time` of the model by default.
     engine, method, tolerance, accuracy, step, max_step
         As for `Runner`.
-    executor : concurrent.futures.Executor, optional
-        What runs blocks of cells: processes, or `client.get_executor()` of a Dask cluster; this
-        process by default.
-    store : Path or str, optional
-        Where to keep the result, in Zarr, block by block; in memory by default.
-    resume : bool
-        Go on with the sweep that the store holds, if it does.
-    progress : bool
-        Whether to report to stderr.
 
     Returns
     -------
@@ -149,15 +136,16 @@ def sweep(
     >>> dict(found.sizes)
     {'k': 2, 'sequence': 1}
     """
-    setting = Setting(engine, method, tolerance, accuracy, step, None, max_step)
-    plan = planned(model, over, samples, setting, until=until, outputs=outputs)
-    made = make(plan, executor, store=store, resume=resume, progress=progress)
+    until = words.pop("until", None)
+    setting = Setting(**cast("IntegrationWords", words))
+    plan = make_plan(model, over, samples, setting, until=until, outputs=outputs)
+    made = run_plan(plan, executor, store=store, resume=resume, progress=progress)
     if made.ended and made.ended != INTERRUPTED:
         raise StatechartError(made.ended)
     return made.dataset()
 
 
-def planned(
+def make_plan(
     model: Declaration | Document | str | Path,
     over: Mapping[str, Sequence[float] | Array] | None,
     samples: pd.DataFrame | None,
@@ -166,13 +154,7 @@ def planned(
     until: float | None = None,
     outputs: Sequence[str] | None = None,
 ) -> Plan:
-    """Return a sweep that can be run; see `sweep` for the parameters.
-
-    Raises
-    ------
-    DeclarationError
-        If something that is asked for is wrong.
-    """
+    """Return the plan of a sweep; see `sweep` for the parameters."""
     if (over is None) == (samples is None):
         raise DeclarationError("a sweep is over ranges or over samples: give one of them")
     if over is not None and not isinstance(over, Mapping):
@@ -183,7 +165,7 @@ def planned(
     runner = Runner(model, **asdict(setting))
     if until is not None or runner.model.stop.time is None:
         runner.end(until=until)
-    columns = over if samples is None else of_table(samples)
+    columns = over if samples is None else columns_of(samples)
     return Plan(
         runner.model,
         setting,
@@ -195,49 +177,69 @@ def planned(
     )
 
 
-def make(
+def run_plan(
     plan: Plan,
     executor: Executor | None = None,
     *,
     store: Path | str | None = None,
     resume: bool = False,
     progress: bool = False,
-) -> Made:
-    """Run the cells of a sweep that are not done; see `sweep` for the parameters.
-
-    Raises
-    ------
-    DeclarationError
-        If the store holds something else, or another process writes it, there is none to resume, or
-        no worker has this package.
-    StatechartError
-        If the store cannot be written.
-    """
+) -> Sweep:
+    """Run the cells of a sweep that are not done; see `sweep` for parameters and errors."""
     if resume and store is None:
         raise DeclarationError("there is no store to resume", advice="name the one that was begun")
-    with nullcontext() if store is None else claimed(Path(store)) as claim:
-        kept = Store(plan, store, resume=resume, claim=claim)
+    with nullcontext(lambda: None) if store is None else locked(Path(store)) as check_lock:
+        kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.left
+        shown = _Progress(plan.size, plan.size - left) if progress else None
         try:
-            with interrupts.held(), told(plan.size, plan.size - left, shown=progress) as tell:
-                work = _Work(plan, kept, tell, shared=executor is not None)
+            with interrupts.held():
+                work = _Work(plan, kept, shown, shared=executor is not None)
                 ended = _ended(work, executor)
                 kept.finish()
         except StatechartError:
             if kept.left == left:
                 kept.discard()
             raise
-        return Made(plan, kept, ended)
+        finally:
+            if shown is not None:
+                shown.close()
+        return Sweep(plan, kept, ended)
+
+
+class _Progress:
+    """Shows on stderr how many cells are done: as a bar on a terminal, else as lines.
+
+    The rate is that since the start or the last line, without the time of compilation.
+    """
+
+    def __init__(self, total: int, done: int) -> None:
+        self._total, self._done, self._said = total, done, done
+        self._shown, self._worked = time.monotonic(), working_time()
+        self._bar = progress.Bar(total) if progress.possible() else None
+
+    def advance(self, count: int) -> None:
+        self._done += count
+        now, worked = time.monotonic(), working_time()
+        if self._bar is None and now - self._shown < _LINES:
+            return
+        rate = (self._done - self._said) / max(worked - self._worked, 1e-9)
+        left = timedelta(seconds=round((self._total - self._done) / rate))
+        cells = f"{self._done} of {several(self._total, 'cell')}"
+        words = f"{cells}, {rate:.3g} a second, {left} left"
+        if self._bar is not None:
+            self._bar.show(self._done, words)
+            return
+        self._shown, self._worked, self._said = now, worked, self._done
+        print(words, file=sys.stderr, flush=True)  # noqa: T201
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
 
 
 def _ended(work: _Work, executor: Executor | None) -> str:
-    """Do the work; return why not all of it is done, else an empty text.
-
-    Raises
-    ------
-    StatechartError
-        If none of it could be done.
-    """
+    """Do the work; return why not all of it is done, else an empty text."""
     try:
         if executor is None:
             _run_here(work)
@@ -254,7 +256,7 @@ def _ended(work: _Work, executor: Executor | None) -> str:
     return ""
 
 
-class _Lost(Exception):  # noqa: N818 - it is workers that are lost
+class _Lost(Exception):  # noqa: N818, workers are lost
     """Workers cannot go on."""
 
     def __init__(self, error: StatechartError) -> None:
@@ -264,10 +266,10 @@ class _Lost(Exception):  # noqa: N818 - it is workers that are lost
 
 @dataclass
 class _Chunk:
-    """A chunk that is worked on."""
+    """A chunk some of whose cells are running."""
 
     tile: Tile
-    block: Block
+    block: CellBlock
     left: int
     written: bool = True
 
@@ -283,10 +285,8 @@ class _Job(NamedTuple):
 class _Work:
     """The cells that are not done yet, and those whose results are not written yet."""
 
-    def __init__(
-        self, plan: Plan, store: Store, tell: Callable[[int], None], *, shared: bool
-    ) -> None:
-        self._plan, self._store, self._tell = plan, store, tell
+    def __init__(self, plan: Plan, store: Store, shown: _Progress | None, *, shared: bool) -> None:
+        self._plan, self._store, self._shown = plan, store, shown
         self._left, self._shared = store.left, shared
         self._open: list[_Chunk] = []
         self._parts = self._cells()
@@ -299,7 +299,7 @@ class _Work:
         """Return the next cells to run, as many as take a moment."""
         size = self._size
         if self._shared:
-            size = min(size, max(self._left // _PARTS, _FEWEST))
+            size = min(size, max(self._left // _PARTS, _MIN_CELLS))
         try:
             job = self._parts.send(size)
         except StopIteration:
@@ -315,28 +315,29 @@ class _Work:
             places = self._store.undone(tile)
             if not places.size:
                 continue
-            chunk = _Chunk(tile, self._store.begun(tile), len(places))
+            chunk = _Chunk(tile, self._store.block(tile), len(places))
             self._open.append(chunk)
             while places.size:
                 part, places = places[:size], places[size:]
                 size = yield _Job(chunk, part, self._plan.rows(tile, part))
 
-    def take(self, job: _Job, block: Block) -> None:
-        """Take what cells gave; write it, if that is due."""
+    def take(self, job: _Job, block: CellBlock) -> None:
+        """Take the results of cells; write them, if that is due."""
         chunk = job.chunk
-        chunk.block.take(job.places, block, self._store.coded(block))
+        chunk.block.take(job.places, block, self._store.codes(block))
         chunk.left -= len(job.places)
         self.done += len(job.places)
         chunk.written = False
         # Not the mean: a cell that compiles takes a thousand times as long as others.
         each = max(float(np.median(block.seconds)), 1e-9)
-        self._size = int(np.clip(_BLOCK / each, 1, _MOST_CELLS))
+        self._size = int(np.clip(_BLOCK / each, 1, _MAX_CELLS))
         if time.monotonic() - self._written_at > _WRITTEN:
             self.write()
-        self._tell(len(job.places))
+        if self._shown is not None:
+            self._shown.advance(len(job.places))
 
     def write(self) -> None:
-        """Write what is not written."""
+        """Write the results that are not written."""
         for chunk in self._open:
             if not chunk.written:
                 self._store.write(chunk.tile, chunk.block)
@@ -352,9 +353,9 @@ def _run_here(work: _Work) -> None:
 
 
 def _hand_out(work: _Work, executor: Executor) -> None:
-    """Let an executor run blocks; what is handed out grows with what returns."""
-    pending: dict[Future[Block], _Job] = {}
-    room, watch = _FIRST, Watch(executor)
+    """Let an executor run blocks; their number grows with those that return."""
+    pending: dict[Future[CellBlock], _Job] = {}
+    room, watch = _FIRST_BLOCKS, ClusterWatch(executor)
     try:
         while True:
             while len(pending) < room and (job := work.next()) is not None:
@@ -366,7 +367,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
             watch.look(bool(returned))
             for future in returned:
                 work.take(pending.pop(future), future.result())
-                room = min(room + 1, _MOST)
+                room = min(room + 1, _MAX_BLOCKS)
     except (KeyboardInterrupt, StatechartError, MemoryError):
         raise
     except ImportError as error:
@@ -380,7 +381,7 @@ def _hand_out(work: _Work, executor: Executor) -> None:
         words = str(error).strip().rstrip(".") or "the connection to them was lost"
         advice = "" if work.done else unguarded(error)
         raise _Lost(StatechartError(f"workers died: {words}{advice}")) from None
-    except Exception as error:  # whatever an executor makes of workers that fail
+    except Exception as error:  # whatever an executor raises for workers that fail
         problem = f"workers failed, {type(error).__name__}: {error}"
         raise _Lost(StatechartError(problem)) from None
     finally:

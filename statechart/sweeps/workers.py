@@ -1,4 +1,4 @@
-"""Workers: processes of this machine, or those of a Dask cluster."""
+"""Workers of a sweep: processes of this machine, or those of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -37,13 +37,7 @@ _NAME = "contact-statecharts"
 
 @contextmanager
 def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
-    """Make so many processes, or connect to the scheduler at an address; None for neither.
-
-    Raises
-    ------
-    DeclarationError
-        If there is no such cluster, or it cannot run sweeps.
-    """
+    """Make so many processes, or connect to the scheduler at an address; None for neither."""
     if count is not None:
         with processes(count) as executor:
             yield executor
@@ -56,13 +50,7 @@ def crew(count: int | None, address: str | None) -> Iterator[Executor | None]:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Make workers of this machine, which end with this process, however that ends.
-
-    Raises
-    ------
-    DeclarationError
-        If they are many more than processors.
-    """
+    """Make workers of this machine, which end with this process, however that ends."""
     here = os.cpu_count() or 1
     if count > _EACH * here:
         raise DeclarationError(
@@ -103,13 +91,7 @@ def unguarded(error: Exception) -> str:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Connect to the scheduler of a Dask cluster.
-
-    Raises
-    ------
-    DeclarationError
-        If it does not answer, has no workers, or they lack this package or have another version.
-    """
+    """Connect to the scheduler of a Dask cluster."""
     try:
         from distributed import Client
     except ImportError:
@@ -122,7 +104,7 @@ def cluster(address: str) -> Iterator[Executor]:
         kind = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
     except (OSError, ValueError) as error:
         raise _silent(address, str(error) or "it took too long") from None
-    except Exception:  # whatever it makes of what another program says
+    except Exception:  # whatever the answer of another program raises
         raise _silent(address, "what listens there is something else") from None
     if kind != "Scheduler":
         raise _silent(address, f"there is a {kind}")
@@ -134,14 +116,8 @@ def cluster(address: str) -> Iterator[Executor]:
         client.close(timeout=_ANSWER)
 
 
-class Watch:
-    """Looks whether a cluster that had workers has some still; Dask waits for new ones for ever.
-
-    Parameters
-    ----------
-    executor : Executor
-        Of that cluster; others tell themselves of workers that die.
-    """
+class ClusterWatch:
+    """Checks that a cluster still has workers: Dask waits for new ones for ever."""
 
     def __init__(self, executor: Executor) -> None:
         self._client: Any = getattr(executor, "_client", None)
@@ -210,9 +186,9 @@ def _check(client: object, address: str) -> None:
 
 @contextmanager
 def _blocked() -> Iterator[None]:
-    """Let processes that are started meanwhile not hear of signals that come from a terminal.
+    """Block the signals of a terminal in processes that are started meanwhile.
 
-    Those go to the whole group of processes; it is this process that ends its workers.
+    They go to the whole group of processes; this process ends its workers itself.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

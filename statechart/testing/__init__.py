@@ -2,11 +2,12 @@
 
 `subject` compiles a model for its engines and makes its cases, which `strategies` draws; what must
 hold of every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards`,
-of `relation_truth`, and that two runs are in `agreement`, by the `stories` that they tell;
+of `relation_truth`, and that two runs are in `agreement`, by the `event_sequences` that they tell;
 `checking` tests these by Hypothesis and reports.
 """
 
 from statechart.testing.agreement import Sensitivity, Undecidable, assert_same
+from statechart.testing.event_sequences import Reading
 from statechart.testing.guards import assert_invariants, assert_margins, dense
 from statechart.testing.hybrid_time import assert_continuous, assert_edges, assert_ordered
 from statechart.testing.properties import (
@@ -18,7 +19,6 @@ from statechart.testing.properties import (
     generic,
 )
 from statechart.testing.relation_truth import assert_relations
-from statechart.testing.stories import Reading
 from statechart.testing.strategies import (
     parameters,
     ranges,

@@ -1,4 +1,4 @@
-"""Whether two runs that should agree do, as far as their tolerances allow an answer.
+"""Comparison of two runs that should agree, as far as their tolerances allow an answer.
 
 Two computations of one motion differ by their errors, which the motion itself makes grow. How
 much is measured: the same run with parameters changed by a relative `NUDGE` shows how far a small
@@ -19,7 +19,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace
 from statechart.tabular import shortest
-from statechart.testing.stories import Event, Reading, Story, without_skipped
+from statechart.testing.event_sequences import Event, EventSequence, Reading, without_unresolved
 
 NUDGE = 1e-7
 """Relative change of parameters that shows how errors grow; above the errors of the runs."""
@@ -39,12 +39,12 @@ _SLOW = 1e-6
 
 
 class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
-    """Whether a property holds cannot be told from these runs, and why."""
+    """The runs do not decide whether a property holds, and why."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """How errors grow in a run.
+    """The growth of errors in a run.
 
     Attributes
     ----------
@@ -121,12 +121,12 @@ def _compare(
 
     Their impulses miss the laws of contact by `residual`.
     """
-    stories = [Story.of(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
-    stories[0] = stories[0].rounded(reference, sensitivity.conditions, known)
-    stories.append(Story.of(other, reading or Reading()))
+    sequences = [EventSequence.of(trace, Reading()) for trace in (reference, *sensitivity.nudged)]
+    sequences[0] = sequences[0].rounded(reference, sensitivity.conditions, known)
+    sequences.append(EventSequence.of(other, reading or Reading()))
     if until is not None:
-        stories = [*(story.shortened(*until) for story in stories[:-1]), stories[-1]]
-    first, *near, second = without_skipped(stories)
+        sequences = [*(sequence.shortened(*until) for sequence in sequences[:-1]), sequences[-1]]
+    first, *near, second = without_unresolved(sequences)
     error = bare = _FACTOR * (_error(reference) + _error(other) + residual)
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
@@ -151,23 +151,24 @@ def _compare(
         if mine.hit != its.hit:
             _hit_otherwise(first, second, i)
         _close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
-    if any(len(story.events) != len(first.events) for story in near):
+    if any(len(sequence.events) != len(first.events) for sequence in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = Event(("", "end", (), ()), first.end, 0.0)
-    allowed = _allowed(last, [story.end for story in near], first, error, floor)
+    allowed = _allowed(last, [sequence.end for sequence in near], first, error, floor)
     _close(first.end, second.end, allowed, reference, "the end")
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
-    """Whether two runs have the same events and the same end to the last bit."""
+    """Return whether two runs have the same events and the same end to the last bit."""
 
-    def told(story: Story) -> object:
-        events = [(event.what, event.numbers.tolist()) for event in story.events]
-        return story.mode, story.end.tolist(), events
+    def numbers(sequence: EventSequence) -> object:
+        events = [(event.what, event.numbers.tolist()) for event in sequence.events]
+        return sequence.mode, sequence.end.tolist(), events
 
-    return told(Story.of(reference, Reading())) == told(Story.of(other, reading))
+    first, second = EventSequence.of(reference, Reading()), EventSequence.of(other, reading)
+    return numbers(first) == numbers(second)
 
 
 def _error(trace: Trace) -> float:
@@ -178,14 +179,14 @@ def _error(trace: Trace) -> float:
 
 
 def _allowed(
-    event: Event, near: Sequence[Array], story: Story, error: float, floor: Array
+    event: Event, near: Sequence[Array], sequence: EventSequence, error: float, floor: Array
 ) -> Array:
     """Return how far numbers may differ: the error, grown as a nudge grows, and rounding."""
     grown = np.zeros(len(event.numbers))
     for numbers in near:
         grown = np.maximum(grown, np.abs(numbers - event.numbers) / NUDGE)
-    allowed = error * (grown + story.sizes)
-    if (allowed > _LARGE * story.sizes + floor).any():
+    allowed = error * (grown + sequence.sizes)
+    if (allowed > _LARGE * sequence.sizes + floor).any():
         raise Undecidable(f"by t = {event.t:.6g} errors of {error:.0e} have grown too large")
     return allowed + floor
 
@@ -201,15 +202,15 @@ def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) ->
         )
 
 
-def _hit_otherwise(first: Story, second: Story, i: int) -> None:
+def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
     """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
 
     Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
     first where that is slow.
     """
     instant = NUDGE * float(first.end[0])
-    for story in (first, second):
-        for one, two in pairwise(story.events[i : i + 2]):
+    for sequence in (first, second):
+        for one, two in pairwise(sequence.events[i : i + 2]):
             if two.t - one.t <= instant:
                 raise Undecidable(
                     f"{_place(i, one)}: impacts closer than {instant:.1e} in time are one in one "
@@ -217,7 +218,7 @@ def _hit_otherwise(first: Story, second: Story, i: int) -> None:
                 )
     n = len(first.end) // 2
     small = _SLOW * first.sizes[n + 1 :]
-    both = [story.events[i].numbers for story in (first, second)]
+    both = [sequence.events[i].numbers for sequence in (first, second)]
     if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
         raise Undecidable(
             f"{_place(i, first.events[i])}: an impact so slow that rounding decides which of the "
@@ -231,7 +232,9 @@ def _within_tolerance(
     """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
     if loosened is None:
         return
-    first, second = without_skipped([Story.of(t, Reading()) for t in (loosened(), other)])
+    first, second = without_unresolved(
+        [EventSequence.of(t, Reading()) for t in (loosened(), other)]
+    )
     count = sum(one.t <= event.t for one in second.events)
     courses = [[one.what for one in s.events[: count + 1]] for s in (first, second)]
     if courses[0] == courses[1] and courses[0][count:] != [event.what]:
@@ -241,9 +244,9 @@ def _within_tolerance(
 
 
 def _part(
-    first: Story,
-    second: Story,
-    near: Sequence[Story],
+    first: EventSequence,
+    second: EventSequence,
+    near: Sequence[EventSequence],
     i: int,
     error: float,
     residual: float,
@@ -253,15 +256,15 @@ def _part(
     own, others = first.events[i : i + 1], second.events[i : i + 1]
     place = _place(i, (own or others)[0])
     what = tuple(event.what for event in own)
-    if any(tuple(e.what for e in story.events[i : i + 1]) != what for story in near):
+    if any(tuple(e.what for e in sequence.events[i : i + 1]) != what for sequence in near):
         raise Undecidable(f"{place}: a change of {NUDGE:g} takes another course")
     instant = error * float(first.end[0])
     if own:
-        numbers = [story.events[i].numbers for story in near]
+        numbers = [sequence.events[i].numbers for sequence in near]
         instant = float(_allowed(own[0], numbers, first, error, np.zeros(len(first.end)))[0])
-    for story, end in ((first, second.end[0]), (second, first.end[0])):
-        times = [event.t for event in story.events[max(i - 1, 0) : i + 2]]
-        at_end = any(abs(event.t - end) <= instant for event in story.events[i : i + 1])
+    for sequence, end in ((first, second.end[0]), (second, first.end[0])):
+        times = [event.t for event in sequence.events[max(i - 1, 0) : i + 2]]
+        at_end = any(abs(event.t - end) <= instant for event in sequence.events[i : i + 1])
         if at_end or any(b - a <= instant for a, b in pairwise(times)):
             raise Undecidable(f"{place}: events closer than {instant:.1e} in time")
     if residual > NUDGE:

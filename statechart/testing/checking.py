@@ -32,7 +32,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class PropertyReport:
-    """What became of one property.
+    """The result of testing one property.
 
     Attributes
     ----------
@@ -235,7 +235,7 @@ def examine(
 
 @dataclass(eq=False)
 class _Record:
-    """What one property came upon."""
+    """Examples on which one property was tested."""
 
     tested: set[tuple[tuple[str, float], ...]] = field(default_factory=set)
     undecidable: set[tuple[tuple[str, float], ...]] = field(default_factory=set)

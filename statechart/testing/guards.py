@@ -1,4 +1,4 @@
-"""Whether guards and invariants hold between events, at times that no integrator used."""
+"""Checks of guards and invariants between events, at times that no integrator used."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.automaton.regions import Margin, whole_margins
-from statechart.automaton.trace import Arc, Jump, Role, Trace
+from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.observation.flows import passed
 from statechart.observation.observer import Observer
 from statechart.testing.agreement import NUDGE
 from statechart.testing.hybrid_time import ROUNDING
-from statechart.testing.relation_truth import assert_invariant_relations
+from statechart.testing.relation_truth import assert_invariant_relations, invariants_of
 from statechart.testing.subject import Subject
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -101,9 +101,8 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
 def _invariants(subject: Subject, arc: Arc) -> list[Margin]:
     """Return the margins of the invariants of a mode, but for those that hold by its states."""
     automaton = subject.automaton
-    states = zip(automaton.regions, arc.mode, strict=True)
-    own = (one for region, state in states for one in region.build(Role(state)).invariants)
-    margins = [one.margin(automaton.active(arc.mode)) for one in (*own, *automaton.invariants)]
+    active = automaton.active(arc.mode)
+    margins = [one.margin(active) for one in invariants_of(automaton, arc.mode)]
     for margin in margins:
         if margin.expression == -sp.oo:
             raise AssertionError(
@@ -180,18 +179,10 @@ def _assert_margins(
 
 def _moved(trace: Trace) -> Array:
     """Return by how much variables (n,) may be off: rounding, and what a time step moves."""
-    sizes = np.zeros(len(trace.variables))
+    sizes, steps = np.zeros((2, len(trace.variables)))
     for arc in trace.arcs:
         sizes = np.fmax(sizes, np.abs(arc.coefficients[:, :, 0]).max(axis=0, initial=0.0))
-    return ROUNDING * sizes + _of_a_step(trace)
-
-
-def _of_a_step(trace: Trace) -> Array:
-    """Return by how much variables (n,) change at most in a step of time stepping, jumps apart."""
-    if trace.step is None or not trace.arcs:
-        return np.zeros(len(trace.variables))
-    changes = [
-        np.abs(np.diff(a.states(a.times), axis=0)).max(axis=0, initial=0.0) for a in trace.arcs
-    ]
-    found: Array = np.max(changes, axis=0)
-    return found
+        if trace.step is not None:
+            moves = np.abs(np.diff(arc.states(arc.times), axis=0)).max(axis=0, initial=0.0)
+            steps = np.maximum(steps, moves)
+    return ROUNDING * sizes + steps

@@ -1,4 +1,4 @@
-"""Whether a trace is a run on hybrid time (t, j): in order, by edges, continuous between them."""
+"""Checks that a trace is a run on hybrid time (t, j): in order, by edges, continuous between."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from statechart.automaton.trace import Trace
 from statechart.tabular import several, shortest
 
 ROUNDING = 1e-13
-"""What is added up from terms is off by some units in the last place of them."""
+"""Relative round-off of sums: some units in the last place of their terms."""
 _CONTINUOUS = 100.0
 
 

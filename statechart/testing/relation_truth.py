@@ -14,9 +14,10 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import Array, Bools
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD
-from statechart.automaton.regions import Claim, active_in
-from statechart.automaton.trace import Arc, Role, Trace, sizes
+from statechart.automaton.regions import Claim, Invariant, active_in
+from statechart.automaton.trace import Arc, Key, Role, Trace, sizes
 from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES
 from statechart.formulas.condition import Active
 from statechart.formulas.relation import (
@@ -71,7 +72,12 @@ def assert_relations(subject: Subject, trace: Trace) -> None:
 
 def assert_invariant_relations(subject: Subject, trace: Trace) -> None:
     """Check that invariants, of the run and of states, are true."""
-    _assert_claims(subject, trace, _invariant_claims)
+
+    def claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
+        invariants = invariants_of(subject.automaton, arc.mode)
+        return (Claim(one.name, (one.text,), holds=True) for one in invariants)
+
+    _assert_claims(subject, trace, claims)
 
 
 def _assert_claims(
@@ -98,11 +104,11 @@ def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
         yield Claim(name, (text,), holds=False)
 
 
-def _invariant_claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
-    automaton = subject.automaton
-    states = zip(automaton.regions, arc.mode, strict=True)
-    own = (one for region, state in states for one in region.build(Role(state)).invariants)
-    return (Claim(one.name, (one.text,), holds=True) for one in (*own, *automaton.invariants))
+def invariants_of(automaton: Automaton, mode: Key) -> list[Invariant]:
+    """Return the invariants of the states of a mode, and of the run."""
+    states = zip(automaton.regions, mode, strict=True)
+    own = [one for region, state in states for one in region.build(Role(state)).invariants]
+    return [*own, *automaton.invariants]
 
 
 def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:

@@ -1,4 +1,4 @@
-"""What a check varies, and how far."""
+"""Hypothesis strategies over the ranges of a model."""
 
 from __future__ import annotations
 

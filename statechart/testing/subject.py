@@ -72,7 +72,7 @@ class Subject:
 
     @property
     def engines(self) -> tuple[str, ...]:
-        """What the runs are made by."""
+        """The engines of the runs."""
         if self.step is not None:
             return (f"impulse at steps of {self.step:g}",)
         return tuple(self.observers)
@@ -258,7 +258,7 @@ class Case:
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
-        """How errors grow: parameters but whole numbers changed by `NUDGE`, conditions."""
+        """Runs with parameters (but counts) changed by `NUDGE`, and conditions of events."""
         values = self.subject.model.values(self.parameters)
         names = [
             name

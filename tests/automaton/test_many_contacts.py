@@ -36,7 +36,7 @@ def _no_product(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("the product was enumerated")
 
     monkeypatch.setattr("statechart.automaton.product.product", refused)
-    monkeypatch.setattr("contacts.modes.configuration.product", refused)
+    monkeypatch.setattr("contacts.modes.feasibility.product", refused)
 
 
 def test_a_run_builds_the_modes_that_it_visits_and_no_other() -> None:

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart import Runner, run
 from statechart.documents.yaml_reader import read_text
-from statechart.execution import loops
+from statechart.execution import compiled_loop
 
 both = pytest.mark.parametrize("engine", ["taylor", "scipy"])
 
@@ -105,8 +105,8 @@ PLACES = [
 def test_scenes_see_the_jump_of_an_angle(
     engine: str, loop: bool, cause: str, parts: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SceneInstants, "compiled", lambda _: loop)
-    monkeypatch.setattr(loops, "_WORTH", -1 if loop else math.inf)
+    monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda _: loop)
+    monkeypatch.setattr(compiled_loop, "_WORTH", -1 if loop else math.inf)
     text = SCENE.format(**{"region": "", "stop": "", "enabled": "", **parts})
     if "region" not in parts:
         text = text.replace("controls: {push: 0}\n", "").replace("push]", "0]")

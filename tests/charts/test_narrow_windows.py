@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart import Runner, run
 from statechart.documents.yaml_reader import read_text
-from statechart.execution import loops
+from statechart.execution import compiled_loop
 
 both = pytest.mark.parametrize("engine", ["taylor", "scipy"])
 OPEN = "whether it passes is not known"
@@ -125,8 +125,8 @@ def test_every_window_of_a_swing_is_found(engine: str) -> None:
 def test_scenes_see_windows_in_guards_stops_and_conditions(
     engine: str, width: float, loop: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SceneInstants, "compiled", lambda _: loop)
-    monkeypatch.setattr(loops, "_WORTH", -1 if loop else math.inf)
+    monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda _: loop)
+    monkeypatch.setattr(compiled_loop, "_WORTH", -1 if loop else math.inf)
     for cause, text in (
         ("hit", scene(guard=f"ball.x**2 <= {width**2!r}")),
         ("stop", scene(stop=f"ball.x**2 <= {width**2!r}")),

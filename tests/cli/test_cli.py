@@ -488,7 +488,7 @@ def test_an_unexpected_error_is_one_message_unless_asked_for_more(
         raise ZeroDivisionError("a bug")
 
     monkeypatch.delenv("STATECHART_DEBUG", raising=False)
-    monkeypatch.setattr("statechart.cli.texts.schema", broken)
+    monkeypatch.setattr("statechart.cli.verbs.schema", broken)
     code, _, err = cli("schema")
     assert code == 1
     assert err.startswith("internal error, ZeroDivisionError: a bug")

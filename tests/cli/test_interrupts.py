@@ -303,7 +303,7 @@ def test_what_the_process_lacks_is_one_sentence(
     if wrapped and isinstance(error, ImportError):
         return
     monkeypatch.delenv("STATECHART_DEBUG", raising=False)
-    monkeypatch.setattr("statechart.cli.texts.schema", lacking)
+    monkeypatch.setattr("statechart.cli.verbs.schema", lacking)
     assert main(["schema"]) == 1
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)

@@ -171,7 +171,7 @@ _KILLED = """
 import os, signal, sys
 from statechart.cli import main
 from statechart.sweeps import sweep
-from statechart.sweeps.block import run_block
+from statechart.sweeps.cells import run_block
 
 sweep._BLOCK = sweep._WRITTEN = 0.0
 calls, number = [], getattr(signal, sys.argv.pop())
@@ -246,13 +246,13 @@ from statechart.cli import main
 from statechart.sweeps import sweep
 import dead
 
-sweep._FIRST, sweep._BLOCK, sweep.run_block = 1, 0.0, dead.run
+sweep._FIRST_BLOCKS, sweep._BLOCK, sweep.run_block = 1, 0.0, dead.run
 if __name__ == "__main__":
     sys.exit(main.program())
 """
 _RUN = """
 import os, signal
-from statechart.sweeps.block import run_block
+from statechart.sweeps.cells import run_block
 
 calls = []
 

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from contacts.scene.lint import lint
 from contacts.scene.scene import Scene
-from contacts.scene.unlikely import unlikely
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, close_matches
 from statechart.running.runner import Runner
@@ -179,7 +179,7 @@ def test_names_are_listed_in_the_order_of_their_numbers() -> None:
 def test_an_inertia_in_other_units_than_its_shape_is_warned_of(inertia: str, warned: bool) -> None:
     scene = Runner(read_text(GRAINS.replace("inertia: r**2/2", f"inertia: {inertia}"))).model
     assert isinstance(scene, Scene)
-    said = [line for line in unlikely(scene) if "are units mixed?" in line]
+    said = [line for line in lint(scene) if "are units mixed?" in line]
     assert bool(said) == warned
 
 

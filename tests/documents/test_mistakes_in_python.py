@@ -101,7 +101,7 @@ def scene(**changes: object) -> Scene:
             lambda: run(scene(), 0.3),
             "run: of what is given, model can stand without a name; give the others by name: param",
         ),
-        (run, "run: 'model' is missing; it takes model, parameters, until, engine, "),
+        (run, "run: 'model' is missing; it takes model, parameters, until, study, "),
         (
             lambda: Runner(scene()).run(step=1e-3),
             "Runner.run: unknown argument 'step'; say it of a runner, Runner(model, step=...), or",
@@ -215,11 +215,11 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
         ),
         (lambda result: result.diagram(3), "Result.diagram: path must be a path, not 3"),
         (
-            lambda result: trade(result.runner, settings=["x"]),
+            lambda result: trade(result.observer.automaton.declaration, settings=["x"]),
             "settings are a list of what to run, not ['x']; such as [Setting(tolerance=1e-6)]",
         ),
         (
-            lambda result: check(result.runner.model, examples="3"),
+            lambda result: check(result.observer.automaton.declaration, examples="3"),
             "examples must be a whole number from 1 on, not '3'",
         ),
     ],

@@ -69,7 +69,7 @@ def test_units_follow_from_those_of_length_time_and_mass(
     ],
 )  # fmt: skip
 def test_a_scene_knows_the_units_of_its_names(result: Result, name: str, unit: str) -> None:
-    assert result.runner.model.unit(name) == unit
+    assert result.observer.automaton.declaration.unit(name) == unit
 
 
 def test_tables_and_data_sets_have_units_and_long_names(result: Result) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contacts.scene.handovers import nearly_meeting
+from contacts.scene.lint import nearly_meeting_ends
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
@@ -111,7 +111,7 @@ stop: {time: 1}
 )
 def test_validation_says_where_ends_of_edges_nearly_meet(begin, rise, meets):
     scene = interpret(read_text(planks(begin, rise)))
-    told = list(nearly_meeting(scene))
+    told = list(nearly_meeting_ends(scene))
     assert bool(told) != meets
     assert all("surfaces.b.edge: its first point is" in one for one in told)
     runner = Runner(scene)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contacts.event_driven.ordinary import SceneInstants
+from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart.running.runner import Runner
 
 
@@ -22,5 +22,5 @@ def test_what_was_considered_at_a_rebound_is_what_the_laws_say(
 
     found = told()
     assert sum("taken: it leaves its surface at" in str(event) for event in found) > 2
-    monkeypatch.setattr(SceneInstants, "_rebound", lambda *_: None)
+    monkeypatch.setattr(CompiledSceneLaws, "_rebound", lambda *_: None)
     assert told() == found

@@ -14,8 +14,8 @@ from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
 from statechart.engines import path
 from statechart.errors import DeclarationError
+from statechart.execution import compiled_loop
 from statechart.execution import flow as advance
-from statechart.execution import loops
 from statechart.running.runner import Runner, run
 
 CHART = """\
@@ -131,7 +131,7 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(trace_store, "IN_MEMORY", 2**18)
     monkeypatch.setattr(trace_store, "_TERMS", 2**11)
     # What a flow may take of a pad fits on it.
-    monkeypatch.setattr(loops, "_PART", 2**9)
+    monkeypatch.setattr(compiled_loop, "_PART", 2**9)
     runner = Runner("stick_slip_block", engine="taylor")
     resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 60, most[1]))
     try:

@@ -1,6 +1,6 @@
 """When a compiled loop is taken that lies on disk, or is compiled."""
 
-from statechart.execution.loops import _WORTH, _Worth
+from statechart.execution.compiled_loop import _WORTH, _Worth
 
 
 def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:

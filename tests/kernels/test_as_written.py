@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from contacts.event_driven import ordinary
+from contacts.event_driven import compiled_laws
 from statechart import Runner
 from statechart.kernels import jit, kinds
 from statechart.kernels.jit import kernel, part, seldom
@@ -49,7 +49,7 @@ def written(monkeypatch):
     for name in ("LOADING", "BRIEF"):
         monkeypatch.setattr(kinds, name, math.inf)
     monkeypatch.setattr(kinds.Seldom, "__call__", checked)
-    monkeypatch.setattr(ordinary, "is_ready", lambda loop: False)
+    monkeypatch.setattr(compiled_laws, "is_ready", lambda loop: False)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs, outputs
-from statechart.reporting.report import report
+from statechart.reporting.report import Computation, report
 
 MODELS = Path(__file__).parents[2] / "models"
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "toppling_stick.json").read_text())
@@ -200,7 +200,7 @@ def test_an_unknown_name_is_an_error_that_suggests(stick: Observer) -> None:
 
 def test_report_is_strict_json_with_full_precision(stick: Observer) -> None:
     trace = run(stick, mu=math.inf, I_G=0.0)
-    made = report(stick, trace, timings={"run": 0.5})
+    made = report(stick, trace, Computation(timings={"run": 0.5}))
     read = json.loads(json.dumps(made, allow_nan=False))
     assert read == made
     assert float(read["parameters"]["mu"]) == math.inf

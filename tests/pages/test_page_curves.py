@@ -7,8 +7,7 @@ import base64
 import numpy as np
 
 from statechart.pages.content import _panels, _rows
-from statechart.reporting.curves import curves
-from statechart.reporting.thinning import COLUMNS
+from statechart.reporting.curves import COLUMNS, curves
 from statechart.running.runner import Runner
 
 

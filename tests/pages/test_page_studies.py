@@ -17,9 +17,8 @@ from statechart import StatechartError
 from statechart.cli.main import main
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
-from statechart.study.file import save
-from statechart.study.record import Study
-from statechart.study.report import text
+from statechart.study.study import Study, save
+from statechart.study.text import format_text
 
 in_browser = pytest.mark.skipif(FOUND is None, reason="no Chromium is installed here")
 
@@ -42,7 +41,7 @@ def test_a_page_tells_what_a_study_does_and_marks_its_own_setting(
     result = statechart.run("toppling_stick", method="RK45", tolerance=1e-4)
     told = shown(result.report(tmp_path / "page.html", study=study))
     assert base64.b64decode(told["figure"]).startswith(b"<?xml")
-    words = " ".join(text(study).split())
+    words = " ".join(format_text(study).split())
     for line in (*told["above"], *told["below"], *(" ".join(row) for row in told["rows"])):
         assert " ".join(line.split()) in words
     assert [told["rows"][k][0].split(" *")[0] for k in told["own"]] == ["scipy RK45 0.0001"]

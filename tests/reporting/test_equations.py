@@ -16,12 +16,12 @@ from statechart.automaton.laws import roles_in
 from statechart.automaton.modes import build_mode
 from statechart.cli.main import main
 from statechart.errors import DeclarationError
-from statechart.reporting.equations import Block, blocks, mode_named, told
+from statechart.reporting.equations import EquationBlock, blocks, format_equations, mode_named
 
 
 def shown(model: str, mode: str, form: str = "text") -> str:
     built = automaton(model)
-    return told(built, built.setup({}, 1e-12), mode, form)
+    return format_equations(built, built.setup({}, 1e-12), mode, form)
 
 
 def test_the_hinge_phase_is_that_of_the_paper() -> None:
@@ -117,7 +117,9 @@ def test_what_is_integrated_satisfies_the_equations_shown(model: str, named: str
         assert sum(found) == pytest.approx(0.0, abs=1e-9 * max(1.0, *map(abs, found)))
 
 
-def _on(built: Automaton, made: list[Block], state: Array, values: dict[sp.Symbol, float]) -> Array:
+def _on(
+    built: Automaton, made: list[EquationBlock], state: Array, values: dict[sp.Symbol, float]
+) -> Array:
     """Put what is eliminated where the rest has it, with anchors at zero."""
     assert built.coordinates is not None
     known = dict(zip(built.variables, state.tolist(), strict=True))

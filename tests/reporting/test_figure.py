@@ -19,9 +19,8 @@ from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.palette import region_colours, state_colours
-from statechart.reporting.bands import banded
 from statechart.reporting.curves import curves
-from statechart.reporting.figure import figure, render
+from statechart.reporting.figure import banded, figure, render
 from statechart.running.runner import Runner
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from statechart.observation.sampling import Samples
-from statechart.reporting.bands import _visible
-from statechart.reporting.thinning import COLUMNS, Line, strongest
+from statechart.reporting.curves import COLUMNS, Line, strongest
+from statechart.reporting.figure import _visible
 from statechart.running.runner import Runner
 
 

@@ -14,9 +14,9 @@ from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.request import Chosen
 from statechart.running.runner import Runner
-from statechart.study.cold import Fresh
 from statechart.study.figure import figure
-from statechart.study.report import report, text
+from statechart.study.startup_cost import FreshProcess
+from statechart.study.text import format_text, to_dict
 
 RK45 = Setting(engine="scipy", method="RK45", tolerance=1e-6)
 
@@ -27,7 +27,7 @@ def setting(chosen: Chosen | None) -> Setting | None:
 
 def test_a_first_run_is_timed_in_a_process_of_its_own() -> None:
     model = Runner(read_text(OSCILLATOR)).model
-    with Fresh(model, 5.0) as fresh:
+    with FreshProcess(model, 5.0) as fresh:
         for one in (RK45, Setting(engine="auto", accuracy=1e-3)):
             seconds = fresh.seconds(one)
             assert seconds is not None
@@ -41,7 +41,7 @@ def test_a_first_run_is_timed_in_a_process_of_its_own() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there are no copies")
 def test_a_run_under_way_ends_with_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     model = Runner(read_text(OSCILLATOR)).model
-    fresh = Fresh(model, 5.0)
+    fresh = FreshProcess(model, 5.0)
     assert fresh.seconds(RK45) is not None
     process = fresh._process
     assert process is not None
@@ -57,10 +57,10 @@ def test_a_run_under_way_ends_with_its_process(monkeypatch: pytest.MonkeyPatch) 
 def test_without_a_process_there_is_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
     model = Runner(read_text(OSCILLATOR)).model
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    assert Fresh(model, 5.0).seconds(RK45) is None
+    assert FreshProcess(model, 5.0).seconds(RK45) is None
     unknown = point(1e-6, 1e-7, 0.5, cold=None)
     assert unknown.cost(once=True) == 0.5
-    assert "  500 ms\n" in text(study(unknown))
+    assert "  500 ms\n" in format_text(study(unknown))
 
 
 def test_a_study_has_both_costs() -> None:
@@ -68,8 +68,8 @@ def test_a_study_has_both_costs() -> None:
     (one,) = found.points
     assert one.cold == 0.25
     assert one.seconds == pytest.approx(1e-3)
-    assert re.search(r" 1 ms +250 ms *\n", text(found))
-    assert report(found)["points"][0]["cold"] == 0.25
+    assert re.search(r" 1 ms +250 ms *\n", format_text(found))
+    assert to_dict(found)["points"][0]["cold"] == 0.25
 
 
 def test_what_is_cheapest_depends_on_whether_it_is_the_first_run() -> None:
@@ -91,11 +91,11 @@ def test_both_fronts_are_told() -> None:
     found = study(quick, ready)
     assert found.front() == (quick,)
     assert found.front(once=True) == (ready, quick)
-    said = text(found)
+    said = format_text(found)
     assert "scipy RK45 1e-05 *+ " in said
     assert "scipy RK45 1e-06 + " in said
     assert "* warm" in said
-    points = report(found)["points"]
+    points = to_dict(found)["points"]
     assert [(p["on_front"], p["on_cold_front"]) for p in points] == [(True, True), (False, True)]
     labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
     assert labels[-2:] == ["front, warm", "front, cold (dots)"]

@@ -7,9 +7,9 @@ from studies import point, study, traded
 
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
-from statechart.study.notes import notes, reasons
-from statechart.study.point import Errors, Point
-from statechart.study.report import report, text
+from statechart.study.measurements import Errors, Point
+from statechart.study.text import format_text, to_dict
+from statechart.study.warnings import notes, reasons
 
 LAW = "time stepping applies another law"
 
@@ -28,12 +28,12 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     assert note.settings == tuple(setting.label for setting in steps)
     assert all(note.text in p.warnings for p in found.points)
     assert reasons(found) == {"impulse": (note.text,)}
-    said = text(found)
+    said = format_text(found)
     assert "not converge" not in said
     assert "outputs that stay off by that" in said
     assert said.count("impulse step 0.02 to 0.002: simultaneous: sequential") == 1
     assert "no slope for error of impulse: its runs deviate by what they warn of" in said
-    shown = report(found)
+    shown = to_dict(found)
     assert shown["reasons"] == reasons(found)
     assert shown["notes"][0]["text"] == note.text
     assert shown["points"][0]["warnings"] == [note.text]
@@ -51,7 +51,7 @@ def test_a_family_that_ends_with_the_modes_of_the_reference_needs_no_reason() ->
     coarse = stepped(1e-2, same_modes=False, diverged=0.5, warnings=(LAW,))
     found = study(coarse, *(stepped(10.0**-k, warnings=(LAW,)) for k in (3, 4, 5)))
     assert reasons(found) == {}
-    assert f"impulse step 0.01 to 1e-05: {LAW}" in text(found)
+    assert f"impulse step 0.01 to 1e-05: {LAW}" in format_text(found)
 
 
 def test_an_error_that_does_not_fall_with_the_step_has_its_reason() -> None:
@@ -67,7 +67,7 @@ def test_warnings_that_differ_in_numbers_are_one_note() -> None:
         point(1e-3, 1e-3, 1.0, warnings=("forces are indeterminate",)),
     )
     assert [note.differs for note in notes(found)] == [True, False]
-    said = text(found)
+    said = format_text(found)
     assert "impulse step 0.01 to 0.0001: springs swing by 2.5 radians (numbers of impulse" in said
     assert "scipy RK45 0.001: forces are indeterminate" in said
 
@@ -81,7 +81,7 @@ def test_runs_of_one_setting_that_differ_in_numbers_warn_once() -> None:
 def test_of_many_notes_the_first_are_told() -> None:
     names = "abcdefghijk"
     found = study(point(1e-3, 1e-3, 1.0, warnings=tuple(f"at {c}" for c in names)))
-    said = text(found)
+    said = format_text(found)
     assert said.count("scipy RK45 0.001: at ") == 8
     assert "3 further warnings are in trade.json" in said
 

@@ -11,10 +11,10 @@ from statechart.documents.yaml_reader import read_text
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.running.runner import Runner
-from statechart.study.bench import Bench
-from statechart.study.point import Errors, Third
-from statechart.study.record import Study
-from statechart.study.report import report, text
+from statechart.study.measurements import Errors, Third
+from statechart.study.study import Study
+from statechart.study.text import format_text, to_dict
+from statechart.study.trade import Bench
 
 # Free flight; the thrust sets in where a step from the start sees nothing of it.
 THRUST = """\
@@ -86,12 +86,12 @@ def test_of_three_runs_the_one_that_is_wrong_is_named_and_not_relied_on(
     assert third.setting.startswith(odd)
     assert third.parted == pytest.approx(2.0, abs=0.2)
     assert third.errors.named["vy"] > 0.1 > third.errors.named["x_end"]
-    said = text(found)
+    said = format_text(found)
     assert f"{third.setting} is the odd one out" in said
     assert "vy by 0.51" in said
     assert "x_end" not in said
     assert "chaotic" not in said
-    assert report(found)["third"]["odd"] is True
+    assert to_dict(found)["third"]["odd"] is True
 
 
 def test_runs_are_judged_by_the_two_that_agree(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +107,7 @@ def test_runs_are_judged_by_the_two_that_agree(monkeypatch: pytest.MonkeyPatch) 
 def test_two_references_that_agree_need_no_third() -> None:
     found = referred(Runner(read_text(OSCILLATOR)))
     assert found.third is None
-    assert "odd one" not in text(found)
+    assert "odd one" not in format_text(found)
 
 
 def test_a_motion_on_which_no_two_runs_agree_is_chaotic() -> None:
@@ -117,7 +117,7 @@ def test_a_motion_on_which_no_two_runs_agree_is_chaotic() -> None:
     assert found.parted is not None
     assert found.third.parted is not None
     assert 1.0 < found.third.parted <= found.parted < 40.0
-    said = text(found)
+    said = format_text(found)
     assert f"and {found.third.setting} the nearer of them at t = " in said
     assert "chaotic, or on a knife's edge" in said
 
@@ -130,7 +130,7 @@ def test_on_a_knifes_edge_two_of_three_prove_nothing() -> None:
     assert not third.odd
     assert third.edge == pytest.approx(1.57, abs=0.01)
     assert found.parted == third.parted is not None
-    said = text(found)
+    said = format_text(found)
     assert "leaves itself at t = 1.57" in said
     assert "where its start is off by 3e-12: chaotic, or on a knife's edge" in said
     # A little below the edge every run reaches the top at once.
@@ -143,7 +143,7 @@ def test_three_runs_that_are_as_far_apart_from_each_other_say_how_much_can_be_to
         shift=3e-12, edge=None,
     )  # fmt: skip
     found = study(resolution=Errors(state=2e-7), third=third)
-    assert "differ by 2e-07, as scipy LSODA 1e-13 from them" in text(found)
+    assert "differ by 2e-07, as scipy LSODA 1e-13 from them" in format_text(found)
 
 
 def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
@@ -153,12 +153,12 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
         step=1e-4,
         warnings={"taylor 2.2e-16": ("a",), "impulse step 1e-4": ("a", "another law applies")},
     )
-    said = text(found)
+    said = format_text(found)
     assert "impulse step 1e-4 warns: another law applies" in said
     assert "chaotic" not in said
 
 
 def test_where_no_third_kind_runs_the_model_it_is_said() -> None:
-    said = text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
+    said = format_text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
     assert "t = 0.5, and no run of another kind can judge: chaotic, or on a knife's edge" in said
     assert "or their steps are too long" in said

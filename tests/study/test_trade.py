@@ -17,11 +17,10 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.observation.difference import distance
 from statechart.running.runner import Runner
 from statechart.study.figure import figure, write
-from statechart.study.file import load, save
-from statechart.study.point import Errors, Point
-from statechart.study.record import Study, fingerprint
-from statechart.study.report import report, text
+from statechart.study.measurements import Errors, Point, fingerprint
 from statechart.study.slopes import slopes
+from statechart.study.study import Study, load, save
+from statechart.study.text import format_text, to_dict
 from statechart.study.trade import plan, trade
 
 
@@ -36,7 +35,7 @@ def test_slopes_are_those_of_theory(model: str) -> None:
     for slope in fits.values():
         assert slope.points >= (5 if slope.of == "error" else 3)
         assert slope.slope == pytest.approx(slope.theory, rel=0.15)
-    assert "steps of RK45: the tolerance to the power -0." in text(found)
+    assert "steps of RK45: the tolerance to the power -0." in format_text(found)
 
 
 @pytest.mark.parametrize("model", ["stick_slip_block", "two_balls", "hopper", "bouncing_ball"])
@@ -73,7 +72,7 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     assert found.check.split("step ")[1] != found.reference.split("step ")[1]
     assert [point.setting for point in found.points] == settings
     assert found.points == load(tmp_path).points
-    assert "impulse to 1e-08 step 0.001" in text(found)
+    assert "impulse to 1e-08 step 0.001" in format_text(found)
     write(tmp_path, found)
     assert "1e-08" in (tmp_path / "trade.csv").read_text()
     loose, tight = (point.errors for point in found.points)
@@ -195,10 +194,10 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
         assert p.parted is not None
         assert 1.0 < p.parted < 40.0
     assert "starts that differ by the tolerance" in refused.refused
-    assert "leaves it at" in text(found)
+    assert "leaves it at" in format_text(found)
     assert found.front() == ()
     write(tmp_path, found)
-    shown = report(found)
+    shown = to_dict(found)
     assert shown["points"][0]["error"] is None
     json.dumps(shown, allow_nan=False)
 
@@ -299,7 +298,7 @@ def test_the_plan_has_every_engine_and_time_stepping_for_scenes_only() -> None:
 
 def test_unequal_modes_are_shown_as_such(tmp_path: Path) -> None:
     found = study(point(1e-3, 1e-2, 1.0, same_modes=False, diverged=0.25), point(1e-6, 1e-6, 2.0))
-    assert "others from t = 0.25" in text(found)
+    assert "others from t = 0.25" in format_text(found)
     labels = [t.get_text() for t in figure(found).legends[0].get_texts()]
     assert "RK45, other modes" in labels
     write(tmp_path, found)
@@ -370,7 +369,7 @@ def test_no_slope_is_fitted_where_the_tolerance_does_not_decide_the_steps() -> N
     smooth = [point(10.0**-p, 10.0**-p, 1.0, steps=round(5 * 1.6**p)) for p in range(3, 10)]
     found = study(*flights)
     assert slopes(found) == ()
-    assert "hardly decides" in text(found)
+    assert "hardly decides" in format_text(found)
     assert {slope.of for slope in slopes(study(*smooth))} == {"error", "steps"}
 
 
@@ -390,9 +389,9 @@ def test_outputs_that_do_not_converge_with_the_step_are_named_and_spoil_no_error
     found = study(*(stepped(h, h, V_max=0.02 + 0.1 * h, x=0.5 * h) for h in steps))
     assert found.unsettled() == {"V_max": pytest.approx(0.020001)}
     assert [found.error(p) for p in found.points] == pytest.approx(steps)
-    assert "do not converge with the step, no part of the errors above" in text(found)
-    assert "(at the shortest step): V_max (0.02)" in text(found)
-    assert list(report(found)["unsettled"]) == ["V_max"]
+    assert "do not converge with the step, no part of the errors above" in format_text(found)
+    assert "(at the shortest step): V_max (0.02)" in format_text(found)
+    assert list(to_dict(found)["unsettled"]) == ["V_max"]
     (slope,) = slopes(found)
     assert slope.slope == pytest.approx(1.0)
     # Of a run with events it is right, or its error counts.

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from statechart.sweeps import progress
+from statechart.sweeps import sweep as sweeps
 
 
 class Terminal(io.StringIO):
@@ -19,12 +19,13 @@ def test_lines_tell_cells_rate_and_time_left(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(sweeps.time, "monotonic", lambda: now[0])
     # Of which five seconds are compilation.
-    monkeypatch.setattr(progress, "working_time", lambda: max(now[0] - 5.0, 0.0))
-    with progress.told(1000, 100, shown=True) as tell:
-        for now[0], count in ((1.0, 50), (10.0, 50), (12.0, 300), (30.0, 100)):
-            tell(count)
+    monkeypatch.setattr(sweeps, "working_time", lambda: max(now[0] - 5.0, 0.0))
+    shown = sweeps._Progress(1000, 100)
+    for now[0], count in ((1.0, 50), (10.0, 50), (12.0, 300), (30.0, 100)):
+        shown.advance(count)
+    shown.close()
     assert capsys.readouterr().err.splitlines() == [
         "200 of 1000 cells, 20 a second, 0:00:40 left",
         "600 of 1000 cells, 20 a second, 0:00:20 left",
@@ -36,12 +37,7 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setenv("TERM", "xterm")
-    with progress.told(1000, 100, shown=True) as tell:
-        tell(200)
-    assert "300/1000" in screen.getvalue()
-
-
-def test_nothing_is_said_unless_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress.told(10, 0, shown=False) as tell:
-        tell(10)
-    assert capsys.readouterr().err == ""
+    shown = sweeps._Progress(1000, 100)
+    shown.advance(200)
+    shown.close()
+    assert "300 of 1000 cells" in screen.getvalue()

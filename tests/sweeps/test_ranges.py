@@ -150,7 +150,7 @@ def test_a_table_is_read_up_to_a_bound(tmp_path: Path, monkeypatch: pytest.Monke
     wide.write_text("," * 1_000_000)
     with pytest.raises(DeclarationError, match="its first line has 1000001 names"):
         read_table(wide)
-    monkeypatch.setattr("statechart.sweeps.ranges._MOST", 6)
+    monkeypatch.setattr("statechart.sweeps.ranges._MAX_NUMBERS", 6)
     table = tmp_path / "table.csv"
     table.write_text("a,b\n" + "1,2\n" * 2)
     assert read_table(table).shape == (2, 2)

@@ -24,10 +24,9 @@ from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps import plan as plans
 from statechart.sweeps import store as stores
 from statechart.sweeps import sweep as sweeps
-from statechart.sweeps import variables
-from statechart.sweeps.block import Block, run_block
-from statechart.sweeps.claim import claimed
+from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Task
+from statechart.sweeps.store import create, locked
 
 pytestmark = pytest.mark.usefixtures("default_signals")
 
@@ -42,10 +41,10 @@ def same(one: xr.Dataset, other: xr.Dataset) -> None:
     xr.testing.assert_identical(one, other)
 
 
-def interrupting(at: int) -> Callable[[Task, np.ndarray], Block]:
+def interrupting(at: int) -> Callable[[Task, np.ndarray], CellBlock]:
     calls: list[int] = []
 
-    def run(task: Task, rows: np.ndarray) -> Block:
+    def run(task: Task, rows: np.ndarray) -> CellBlock:
         calls.append(1)
         if len(calls) == at:
             signal.raise_signal(signal.SIGINT)
@@ -162,7 +161,6 @@ except StatechartError as error:
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="folders are locked by POSIX systems")
 @pytest.mark.parametrize("begun", [True, False])
 def test_a_store_under_way_is_left_to_the_process_that_writes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
@@ -174,7 +172,7 @@ def test_a_store_under_way_is_left_to_the_process_that_writes_it(
             patched.setattr(sweeps, "run_block", interrupting(2))
             sweep(STICK, over, store=store)
 
-    def run(task: Task, rows: np.ndarray) -> Block:
+    def run(task: Task, rows: np.ndarray) -> CellBlock:
         if not said:
             command = [sys.executable, "-c", _RESUMING, str(store)]
             said.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
@@ -183,14 +181,14 @@ def test_a_store_under_way_is_left_to_the_process_that_writes_it(
     monkeypatch.setattr(sweeps, "run_block", run)
     same(sweep(STICK, over, store=store, resume=True), sweep(STICK, over))
     assert said[0].startswith(f"DeclarationError another process is writing {store}; ")
-    # With the sweep the claim ends.
+    # The lock ends with the sweep.
     same(sweep(STICK, over, store=store, resume=True), sweep(STICK, over))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes that are forked")
 def test_a_process_that_was_forked_does_not_hold_a_store(tmp_path: Path) -> None:
     heard, said = os.pipe()
-    with claimed(tmp_path / "a.zarr"):
+    with locked(tmp_path / "a.zarr"):
         child = os.fork()
         if child == 0:
             os.write(said, b".")
@@ -198,7 +196,7 @@ def test_a_process_that_was_forked_does_not_hold_a_store(tmp_path: Path) -> None
             os._exit(0)
         os.read(heard, 1)
     try:
-        with claimed(tmp_path / "a.zarr"):
+        with locked(tmp_path / "a.zarr"):
             pass
     finally:
         os.kill(child, signal.SIGKILL)
@@ -211,7 +209,7 @@ def test_a_store_that_is_removed_under_way_is_told_of(
 ) -> None:
     store = tmp_path / "a.zarr"
 
-    def run(task: Task, rows: np.ndarray) -> Block:
+    def run(task: Task, rows: np.ndarray) -> CellBlock:
         if store.exists():
             shutil.rmtree(store)
             if replaced:
@@ -340,11 +338,11 @@ def test_what_a_process_that_was_killed_at_its_end_left_is_removed(
 def test_of_a_store_that_could_not_be_made_nothing_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def create(group: zarr.Group, plan: plans.Plan) -> None:
-        variables.create(group, plan)
+    def failing(group: zarr.Group, plan: plans.Plan) -> None:
+        create(group, plan)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(stores, "create", create)
+    monkeypatch.setattr(stores, "create", failing)
     with pytest.raises(StatechartError, match="No space left on device"):
         sweep(STICK, GRID, store=tmp_path / "a.zarr")
     assert not list(tmp_path.iterdir())

@@ -128,9 +128,9 @@ def texts(found: xr.Dataset) -> list[str]:
 
 
 def _forget() -> None:
-    from statechart.sweeps import block
+    from statechart.sweeps import cells as sweep_cells
 
-    block._cells.cache_clear()
+    sweep_cells._cells.cache_clear()
 
 
 ROOT = """
@@ -293,7 +293,7 @@ def test_wrong_input_is_refused_before_anything_runs(changes: dict[str, Any], wo
 def test_of_workers_that_did_nothing_nothing_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_of: Exception, kind: type[Exception]
 ) -> None:
-    monkeypatch.setattr(sweeps, "_FIRST", 1)
+    monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 1)
     with pytest.raises(StatechartError, match="worker") as caught:
         sweep(STICK, GRID, executor=Inline(dies_at=1, dies_of=dies_of), store=tmp_path / "a.zarr")
     assert type(caught.value) is kind
@@ -301,7 +301,7 @@ def test_of_workers_that_did_nothing_nothing_is_left(
 
 
 def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweeps, "_FIRST", 1)
+    monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 1)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     store = tmp_path / "a.zarr"
     with pytest.raises(StatechartError, match="workers died: a process ended"):

@@ -15,8 +15,8 @@ from statechart import sweep
 from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
-from statechart.sweeps.block import repeats
-from statechart.sweeps.figure import check, figure
+from statechart.sweeps.cells import repeats
+from statechart.sweeps.figure import check_drawable, figure
 from statechart.sweeps.plan import Plan
 
 STICK = "toppling_stick"
@@ -84,9 +84,9 @@ def test_a_parameter_of_few_values_is_a_line_for_each() -> None:
 def test_more_than_two_parameters_have_no_picture() -> None:
     columns = {"mu": [0.1, 1.0], "I_G": [0.1, 1.0], "theta0": [0.01, 0.02]}
     with pytest.raises(DeclarationError, match="one or two parameters, not 3"):
-        check(Plan(Runner(STICK).model, Setting(), columns))
+        check_drawable(Plan(Runner(STICK).model, Setting(), columns))
     columns["theta0"] = [0.01]
-    check(Plan(Runner(STICK).model, Setting(), columns))
+    check_drawable(Plan(Runner(STICK).model, Setting(), columns))
 
 
 def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:

@@ -47,7 +47,7 @@ def same(one: xr.Dataset, other: xr.Dataset) -> None:
 def test_a_cluster_loses_nothing_with_a_worker(
     machines: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweeps, "_FIRST", 4)
+    monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 4)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     address, killed = machines.scheduler_address, []
 
@@ -75,7 +75,7 @@ def test_a_cluster_loses_nothing_with_a_worker(
 def test_a_cluster_that_lost_all_workers_is_told_of_and_the_sweep_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweeps, "_FIRST", 2)
+    monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 2)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     monkeypatch.setattr(workers, "_LOOK", 0.1)
     monkeypatch.setattr(workers, "_PATIENCE", 1.0)

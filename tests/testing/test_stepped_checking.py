@@ -15,9 +15,8 @@ from contacts.testing.body_properties import (
     assert_free_fall,
     assert_impulses_of_bodies,
 )
-from contacts.testing.relations import relation
 from contacts.testing.scene_properties import assert_cone
-from contacts.testing.symmetry import mirrored
+from contacts.testing.symmetry import image_property, mirrored
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -242,7 +241,7 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_what_impulses_were_left_at_is_no_difference_of_a_scene_and_its_image():
     scene = model(JAWS)
-    relation("mirror", scene, mirrored).holds(Subject(scene).case({}))
+    image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
 BOXES = """
@@ -289,7 +288,7 @@ def test_boxes_that_slide_into_each_other_and_a_wall_move_as_their_image(mu, e, 
     names = ", ".join(f"b{k}" for k in range(len(boxes)))
     text = BOXES.replace("BODIES", bodies).replace("NAMES", names)
     scene = model(text.replace("MU", str(mu)).replace("restitution: E", f"restitution: {e}"))
-    relation("mirror", scene, mirrored).holds(Subject(scene).case({}))
+    image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 
 
 def test_an_image_that_moves_otherwise_is_caught():
@@ -299,7 +298,7 @@ def test_an_image_that_moves_otherwise_is_caught():
 
     scene = model(JAWS)
     with pytest.raises(AssertionError, match=r"right\.dx before"):
-        relation("mirror", scene, other).holds(Subject(scene).case({}))
+        image_property("mirror", scene, other).holds(Subject(scene).case({}))
 
 
 # A point lands shortly before the run ends.

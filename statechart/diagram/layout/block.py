@@ -69,19 +69,11 @@ class Block:
 
 def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> Block:
     """Return a block just as large as its boxes and arrows."""
-    centres, sizes = (np.array([pick(b) for b in boxes]) for pick in (_centre, _size))
+    centres, sizes = np.array([box.centre for box in boxes]), np.array([box.size for box in boxes])
     corners = [centres - sizes / 2, centres + sizes / 2]
     places = np.concatenate([*corners, *(samples(one.course) for one in arrows)])
     (left, low), (right, high) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     return Block((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
-
-
-def _centre(box: Box) -> Point:
-    return box.centre
-
-
-def _size(box: Box) -> Point:
-    return box.size
 
 
 def _moved(course: str, x: float, y: float) -> str:
@@ -134,7 +126,7 @@ def with_start(block: Block, state: str, name: str) -> Block:
         return bounded((*block.boxes, Box(name, dot, (_DOT, _DOT), START)), (*block.arrows, begin))
 
     corners = (at(across, up) for across, up in ((-1, 1), (1, 1), (-1, -1), (1, -1)))
-    return min(corners, key=lambda one: (covered(one), crossings(one)))
+    return min(corners, key=covered)
 
 
 def polyline(points: Iterable[Point], *, head: bool = True) -> str:
@@ -163,29 +155,6 @@ def covered(block: Block) -> int:
         through = np.all(off < reach, axis=2).any(axis=0)
         ends = (one.source, one.target)
         found += sum(box.name not in ends for box, on in zip(solid, through, strict=True) if on)
-    return found
-
-
-def crossings(block: Block) -> int:
-    """Return how often arrows cross each other."""
-    pieces = [samples(one.course)[:: _SAMPLES // 8] for one in block.arrows]
-    if not pieces:
-        return 0
-    start = np.concatenate([places[:-1] for places in pieces])
-    way = np.concatenate([np.diff(places, axis=0) for places in pieces])
-    owner = np.repeat(np.arange(len(pieces)), [len(places) - 1 for places in pieces])
-    off = start[None, :] - start[:, None]
-    across = _cross(way[:, None], way[None, :])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        here = _cross(off, way[None, :]) / across
-        there = _cross(off, way[:, None]) / across
-    met = (here > 0) & (here < 1) & (there > 0) & (there < 1)
-    apart = np.not_equal.outer(owner, owner)
-    return int(np.count_nonzero(met & apart)) // 2
-
-
-def _cross(one: Array, other: Array) -> Array:
-    found: Array = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
     return found
 
 

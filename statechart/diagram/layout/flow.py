@@ -10,6 +10,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from statechart.diagram.layout.block import (
     Arrow,
     Block,
@@ -17,7 +19,6 @@ from statechart.diagram.layout.block import (
     Look,
     bounded,
     covered,
-    crossings,
     polyline,
 )
 from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 _ROOM = (740.0, 430.0)
 # Ways to go from rank to rank, and space between neighbours in inches.
 _WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
+# A region in a state has no frame of its own.
 _REGION = {"shape": "box", "style": "invis", "label": ""}
 _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": " "}
 
@@ -47,14 +49,18 @@ _DIVIDER = {"style": "dashed", "arrowhead": "none", "color": FRAME, "tooltip": "
 def flow(chart: Chart, style: Style, prefix: str) -> Block:
     """Lay a chart out, the way that fits a slide best of those that lead no line through text."""
     drawn = _Flow(chart, style, prefix)
-    return min((drawn.block(way, gap) for way, gap in _WAYS), key=_badness)
+    found = [drawn.block(way, gap, "l") for way, gap in _WAYS]
+    if all(map(covered, found)):
+        # Names of states that hold others, on the left of their frames, may be in the way.
+        found += [drawn.block(way, gap, "r") for way, gap in _WAYS]
+    return min(found, key=_badness)
 
 
 def _badness(block: Block) -> tuple[float, ...]:
-    """Return lines through text, by how much a block must shrink to fit, and crossings."""
+    """Return lines through text, by how much a block must shrink to fit, and its height."""
     width, height = block.size
     shrink = max(width / _ROOM[0], height / _ROOM[1], 1.0)
-    return covered(block), round(4 * shrink), crossings(block), height
+    return covered(block), round(4 * shrink), height
 
 
 class _Flow:
@@ -87,7 +93,7 @@ class _Flow:
         """Return the identifier of the name of a state that holds others."""
         return f"{self.prefix}in_{self.names[node.name]}"
 
-    def source(self, way: str, gap: str) -> str:
+    def source(self, way: str, gap: str, side: str) -> str:
         """Return the chart as DOT; words and starts are nodes."""
         import graphviz
 
@@ -99,7 +105,7 @@ class _Flow:
             node_attr={"fontname": FONT},
             edge_attr={"arrowsize": "0.7"},
         )  # fmt: skip
-        self._fill(graph, None)
+        self._fill(graph, None, side)
         for k, (source, target, _) in self.edges.items():
             tail, head = self._end(source, "tail"), self._end(target, "head")
             if (words := f"{self.prefix}{k}") in self.looks:
@@ -111,7 +117,7 @@ class _Flow:
             graph.edge(name, id=f"{name} to", weight="4", **self._end(node.name, "head"))
         return str(graph.source)
 
-    def _fill(self, part: graphviz.Digraph, inside: str | None) -> None:
+    def _fill(self, part: graphviz.Digraph, inside: str | None, side: str) -> None:
         for name, node in self.starts.items():
             begins = any(n.default for n in self.chart.within(node.inside))
             if inside == (None if node.initial and begins else node.inside):
@@ -123,8 +129,8 @@ class _Flow:
                 continue
             with part.subgraph(name=f"cluster_{name}") as frame:
                 label = self.looks[self.title(node)]["label"]
-                frame.attr(label=label, labeljust="l", labelloc="t", margin="14")
-                self._fill(frame, node.name)
+                frame.attr(label=label, labeljust=side, labelloc="t", margin="14")
+                self._fill(frame, node.name, side)
         for name in self.words.get(inside, []):
             part.node(name, **self.looks[name])
 
@@ -138,9 +144,9 @@ class _Flow:
             found[f"l{end}"] = f"cluster_{self.names[name]}"
         return found
 
-    def block(self, way: str, gap: str) -> Block:
-        """Return the chart as dot lays it out."""
-        laid = laid_out(self.source(way, gap))
+    def block(self, way: str, gap: str, side: str) -> Block:
+        """Return the chart as dot lays it out, names of frames on a side (l, r)."""
+        laid = laid_out(self.source(way, gap, side))
         items = {item["name"].removeprefix("cluster_"): item for item in laid["objects"]}
         frames = sorted(
             (self._frame(node, items) for node in self.chart.frames),
@@ -185,31 +191,21 @@ class _Flow:
     def _dividers(self, node: Node, places: dict[str, Box]) -> list[Arrow]:
         """Return the dashed lines between the regions of a state, which dot puts in a row."""
         frame = places[self.names[node.name]]
-        regions = [
-            places[name]
-            for n in self.chart.within(node.name)
-            if (name := self.names[n.name]) in places
-        ]
-        apart = [abs(a.centre[k] - b.centre[k]) for k in (0, 1) for a, b in pairwise(regions)]
-        axis = int(
-            max(apart[len(apart) // 2 :], default=0) > max(apart[: len(apart) // 2], default=0)
-        )
+        names = (self.names[inner.name] for inner in self.chart.within(node.name))
+        regions = [places[name] for name in names if name in places]
+        spread = np.ptp([box.centre for box in regions], axis=0) if regions else (0.0, 0.0)
+        axis = int(spread[1] > spread[0])
         regions.sort(key=lambda box: box.centre[axis])
+        middle, half = frame.centre[1 - axis], frame.size[1 - axis] / 2
         found = []
         for one, other in pairwise(regions):
-            middle = (
-                one.centre[axis] + one.size[axis] / 2 + other.centre[axis] - other.size[axis] / 2
-            ) / 2
-            ends = [frame.centre[1 - axis] + side * frame.size[1 - axis] / 2 for side in (-1, 1)]
-            line = [(middle, end) if axis == 0 else (end, middle) for end in ends]
-            found.append(
-                Arrow(
-                    f"{self.prefix}in_{one.name}",
-                    f"{self.prefix}in_{other.name}",
-                    polyline(line, head=False),
-                    _DIVIDER,
-                )
-            )
+            end = one.centre[axis] + one.size[axis] / 2
+            at = (end + other.centre[axis] - other.size[axis] / 2) / 2
+            line = [
+                (at, side) if axis == 0 else (side, at) for side in (middle - half, middle + half)
+            ]
+            first, second = (f"{self.prefix}in_{box.name}" for box in (one, other))
+            found.append(Arrow(first, second, polyline(line, head=False), _DIVIDER))
         return found
 
 

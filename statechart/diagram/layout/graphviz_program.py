@@ -33,15 +33,15 @@ def render(source: str, form: str) -> bytes:
     """
     import pygraphviz
 
-    with tempfile.TemporaryFile() as said, _bundled_fonts():
+    with tempfile.TemporaryFile() as output, _bundled_fonts():
         try:
-            with _stderr_into(said.fileno()):
+            with _stderr_into(output.fileno()):
                 graph = pygraphviz.AGraph(string=source)
                 sharp = "-Gdpi=144" if form == "png" else ""
                 data = graph.draw(format=form, prog="dot", args=sharp)
         except (ValueError, OSError, pygraphviz.DotError) as error:
-            said.seek(0)
-            remarks = said.read().decode(errors="replace").strip()
+            output.seek(0)
+            remarks = output.read().decode(errors="replace").strip()
             raise StatechartError(f"Graphviz made no {form}: {error} {remarks}".strip()) from error
     return bytes(data)
 

@@ -125,11 +125,11 @@ def arrow_look(
 
 def arrow(links: Sequence[Link]) -> dict[str, str]:
     """Return the look of an arrow's line."""
-    said = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
+    tooltip = "\n".join(f"{x.event} [{x.guard}] / {x.reset}" for x in links)
     return {
         "arrowsize": "0.7",
         "color": RUN if any(link.visits for link in links) else INK,
-        "tooltip": plain(said),
+        "tooltip": plain(tooltip),
     }
 
 

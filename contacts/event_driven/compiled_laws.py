@@ -1,0 +1,238 @@
+"""The unambiguous instants of a scene, compiled (see `statechart.automaton.laws.CompiledLaws`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from contacts.dynamics.conditions import hidden
+from contacts.dynamics.projection import Projection, unseen_room
+from contacts.dynamics.run_numbers import rules
+from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.event_driven.batch import BatchCall
+from contacts.event_driven.decision import cause, explained
+from contacts.event_driven.hit import SceneWatch, meaning
+from contacts.event_driven.impact_jump import flow_in
+from contacts.event_driven.run_batch import INSTANTS, run_batch
+from contacts.event_driven.run_compiled import CAUSES, run_compiled
+from contacts.event_driven.switching import alike
+from contacts.impacts.impact import pieces
+from contacts.impacts.impulses import STATES as IMPULSE_STATES
+from contacts.modes.fast_classification import mode_rules
+from contacts.states import CODES, OFF, OFF_CODE, OPEN
+from statechart.arrays import Array
+from statechart.automaton.clock import Clock
+from statechart.automaton.laws import Flow, Instant, Setup, roles_in
+from statechart.automaton.lazy import LazyMapping
+from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace_store import RecordedEvent
+from statechart.engines.flow_watch import KINDS, Watch
+from statechart.execution.compiled_loop import Loop
+from statechart.formulas.tape import Tape
+from statechart.kernels.jit import is_ready
+from statechart.kernels.kinds import is_cached
+
+
+class CompiledSceneLaws:
+    """The unambiguous instants of a scene without joints.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the contacts.
+    numbers : SceneNumbers
+        From the values of the parameters to the numbers of a run.
+    snapshots : SnapshotTape
+        The scene's numbers at a state.
+    projection : Projection
+        Of its constraints.
+    ask : callable
+        What the laws do at an instant.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        numbers: SceneNumbers,
+        snapshots: SnapshotTape,
+        projection: Projection,
+        ask: Callable[[Instant], tuple[Jump | None, Flow] | None],
+    ) -> None:
+        self._names, self._projection, self._ask = names, projection, ask
+        self._snapshots = snapshots
+        self._numbers, conditions = numbers, numbers.conditions
+        self.setup = numbers.at
+        self._rules, limits = rules(numbers), numbers.limits
+        self.tapes: tuple[Tape, ...] = snapshots.tape, projection.tape, conditions.tape
+        if limits is not None:
+            scales = numbers.scale_tape
+            self.tapes += limits, scales.tape, scales.motions, numbers.stop_tape
+        self._of_margins = {name: k for k, name in enumerate(conditions.names, 1)}
+        self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
+        self._conditions = conditions
+        self.series = tuple((name, cause) for name in names for cause in CAUSES)
+
+    def compiled(self) -> bool:
+        """Whether the loop lies compiled on disk, and it costs nothing to have it."""
+        return is_ready(run_compiled)
+
+    def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
+        """Return the states of the contacts, and of which conditions the margins are.
+
+        Those are numbered from 1 on; minus the number stands for the margin that brings one back.
+
+        None where a contact moves as another.
+        """
+        if roles != roles_in(mode):
+            return None
+        states = [OFF_CODE if state == OFF else CODES[state] for state in mode]
+        return [*states, *(self._of_margins.get(name, 0) for name in margins)]
+
+    def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
+        """Return the margins that have a tolerance of their own in a flow from a state, with it."""
+        assert isinstance(setup, SceneSetup)
+        own = self._conditions.tolerances(setup, state, time)
+        return {**setup.bands, **own} if own else setup.bands
+
+    def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
+        """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
+        assert isinstance(setup, SceneSetup)
+        conditions = self._conditions
+        own = {*conditions.names, *conditions.back, *conditions.gaps}
+        special = {n: t for n, t in flow.tolerances.items() if n not in own}
+        usual = flow.tolerances is setup.bands or special == setup.bands
+        usual = usual and alike(conditions.tolerances(setup, state, time), flow.tolerances)
+        return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
+
+    def within(self, mode: Key) -> Tape | None:
+        """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
+        return self._projection.unseen(mode)
+
+    def ready(
+        self, setup: Setup, loop: Loop, floors: Array
+    ) -> Callable[..., tuple[int, int, float]]:
+        """Return the loop for the numbers of a run."""
+        assert isinstance(setup, SceneSetup)
+        tolerances = setup.tolerances
+        numbers, constraints, conditions = loop.tapes[:INSTANTS]
+        count = len(self._projection.tape.outputs)
+        watch = Watch(
+            setup.values,
+            np.array([tolerances[kind] for kind in KINDS]),
+            np.array([setup.bands.get(name, -1.0) for name in loop.margins]),
+            floors,
+            constraints,
+            np.zeros(count),
+            np.zeros(count),
+            unseen_room(tolerances, setup.scales),
+        )
+        rules = mode_rules(setup)
+        scene = SceneWatch(
+            numbers,
+            conditions,
+            self._conditions.nodes,
+            self._conditions.slots(loop.margins),
+            setup.scales.with_time,
+            setup.precision,
+            rules.allowed,
+            rules.cones,
+            np.array([law.restitution for law in setup.contacts]),
+            np.array([meaning(law) for law in setup.contacts], np.int64),
+            *rules[2:],
+            setup.short,
+            setup.fast,
+            setup.lowest,
+            setup.capture,
+        )
+        return partial(run_compiled, loop.program, loop.pace, watch, loop.memory, scene)
+
+    def batch_compiled(self) -> bool:
+        """Whether the call for many runs lies compiled on disk."""
+        return is_cached(run_batch)
+
+    def batch(self, loop: Loop, names: Sequence[str], relative: float) -> BatchCall | None:
+        """Return the call for runs with values of some parameters."""
+        if self._rules is None:
+            return None
+        return BatchCall(self._numbers, self._rules, loop, names, relative)
+
+    def about(self, event: RecordedEvent) -> tuple[str, str]:
+        """Return the contact that an event is about, and its cause."""
+        if event.struck >= 0:
+            return self._names[event.struck], "touchdown"
+        return cause(self._names, event.source, event.target, False)
+
+    def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
+        """Return the jump of an event that the loop has made."""
+        region, how = self.about(event)
+        impulse: Mapping[str, tuple[float, float]] = {}
+        path: tuple[str, ...] = ()
+        if event.struck >= 0:
+            if event.group == 0:
+                path = (" ".join([region, *pieces(event.path)]),)
+                if event.normal != 0.0 or event.tangential != 0.0:
+                    impulse = {region: (event.normal, event.tangential)}
+            else:
+                path = (f"plastic {', '.join(self._modes(event))}",)
+                impulse = LazyMapping(partial(self._told, "impulse", setup, event, fired))
+        return Jump(
+            event.t,
+            event.j,
+            region,
+            how,
+            event.source,
+            event.target,
+            event.before,
+            event.after,
+            (fired,) if fired else (),
+            impulse,
+            path,
+            LazyMapping(partial(self._told, "considered", setup, event, fired)),
+            (event.energy_before, event.energy_after),
+        )
+
+    def _told(
+        self, what: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
+    ) -> Mapping[str, Any]:
+        """Return what few will read of a jump: the laws themselves are asked again."""
+        numbers = setup()
+        assert isinstance(numbers, SceneSetup)
+        if what == "considered" and (rebound := self._rebound(numbers, event)) is not None:
+            return rebound
+        flow, clock = flow_in(numbers, event.source), Clock(event.t)
+        at = Instant(numbers, clock, event.j, flow, event.before, (fired,) if fired else ())
+        made = self._ask(at)
+        assert made is not None
+        assert made[0] is not None
+        return {"impulse": made[0].impulse, "considered": made[0].considered}[what]
+
+    def _rebound(self, setup: SceneSetup, event: RecordedEvent) -> Mapping[str, str] | None:
+        """Return what was considered where nothing touches before an impact nor after it.
+
+        None elsewhere: then the laws weigh modes.
+        """
+        free = event.source == event.target and all(state in OPEN for state in event.source)
+        if event.struck < 0 or not free:
+            return None
+        after = hidden(self._snapshots.at(setup.values, event.after, event.t), event.source)
+        slow, close = setup.tolerances["speed"], setup.tolerances["gap"]
+        closed = [contact.gap <= close for contact in after.contacts]
+        if any(
+            shut and contact.gap_rate <= slow
+            for shut, contact in zip(closed, after.contacts, strict=True)
+        ):
+            return None
+        return explained({}, setup.contacts, after.contacts, closed, [False] * len(closed), {})
+
+    def _modes(self, event: RecordedEvent) -> Iterator[str]:
+        """Return what the contacts of a group do in a plastic impact."""
+        group, code = event.group, event.path
+        for place, name in enumerate(self._names):
+            if group >> place & 1:
+                yield f"{name}:{IMPULSE_STATES[code & 7]}"
+                code >>= 3

@@ -1,0 +1,182 @@
+"""Lint of a scene: warns of what is no error and hardly meant, such as angles in degrees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from itertools import combinations
+
+from contacts.scene.fields import SceneFields
+from statechart.documents.declaration import TIME
+from statechart.documents.dimensions import fields_of
+from statechart.documents.fields import FormulaText
+from statechart.errors import DeclarationError, DeclarationProblem
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes
+
+NEARLY_MEETING = 1e-3
+"""Ends closer than this part of the scene's length were hardly meant to be apart."""
+
+# Ends closer than this part of the edges' extent are equal but for round-off.
+_EQUAL = 1e-12
+# An angle beyond a turn, written as a plain number, was rarely counted in radians.
+_TURN = 2.0 * math.pi
+# A centre that is no farther in, beside how far it is from the line's first point, is on it.
+_ROUNDING = 1e-9
+# Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
+# seldom less than a hundredth; lengths in millimetres beside metres make a million of it, and what
+# never turns is often given 1.
+_MIN_INERTIA, _MAX_INERTIA = 1e-5, 1e4
+_OF_ANGLES = frozenset({"sin", "cos", "tan"})
+
+
+def lint(scene: SceneFields) -> tuple[str, ...]:
+    """Return warnings of what is no error, and was hardly meant."""
+    return tuple(dict.fromkeys(_warnings(scene)))
+
+
+def _warnings(scene: SceneFields) -> Iterator[str]:
+    if not isinstance(scene.gravity, tuple):
+        value = _plain(parse(scene.gravity).root, scene.parameters)
+        if value is not None and value < 0.0:
+            yield (
+                f"gravity: {value:g} acts upwards, as it is the acceleration downwards; "
+                f"write {-value:g}"
+            )
+    for name, body in scene.bodies.items():
+        if "angle" in body.start:
+            value = _plain(parse(body.start["angle"]).root, scene.parameters)
+            if value is not None and abs(value) > _TURN:
+                yield f"bodies.{name}.start.angle: {_degrees(value)}"
+    if scene.collisions:
+        yield from _idle(scene)
+    with suppress(DeclarationError, DeclarationProblem):
+        yield from _spread(scene)
+    with suppress(DeclarationError, DeclarationProblem):
+        # What is wrong with a formula is told where it is used.
+        yield from _inside_out(scene)
+    with suppress(DeclarationError, DeclarationProblem):
+        yield from nearly_meeting_ends(scene)
+    for formula, _ in fields_of(scene):
+        for node in nodes(formula):
+            if isinstance(node, Call) and node.function in _OF_ANGLES:
+                value = _plain(node.arguments[0], {})
+                if value is not None and abs(value) > _TURN:
+                    yield f"{node.function}({value:g}): {_degrees(value)}"
+
+
+def _idle(scene: SceneFields) -> Iterator[str]:
+    """Say what has a shape, or is solid, and collides with nothing."""
+    bodies = {name for law in scene.collisions.values() for name in law.bodies}
+    surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
+    for kind, idle in (
+        ("bodies", [n for n, body in scene.bodies.items() if body.shape and n not in bodies]),
+        ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
+    ):
+        for name in idle:
+            yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
+
+
+def _spread(scene: SceneFields) -> Iterator[str]:
+    """Say whose inertia is not that of mass within its shapes: units were mixed."""
+    known = scene.values()
+    for name, body in scene.bodies.items():
+        if not body.shape or body.inertia is None:
+            continue
+        far = 0.0
+        for shape in body.shape:
+            rim = parse(shape.disc or 0).value(known)
+            for corner in (shape.at,) if shape.polygon is None else shape.polygon:
+                far = max(far, math.hypot(*(parse(text).value(known) for text in corner)) + rim)
+        mass, inertia = (parse(text).value(known) for text in (body.mass, body.inertia))
+        most = mass * far**2
+        if most > 0.0 and not _MIN_INERTIA * most <= inertia <= _MAX_INERTIA * most:
+            yield (
+                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times what all mass "
+                f"at the farthest point of its shape would have, {most:.3g}; are units mixed? "
+                "Of a disc it is m*r**2/2, of a box m*(width**2 + height**2)/12"
+            )
+
+
+def _inside_out(scene: SceneFields) -> Iterator[str]:
+    """Say whose centre of mass starts in the solid of a line that its points are to touch."""
+    known = scene.values()
+    known |= {name: parse(one.start).value(known) for name, one in scene.coordinates.items()}
+
+    def numbers(texts: Iterable[FormulaText]) -> list[float]:
+        return [parse(text).value({**known, TIME: 0.0}) for text in texts]
+
+    for name, contact in scene.contacts.items():
+        surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
+        if surface.line is None or surface.body is not None or surface.moves:
+            continue
+        free = (body.start.get("x", 0), body.start.get("y", 0))
+        x, y = numbers(body.position or free)
+        (a, b), (c, d) = map(numbers, surface.line)
+        depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
+        if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
+            yield (
+                f"contacts.{name}: {contact.point.body!r} starts with its centre {depth:.3g} in "
+                f"the solid of {contact.surface!r}, which is on the right of the line going from "
+                "one point to two; where the other side is meant, swap the points"
+            )
+
+
+def _plain(node: Node, parameters: Mapping[str, FormulaText]) -> float | None:
+    """Return the number that is written, or that the parameter named is; None for any other."""
+    match node:
+        case Number(value=value):
+            return value
+        case Unary(operator=sign, operand=Number(value=value)):
+            return -value if sign == "-" else value
+        case Name(name=name) if name in parameters:
+            return _plain(parse(parameters[name]).root, {})
+    return None
+
+
+def _degrees(value: float) -> str:
+    return (
+        f"{value:g} radians are {abs(value) / _TURN:.3g} turns; of degrees write {value:g}*pi/180"
+    )
+
+
+def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
+    """Return a warning: a contact stays off, as its point is inside where its conditions hold."""
+    surface = scene.contacts[contact].surface
+    if scene.surfaces[surface].edge is None:
+        return (
+            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} where its "
+            "conditions begin to hold; let surfaces that follow each other meet"
+        )
+    return (
+        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} where it gets "
+        "over it; let the ends of edges meet"
+    )
+
+
+def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
+    """Yield a warning for each two edges whose ends nearly meet."""
+    known = scene.values()
+    ends = {
+        name: [tuple(parse(text).value(known) for text in corner) for corner in surface.edge]
+        for name, surface in scene.surfaces.items()
+        if surface.edge is not None and not surface.moves
+    }
+    corners = [corner for edge in ends.values() for corner in edge]
+    if not corners:
+        return
+    extent = math.hypot(*(max(side) - min(side) for side in zip(*corners, strict=True)))
+    for one, other in combinations(ends, 2):
+        if scene.surfaces[one].body != scene.surfaces[other].body:
+            continue
+        near, a, b = min(
+            (math.dist(ends[one][a], ends[other][b]), a, b) for a in range(2) for b in range(2)
+        )
+        if _EQUAL * extent < near < NEARLY_MEETING * extent:
+            numbers = ("first", "second")
+            yield (
+                f"surfaces.{other}.edge: its {numbers[b]} point is {near:.3g} from the "
+                f"{numbers[a]} point of {one!r}, and a point that slides off the one may get under "
+                "the other; where one follows the other, write the same point"
+            )

@@ -1,0 +1,265 @@
+"""Discretisation error of a run, estimated to the first order, relative to its motion.
+
+A step sees forces in its middle, and what happens in it happens there. What forces do beside that,
+what contacts turn on before they are struck, where in a step slips turn round or end, and by how
+much springs swing ahead, is known afterwards. It is compared with how fast each coordinate was and
+how far it went.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.dynamics.scales import Scales
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.impulse_coupling import coupled_contacts
+from contacts.solvers.step_impulses import solve_impacts
+from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.limits import Swings
+from contacts.time_stepping.scene_tape import SteppedTape
+from statechart.arrays import Array, Bools, Ints
+
+# A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
+_LITTLE = 1e-3
+# So much of the speeds of a run is worth a word: what forces give and no step shows; what impacts
+# are off, of which a shipped model has a tenth at its own step; how far springs swing ahead, half a
+# radian of the fastest motion.
+_FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
+# And so much of the way of a coordinate.
+_WAY = 0.2
+
+
+# Directions are one to within this part of the largest.
+_DEPENDENT = 1e-9
+
+
+def velocity_change(
+    mass: Array, held: Array, pushes: Array, velocities: Array, cones: Array, restitution: Array
+) -> Array | None:
+    """Return what Moreau's law of impact adds to the rates (n,); None where it is not solved.
+
+    Parameters
+    ----------
+    mass : (n, n) array
+    held : (r, n) array
+        Directions in which joints and pins hold.
+    pushes : (m, 2, n) array
+        Jacobians of what is struck.
+    velocities : (m, 2) array
+        Normal and tangential, before.
+    cones : (m, 2) array
+    restitution : (m,) array
+    """
+    n, m, r = len(mass), len(pushes), len(held)
+    rows = pushes.reshape(2 * m, n)
+    system = np.zeros((n + r, n + r))
+    system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
+    right = np.vstack([rows.T, np.zeros((r, 2 * m))])
+    moved = np.linalg.lstsq(system, right, rcond=_DEPENDENT)[0][:n]
+    delassus = np.ascontiguousarray(rows @ moved)
+    wanted = np.zeros((m, 2))
+    wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
+    groups = coupled_contacts(
+        mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
+    )
+    good, _, _, impulses, _ = solve_impacts(
+        delassus, groups, velocities, velocities.copy(), wanted, cones,
+        restitution > 0.0, np.zeros(UNKNOWNS * m, dtype=np.bool_), np.zeros(0), False,
+    )  # fmt: skip
+    change: Array = moved @ impulses.reshape(2 * m)
+    return change if good and np.isfinite(change).all() else None
+
+
+class Equations(NamedTuple):
+    """What a scene's steps are made by for now.
+
+    Attributes
+    ----------
+    source : SteppedTape
+    values : (p,) array
+        Of the parameters.
+    cones : (c, 2) array
+    restitution : (c,) array
+    """
+
+    source: SteppedTape
+    values: Array
+    cones: Array
+    restitution: Array
+
+
+class DiscretisationError:
+    """Watches a run.
+
+    Parameters
+    ----------
+    scales : Scales
+        Of the run.
+    """
+
+    def __init__(self, scales: Scales) -> None:
+        n = len(scales.sizes) // 2
+        self._sizes, self._hit = scales.sizes, 0.0
+        # How fast and how far coordinates were.
+        self._fastest, self._way = np.zeros(n), np.zeros(n)
+        # Speeds that forces gave beside what steps saw: now, at most, and what is not known.
+        self._drift, self._drifted, self._unknown = np.zeros(n), np.zeros(n), np.zeros(n)
+        # Speeds that are off after one impact, and of springs; ways that slips that end are off.
+        self._late, self._ahead, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
+
+    def copy(self) -> DiscretisationError:
+        """Return what is known so far."""
+        found = DiscretisationError.__new__(DiscretisationError)
+        found.__dict__.update(self.__dict__)  # no array is changed in place
+        return found
+
+    def look(
+        self, now: Equations, chunk: Chunk, start: float, codes: Ints, swings: Swings | None
+    ) -> None:
+        """Look at steps.
+
+        Parameters
+        ----------
+        now : Equations
+        chunk : Chunk
+        start : float
+            When they begin.
+        codes : (c,) array of int
+            Modes before.
+        swings : Swings or None
+            Of the springs where they begin.
+        """
+        n, h = now.source.size, chunk.h
+        rates = chunk.states[:, n : 2 * n]
+        self._fastest = np.maximum(self._fastest, np.abs(rates).max(axis=0))
+        self._way = self._way + np.abs(np.diff(chunk.states[:, :n], axis=0)).sum(axis=0)
+        known = self._slips(now, chunk, start, codes)
+        found = now.source.limits.missed(now.values, start, h, chunk.states)
+        if found is not None:
+            known = known + found[0]
+            self._unknown = self._unknown + found[1].sum(axis=0)
+        drift = self._drift + np.cumsum(known, axis=0)
+        self._drift, self._drifted = drift[-1], np.maximum(self._drifted, np.abs(drift).max(axis=0))
+        struck: Bools = np.any(chunk.struck, axis=1)
+        times = start + h * np.nonzero(struck)[0]
+        for k in np.nonzero(struck)[0].tolist():
+            self._late = np.maximum(self._late, _off(now, chunk, start, k))
+        spans = np.concatenate([[self._hit], times, [start + h * len(struck)]])
+        self._hit = float(spans[-2])
+        if swings is not None:
+            off = swings.off(rates, ~struck, h, float(np.diff(spans).max()))
+            self._ahead = np.maximum(self._ahead, off)
+
+    def remarks(self, h: float) -> tuple[str, ...]:
+        """Say what is missed."""
+        n = len(self._way)
+        fastest = np.maximum(self._fastest, _LITTLE * self._sizes[n:])
+        way = np.maximum(self._way, _LITTLE * self._sizes[:n])
+        found: list[str] = []
+        forces = float(((self._drifted + self._unknown) / fastest).max(initial=0.0))
+        if forces > _FORCES:
+            found.append(
+                f"forces change within steps of {h:g} by more than their middles show: up to "
+                f"{forces:.2g} of the run's speeds is missed; take "
+                f"{0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
+            )
+        late = float((self._late / fastest).max(initial=0.0))
+        if late > _IMPACTS:
+            found.append(
+                f"contacts turn on before steps of {h:g} see that they are struck: impacts are off "
+                f"by up to {late:.2g} of the run's speeds; take {0.5 * h * _IMPACTS / late:.1g} or "
+                "less"
+            )
+        ahead = float((self._ahead / fastest).max(initial=0.0))
+        if ahead > _AHEAD:
+            found.append(
+                f"springs swing ahead in steps of {h:g}: speeds are off by up to {ahead:.2g} of "
+                f"the run's in the end; take {0.5 * h * math.sqrt(_AHEAD / ahead):.1g} or less"
+            )
+        stopped = float((np.abs(self._stopped) / way).max(initial=0.0))
+        if stopped > _WAY:
+            found.append(
+                f"slips end within steps of {h:g}, where {stopped:.2g} of the way of a coordinate "
+                f"depends on when; take {0.5 * h * math.sqrt(_WAY / stopped):.1g} or less"
+            )
+        return tuple(found)
+
+    def _slips(self, now: Equations, chunk: Chunk, start: float, codes: Ints) -> Array:
+        """Return the rates (k, n) that steps miss where slips turn round; note where they end.
+
+        Friction opposes the slip at the end of a step, and before it turned it did the other way.
+        """
+        source, h = now.source, chunk.h
+        n, missed = source.size, np.zeros((len(chunk.codes), source.size))
+        before = np.vstack([codes, chunk.codes[:-1]])
+        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
+        # What slides at the start was in no mode before.
+        slid[0] |= start == 0.0
+        borne = (chunk.codes == PIN) | (chunk.codes == SLIDE_PLUS) | (chunk.codes == SLIDE_MINUS)
+        turned = slid & borne & (before != chunk.codes) & ~chunk.struck
+        for k, i in np.argwhere(turned).tolist():
+            first = n + source.joint_rows + 2 * i
+            normal, tangential = chunk.solved[k, first : first + 2].tolist()
+            rows = source.rows(now.values, chunk.states[k], start + k * h)
+            slip, push = rows.velocities[i, 1], rows.contacts[i, n : 2 * n]
+            moved = np.linalg.pinv(rows.mass) @ push
+            lightness = float(push @ moved)
+            if slip == 0.0 or not lightness > 0.0:
+                continue
+            # Where an impact's share is not known, half of the step is as good as any other.
+            part, change = 0.5, 0.0
+            if math.isfinite(normal) and now.cones[i, 0] > 0.0:
+                friction = -math.copysign(now.cones[i, 1] / now.cones[i, 0] * normal, slip)
+                change = friction - tangential
+                rate = push @ (chunk.states[k + 1] - chunk.states[k])[n : 2 * n] / h
+                rate += lightness * change
+                part = min(1.0, -slip / (rate * h)) if rate * slip < 0.0 else 1.0
+            if chunk.codes[k, i] == PIN:
+                way = 0.5 * h * slip * (part - 1.0) * moved / lightness
+                self._stopped = self._stopped + way
+            else:
+                missed[k] += moved * change * part * h
+        return missed
+
+
+def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
+    """Return how far off rates (n,) are after the impacts of a step.
+
+    A contact that is inside its surface in the middle of a step arrived that much earlier; there it
+    would have been struck in another direction, at another speed and lever.
+    """
+    n, h = now.source.size, chunk.h
+    struck = np.nonzero(chunk.struck[k])[0]
+    state, time, rates = chunk.states[k].copy(), start + (k + 0.5) * h, chunk.states[k, n : 2 * n]
+    state[:n] += 0.5 * h * rates
+    rows = now.source.rows(now.values, state, time)
+    gaps, nearing = rows.gaps[struck], -rows.velocities[struck, 0]
+    ago = np.zeros(len(struck))
+    np.divide(-gaps, nearing, out=ago, where=nearing > 0.0)
+    since = float(np.clip(ago, 0.0, h).max())
+    earlier = state.copy()
+    earlier[:n] -= since * rates
+    late = _impact(now, state, time, struck)
+    right = _impact(now, earlier, time - since, struck)
+    return np.zeros(n) if late is None or right is None else np.abs(late - right)
+
+
+def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | None:
+    """Return what impacts of these contacts add to the rates (n,) in a state."""
+    source = now.source
+    n, (mass, contacts, joints) = source.size, source.rows(now.values, state, time)
+    if not (np.isfinite(mass).all() and np.isfinite(contacts).all() and np.isfinite(joints).all()):
+        return None
+    pinned = [contacts[source.held > 0, :n], contacts[source.held > 1, n : 2 * n]]
+    return velocity_change(
+        mass,
+        np.concatenate([joints[:, :n], *pinned]),
+        contacts[struck, : 2 * n].reshape(-1, 2, n),
+        np.ascontiguousarray(contacts[struck, -3:-1]),
+        now.cones[struck],
+        now.restitution[struck],
+    )

@@ -1,0 +1,247 @@
+"""Lazy arcs and jumps of a run by steps: made of its steps when they are read.
+
+The steps take a quarter of the memory of the polynomials of the arcs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.states import FREE, OFF_CODE
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.polynomials import TERMS, Pieces, defined
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
+from statechart.automaton.laws import roles_in
+from statechart.automaton.trace import Arc, Jump, Key
+
+T = TypeVar("T", bound=NDArray[Any])
+
+
+def _own(rows: T) -> T:
+    """Return rows that hold no more than twice their memory: chunks often end early."""
+    base = rows.base
+    return rows.copy() if base is not None and base.nbytes > 2 * rows.nbytes else rows
+
+
+class Steps(NamedTuple):
+    """Consecutive steps; each is one piece of an arc, one with impacts two.
+
+    Attributes
+    ----------
+    begin : Clock
+    spans : tuple of (float, int)
+        Their lengths, each with the number of steps that have it.
+    coordinates : int
+    states : (k + 1, w) array
+    solved : (k, u) array
+        Unknowns.
+    felt : (k, r, 2), struck : (k, r) array
+        Impulses of impacts; the regions struck. Empty where no jumps are made.
+    hit : (k,) array of bool
+        Which steps have impacts.
+    late : (k,) array
+        Time from the middle of a step to its impacts.
+    places : (k + 1,) array of int
+        First piece of each step.
+    halves : (p, u) array or None
+        Unknowns of the pieces, where they differ from those of their steps.
+    """
+
+    begin: Clock
+    spans: tuple[tuple[float, int], ...]
+    coordinates: int
+    states: Array
+    solved: Array
+    felt: Array
+    struck: Bools
+    hit: Bools
+    late: Array
+    places: Ints
+    halves: Array | None = None
+
+    @classmethod
+    def of(cls, chunk: Chunk, hit: Bools, coordinates: int, begin: Clock) -> Steps:
+        """Return the steps of a chunk."""
+        return cls(
+            begin, ((chunk.h, len(hit)),), coordinates, _own(chunk.states), _own(chunk.solved),
+            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.late), _places(hit),
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence[Steps]) -> Steps:
+        """Return consecutive steps as one block, without impulses."""
+        hit = np.concatenate([part.hit for part in parts])
+        return cls(
+            parts[0].begin,
+            tuple([span for part in parts for span in part.spans]),
+            parts[0].coordinates,
+            np.concatenate([*(part.states[:-1] for part in parts), parts[-1].states[-1:]]),
+            np.concatenate([part.solved for part in parts]),
+            parts[0].felt[:0].copy(),
+            parts[0].struck[:0].copy(),
+            hit,
+            np.concatenate([part.late for part in parts]),
+            _places(hit),
+        )
+
+    @property
+    def width(self) -> int:
+        """Bytes of the polynomials of a piece."""
+        return TERMS * self.states[0].nbytes
+
+    def without_forces(self, before: Ints, after: Ints, first: int) -> Steps:
+        """Return them without the forces of open regions in the halves of steps with impacts."""
+        if not self.hit.any():
+            return self
+        halves = np.repeat(self.solved, 1 + self.hit, axis=0)
+        for rows, places in ((before, self.places[:-1]), (after, self.places[:-1] + 1)):
+            opened = (rows[self.hit] == FREE) | (rows[self.hit] == OFF_CODE)
+            which, regions = np.nonzero(opened)
+            at, column = places[self.hit][which], first + 2 * regions
+            halves[at, column] = halves[at, column + 1] = 0.0
+        return self._replace(halves=halves)
+
+    def at(self, step: int, half: int) -> Clock:
+        """Return when a step begins, or its second part; all are of one length."""
+        ((h, _),) = self.spans
+        late = 0.5 * h + float(self.late[step]) if half else 0.0
+        return self.begin.later(h * step + late).short
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths (k,) of the steps."""
+        return np.repeat([h for h, _ in self.spans], [count for _, count in self.spans])
+
+    def ends(self, h: Array) -> Array:
+        """Return when pieces begin and end, after `begin`, of steps of lengths `h` (k,)."""
+        times = [np.zeros(1)]
+        for length, count in self.spans:
+            times.append(times[-1][-1] + length * np.arange(1, count + 1))
+        steps = np.concatenate(times)
+        middles = steps[:-1] + (0.5 * h + self.late)
+        return np.insert(steps, np.flatnonzero(self.hit) + 1, middles[self.hit])
+
+
+def _places(hit: Bools) -> Ints:
+    places = np.zeros(len(hit) + 1, np.int64)
+    np.cumsum(1 + hit, out=places[1:])
+    return places
+
+
+class Stretch(NamedTuple):
+    """Pieces of steps, from the first to before the last."""
+
+    steps: Steps
+    first: int
+    last: int
+
+
+class Line(NamedTuple):
+    """An arc, as stretches of steps."""
+
+    mode: Key
+    start: Clock
+    j: int
+    stretches: tuple[Stretch, ...]
+
+
+class Stroke(NamedTuple):
+    """A jump, as a step with impacts."""
+
+    steps: Steps
+    step: int
+    t: float
+    j: int
+    region: str
+    cause: str
+    source: Key
+    target: Key
+
+
+class _Polynomials:
+    """All pieces of some steps: coefficients, ends, unknowns."""
+
+    def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
+        n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
+        late, halves = np.asarray(steps.late), steps.halves
+        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], h[:, None], late, hit, n)
+        self.ends = steps.ends(h)
+        self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
+        self.steps, self._energy = steps, energy
+
+    @cached_property
+    def energies(self) -> dict[int, tuple[float, float]]:
+        """Those before and after the impacts of each step that has some."""
+        hit = np.flatnonzero(self.steps.hit)
+        second = self.steps.places[hit] + 1
+        times = np.array([self.steps.at(k, 1).high for k in hit.tolist()])
+        sides = (self.terms[second - 1].sum(axis=2), self.terms[second, :, 0])
+        assert self._energy is not None
+        found = (self._energy(side, times).tolist() for side in sides)
+        return dict(zip(hit.tolist(), zip(*found, strict=True), strict=True))
+
+
+class ArcMaker:
+    """Makes arcs and jumps; keeps the polynomials of the last steps, as they are read in order.
+
+    Parameters
+    ----------
+    regions : sequence of str
+        Their names.
+    energy : callable or None
+        (states, times) -> energies; not needed for arcs.
+    """
+
+    def __init__(
+        self,
+        regions: Sequence[str] = (),
+        energy: Callable[[Array, Array], Array] | None = None,
+    ) -> None:
+        self._regions, self._energy = regions, energy
+        self._polynomials: _Polynomials | None = None
+
+    def arc(self, kept: Line | Arc) -> Arc:
+        """Return an arc, made of steps unless it is one."""
+        if isinstance(kept, Arc):
+            return kept
+        ends, reached, terms, unknowns = [np.zeros(1)], 0.0, [], []
+        for steps, first, last in kept.stretches:
+            whole = self._of(steps)
+            ends.append(reached + (whole.ends[first + 1 : last + 1] - whole.ends[first]))
+            reached = float(ends[-1][-1])
+            terms.append(whole.terms[first:last])
+            unknowns.append(whole.unknowns[first:last])
+        return Arc(
+            kept.mode, roles_in(kept.mode), kept.start, kept.j, np.concatenate(ends),
+            np.concatenate(terms), defined(np.concatenate(unknowns)),
+        )  # fmt: skip
+
+    def jump(self, kept: Stroke | Jump) -> Jump:
+        """Return a jump, made of a step unless it is one."""
+        if isinstance(kept, Jump):
+            return kept
+        whole, steps = self._of(kept.steps), kept.steps
+        first = int(steps.places[kept.step])
+        felt = steps.felt[kept.step]
+        places = np.flatnonzero(felt.any(axis=1))
+        impulses = {
+            self._regions[i]: (normal, tangential)
+            for i, (normal, tangential) in zip(places.tolist(), felt[places].tolist(), strict=True)
+        }
+        return Jump(
+            kept.t, kept.j, kept.region, kept.cause, kept.source, kept.target,
+            whole.terms[first].sum(axis=1), whole.terms[first + 1, :, 0].copy(),
+            impulse=impulses, energy=whole.energies[kept.step],
+        )  # fmt: skip
+
+    def _of(self, steps: Steps) -> _Polynomials:
+        made = self._polynomials
+        if made is None or made.steps is not steps:
+            made = self._polynomials = _Polynomials(steps, self._energy)
+        return made

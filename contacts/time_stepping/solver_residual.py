@@ -1,0 +1,128 @@
+"""Residual of the contact laws over a run, and the work that its impulses took."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contacts.solvers.step_impulses import LONGEST_SEQUENCE
+from contacts.time_stepping.chunk import (
+    AMBIGUOUS,
+    CALMED,
+    CHOSEN,
+    CONTACTS,
+    ITERATIONS,
+    LIVELY,
+    RESIDUAL,
+    UNENDED,
+    Chunk,
+)
+from statechart.automaton.time_stepper import Impulses
+from statechart.errors import SimulationError, UnsolvedImpulses
+from statechart.tabular import several
+
+INDETERMINATE = (
+    "a contact may slide on as well as come off, as friction presses it into its surface "
+    "(Painleve: indeterminate): one of these was taken, another engine or step may take the other"
+)
+"""What is said where the impulses of a step are not the only ones that the contact laws allow."""
+
+
+class SolverResidual:
+    """Counts contacts and iterations, and the steps whose impulses are not as asked.
+
+    Parameters
+    ----------
+    asked : Impulses
+
+    Attributes
+    ----------
+    residual : float
+        By how much impulses missed the contact laws at most, in parts of a step's fastest approach.
+    """
+
+    def __init__(self, asked: Impulses) -> None:
+        self._tolerance, self._bound = asked
+        self._iterations = self._contacts = self._most = self._missed = self._softened = 0
+        self._ambiguous = self._unended = self._several = 0
+        self.residual = self._when = self._first = self._left = self._choice = 0.0
+
+    def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
+        """Return the first step whose impulses miss by more than the bound, and why it ends."""
+        wrong = chunk.efforts[:, RESIDUAL] > self._bound
+        if not wrong.any():
+            return None
+        k = int(np.argmax(wrong))
+        return k, UnsolvedImpulses(
+            "the impulses of a step miss the contact laws by "
+            f"{chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach, and {self._bound:g} is the "
+            "bound; a shorter step may take the bodies past it"
+        )
+
+    def add(self, chunk: Chunk, start: float) -> None:
+        """Count steps, of which the first begins at `start`."""
+        efforts, h = chunk.efforts, chunk.h
+        total, most = efforts.sum(axis=0), efforts.max(axis=0)
+        self._iterations += int(total[ITERATIONS])
+        self._contacts += int(total[CONTACTS])
+        self._most = max(self._most, int(most[CONTACTS]))
+        if most[RESIDUAL] > self._tolerance:
+            self._missed += int((efforts[:, RESIDUAL] > self._tolerance).sum())
+        self._softened += int(total[CALMED])
+        if total[AMBIGUOUS] and not self._ambiguous:
+            self._first = start + (int(np.argmax(efforts[:, AMBIGUOUS])) + 0.5) * h
+        self._ambiguous += int(total[AMBIGUOUS])
+        if total[CHOSEN] and not self._several:
+            self._choice = start + int(np.argmax(efforts[:, CHOSEN])) * h
+        self._several += int(total[CHOSEN])
+        if most[UNENDED] > 0.0:
+            self._unended += int((efforts[:, UNENDED] > 0.0).sum())
+        self._left = max(self._left, float(most[UNENDED]))
+        if most[RESIDUAL] > self.residual:
+            self.residual = float(most[RESIDUAL])
+            self._when = start + int(np.argmax(efforts[:, RESIDUAL])) * h
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Iterations; contacts that took part, of all steps and of one; steps that missed."""
+        return {
+            "iterations": self._iterations,
+            "contacts": self._contacts,
+            "most_contacts": self._most,
+            "inexact_steps": self._missed,
+        }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the impulses."""
+        found: tuple[str, ...] = ()
+        if self._softened:
+            found += (
+                f"in {several(self._softened, 'step')} no impulses were found that make all "
+                "contacts part as Moreau's law of impact asks: what was hit then did not rebound",
+            )
+        if self._ambiguous:
+            found += (
+                f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
+                f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
+                "once: Moreau's law takes these impacts together, and what passes a blow on does "
+                "not rebound from it; simultaneous: sequential carries them out one after another, "
+                "of points on surfaces with events",
+            )
+        if self._several:
+            found += (
+                f"in {several(self._several, 'step')}, the first at t = {self._choice:.6g}, "
+                + INDETERMINATE,
+            )
+        if self._unended:
+            found += (
+                f"in {several(self._unended, 'step')} impacts one after another did not end, as of "
+                f"what is light between what is heavy: after {LONGEST_SEQUENCE} of them the "
+                f"approach was up to {self._left:.3g}; Moreau's law took them together there",
+            )
+        if self._missed:
+            found += (
+                f"in {several(self._missed, 'step')} impulses miss the contact laws by more "
+                f"than the tolerance of {self._tolerance:g}: by up to {self.residual:.2g} of "
+                f"the fastest approach, at t = {self._when:.6g}",
+            )
+        return found

@@ -1,0 +1,125 @@
+"""Start-up cost: time of a run that is the first of its process, as on the command line."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from dataclasses import asdict
+from typing import IO
+
+from statechart.compiling import working_time
+from statechart.documents.declaration import Declaration
+from statechart.documents.setting import Setting
+from statechart.loading.kind import kind
+from statechart.running.runner import Runner
+
+# A copy of a process in which nothing ran yet is as good as a new one, and comes at once. Libraries
+# of other systems do not stand it.
+_COPIES = sys.platform == "linux"
+_SERVE = f"from {__name__} import serve; serve()"
+
+
+class FreshProcess:
+    """Processes that know a model and have not run it to an end, to time a first run in each.
+
+    A first run loads an engine, builds the modes that it enters, and runs. The caches of numba and
+    heyoka are there, where the setting was run before. Starting Python and composing the model,
+    which cost the same whatever the setting, are not counted.
+    """
+
+    def __init__(self, model: Declaration, until: float) -> None:
+        self._asked = model, until
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> FreshProcess:
+        """Start no process yet."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process."""
+        self.close()
+
+    def seconds(self, setting: Setting) -> float | None:
+        """Return the seconds of a first run; None where no process can be started."""
+        try:
+            process = self._process = self._process or self._started()
+            source, sink = _pipes(process)
+            pickle.dump(setting, sink)
+            sink.flush()
+            found = float(source.readline() or "nan")
+        except (OSError, ValueError, pickle.PicklingError):
+            found = math.nan
+        if not (_COPIES and found >= 0.0):
+            self.close()
+        return found if found >= 0.0 else None
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        process, self._process = self._process, None
+        if process is not None:
+            if _COPIES:
+                # With the copy that is running.
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            for pipe in _pipes(process):
+                with suppress(OSError):
+                    pipe.close()
+            process.wait()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        # Neither signals of this process reach it, nor modules of the working directory.
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-c", _SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        pickle.dump(self._asked, _pipes(process)[1])
+        return process
+
+
+def _pipes(process: subprocess.Popen[bytes]) -> tuple[IO[bytes], IO[bytes]]:
+    assert process.stdout is not None
+    assert process.stdin is not None
+    return process.stdout, process.stdin
+
+
+def serve() -> None:
+    """Read a model and settings from stdin, write the seconds of their first runs to stdout."""
+    output = os.dup(sys.stdout.fileno())
+    # Libraries print to nowhere.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    model, until = pickle.load(sys.stdin.buffer)
+    # SymPy keeps results of composing, as where the run follows in the same process.
+    kind(model.kind).automaton(model)
+    while True:
+        try:
+            setting = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        if not _COPIES:
+            os.write(output, _answer(model, until, setting))
+            return
+        copy = os.fork()
+        if copy == 0:
+            os.write(output, _answer(model, until, setting))
+            os._exit(0)
+        _, status = os.waitpid(copy, 0)
+        if status != 0:
+            os.write(output, b"nan\n")
+
+
+def _answer(model: Declaration, until: float, setting: Setting) -> bytes:
+    began = working_time()
+    try:
+        Runner(model, **asdict(setting)).run(until=until, throw=False)
+    except Exception:
+        return b"nan\n"
+    return f"{working_time() - began!r}\n".encode()

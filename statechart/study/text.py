@@ -1,0 +1,262 @@
+"""A study as text for people, and as the plain object that `--json` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from statechart.automaton.trace import Outcome
+from statechart.study.measurements import Measurements, Point, Third
+from statechart.study.slopes import slopes, unfitted
+from statechart.study.warnings import Note, beyond, notes, reasons
+from statechart.tabular import Block, Table, plain, several
+
+# Errors of an odd run are listed that are so much of its largest.
+_MUCH = 0.5
+# Warnings that are listed in full.
+_MAX_NOTES = 8
+
+
+def format_text(study: Measurements) -> str:
+    """Return a study as a table, with what follows from it below."""
+    return plain(describe_study(study))
+
+
+def describe_study(study: Measurements) -> list[Block]:
+    """Return the blocks of `format_text`: what is above the table, the table, what is below."""
+    kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
+    front, cold = study.front(), study.front(once=True)
+    head = ["error", "state", "events", "outputs", "path", "energy"]
+    if study.parted is not None:
+        head = ["leaves it at", "energy"]
+    rows = [("", "modes", *head, *kinds, "evaluations", "steps", "warm", "cold")]
+    for point in study.points:
+        errors = point.errors
+        if study.parted is None:
+            parts = [errors.state, errors.times, errors.outputs, errors.path, errors.energy]
+            shown = [study.error(point), *parts]
+        else:
+            shown = [point.parted, errors.energy]
+        rows.append(
+            (
+                point.setting.label + marks(point, front, cold),
+                _modes(point),
+                *(_number(x) for x in shown),
+                *(_number(errors.violations.get(name)) for name in kinds),
+                str(point.evaluations or ""),
+                str(point.steps),
+                _seconds(point.seconds),
+                "" if point.cold is None else _seconds(point.cold),
+            )
+        )
+    above = "".join(f"{line}\n" for line in _head(study)) + "\n"
+    return [above, Table(rows, headed=True), _foot(study)]
+
+
+def _head(study: Measurements) -> list[str]:
+    lines = [
+        f"{study.model} to t = {study.until:g}: {len(study.points)} of "
+        f"{several(study.planned, 'setting')}",
+        f"reference: {study.reference}, checked by {study.check}",
+    ]
+    if study.parted is not None:
+        return [*lines, f"{_parting(study)}; for every setting, when it leaves the reference"]
+    third, shift = study.third, study.shift.largest or 0.0
+    if third is not None and third.odd:
+        lines.append(_odd(third, study))
+    lines.append(
+        f"the two differ by {study.resolution.largest or 0.0:.2g}"
+        + (f", as {third.setting} from them" if third is not None and not third.odd else "")
+        + (f", and forces have a tolerance worth {shift:.2g}" if shift > 0.0 else "")
+        + "; smaller errors cannot be told"
+    )
+    return lines
+
+
+def _odd(third: Third, study: Measurements) -> str:
+    """Return how one of three runs differs from the others, which agree."""
+    errors = third.errors
+    worst = errors.largest or 0.0
+    parts = [
+        f"the {name} by {value:.2g}"
+        for name, value in (
+            ("final state", errors.state),
+            ("times of events", errors.times),
+            ("path", errors.path),
+        )
+        if value is not None and value >= _MUCH * worst > 0.0
+    ]
+    parts += [f"{name} by {e:.2g}" for name, e in errors.named.items() if e >= _MUCH * worst > 0.0]
+    when = "" if third.parted is None else f"leaves both at t = {third.parted:.6g}, and "
+    warned = beyond(study.warnings.get(third.setting, ()), study.warnings.get(study.reference, ()))
+    return (
+        f"{third.setting} is the odd one out and not relied on: it {when}is off in "
+        + (", ".join(parts) or "its modes")
+        + f", more than a start that is off by {third.shift:.0e} explains"
+        + "".join(f"; it warns: {text}" for text in warned)
+    )
+
+
+def _parting(study: Measurements) -> str:
+    """Return the evidence that the motion has no accuracy."""
+    third, known = study.third, study.warnings.get(study.reference, ())
+    own = beyond(study.warnings.get(study.check, ()), known)
+    why = "chaotic, or on a knife's edge" + (
+        ", or their steps are too long" if study.step > 0.0 else ""
+    )
+    if own:
+        why = f"{study.check} warns: " + "; ".join(own)
+    two = f"the two leave each other at t = {study.parted:.6g}"
+    if third is None:
+        return f"{two}, and no run of another kind can judge: {why}"
+    if third.edge is None:
+        return f"{two}, and {third.setting} the nearer of them at t = {third.parted:.6g}: {why}"
+    return (
+        f"{third.setting} leaves the two at t = {study.parted:.6g}, and {study.reference} leaves "
+        f"itself at t = {third.edge:.6g} where its start is off by {third.shift:.0e}: {why}"
+    )
+
+
+def _foot(study: Measurements) -> str:
+    lines = []
+    if study.front():
+        lines.append(
+            "nothing else is as accurate and faster: * warm, where runs follow each other in one "
+            "process; + cold, in the first run of a process"
+        )
+    missed = study.missed()
+    if missed:
+        parts = (f"{family} {few} of {many}" for family, (few, many) in missed.items())
+        lines.append("missed what they promised: " + ", ".join(parts))
+    refused = [p.setting.label for p in study.points if p.refused]
+    if refused:
+        lines.append("said that they did not reach it: " + ", ".join(refused))
+    stepped = {p.setting.family for p in study.points if p.setting.stepped}
+    for slope in slopes(study):
+        fineness = "the step" if slope.family in stepped else "the tolerance"
+        lines.append(
+            f"{slope.of} of {slope.family}: {fineness} to the power {slope.slope:.3g} "
+            f"+- {slope.scatter:.1g} "
+            f"(theory {slope.theory:.3g}), {slope.points} points"
+        )
+    why, listed = reasons(study), _listed(study)
+    lines += [
+        f"{family} deviates from the reference even at its finest: see {_numbers(texts, listed)}, "
+        "which the reference does not have"
+        for family, texts in why.items()
+    ]
+    unsettled = study.unsettled()
+    if unsettled:
+        off = ", ".join(f"{name} ({error:.2g})" for name, error in unsettled.items())
+        kept = "stay off by that" if stepped & why.keys() else "do not converge with the step"
+        lines.append(
+            f"outputs that {kept}, no part of the errors above (at the shortest step): {off}"
+        )
+    lines += [f"no slope for {what}: {why}" for what, why in unfitted(study).items()]
+    lines += [f"left out: {line}" for line in omitted(study)]
+    lines += [
+        f"warning {place}, of {_named(study, note.settings)}: {note.text}"
+        + (f" (numbers of {note.settings[0]})" if note.differs else "")
+        for place, note in enumerate(listed, 1)
+    ]
+    more = len(notes(study)) - len(listed)
+    if more:
+        lines.append(
+            f"{several(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
+        )
+    return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
+
+
+def omitted(study: Measurements) -> list[str]:
+    """Return the settings that were left out, one line a reason."""
+    reasons: dict[str, dict[str, list[str]]] = {}
+    for label, why in study.left_out.items():
+        family, _, fineness = label.rpartition(" ")
+        reasons.setdefault(why, {}).setdefault(family, []).append(fineness)
+    return [
+        ", ".join(
+            f"{family} {some[0]}" + (f" to {some[-1]}" if len(some) > 1 else "")
+            for family, some in families.items()
+        )
+        + f": {why}"
+        for why, families in reasons.items()
+    ]
+
+
+def _listed(study: Measurements) -> list[Note]:
+    """Return the warnings that are listed in full: all that explain a deviation, first."""
+    why = [text for texts in reasons(study).values() for text in texts]
+    found = sorted(notes(study), key=lambda note: not note.says_one_of(why))
+    return found[: max(_MAX_NOTES, sum(note.says_one_of(why) for note in found))]
+
+
+def _numbers(texts: Sequence[str], listed: Sequence[Note]) -> str:
+    """Return the numbers of warnings in the list."""
+    places = [str(place) for place, note in enumerate(listed, 1) if note.says_one_of(texts)]
+    return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
+
+
+def _named(study: Measurements, labels: Sequence[str]) -> str:
+    """Return settings family by family: from one to another, or one by one."""
+    families: dict[str, list[str]] = {}
+    for point in study.points:
+        families.setdefault(point.setting.family, []).append(point.setting.label)
+    parts = []
+    for own in families.values():
+        places = [place for place, label in enumerate(own) if label in labels]
+        if not places:
+            continue
+        # What a family shares, and how fine each is.
+        head = own[0].rpartition(" ")[0]
+        fine = [own[place].rpartition(" ")[2] for place in places]
+        if len(fine) > 2 and places[-1] - places[0] + 1 == len(places):
+            fine = [f"{fine[0]} to {fine[-1]}"]
+        parts.append(f"{head} {', '.join(fine)}")
+    return "; ".join(parts)
+
+
+def marks(point: Point, warm: Sequence[Point], cold: Sequence[Point]) -> str:
+    """Return the marks of a point that is on one of the fronts."""
+    marks = "*" * (point in warm) + "+" * (point in cold)
+    return f" {marks}" if marks else ""
+
+
+def _modes(point: Point) -> str:
+    if point.diverged is None:
+        return "same"
+    # Where both parted from the reference and failed, that it failed is more.
+    ended = "" if Outcome[point.outcome].succeeded else f", {point.outcome}"
+    return f"others from t = {point.diverged:.6g}{ended}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2g}"
+
+
+def _seconds(value: float) -> str:
+    return f"{value * 1e3:.3g} ms" if value < 1.0 else f"{value:.3g} s"
+
+
+def to_dict(study: Measurements) -> dict[str, Any]:
+    """Return a study as one plain object, with what follows from its points."""
+    shown = study.model_dump(mode="json")
+    shown["least"] = study.least
+    front, cold = study.front(), study.front(once=True)
+    for point, one in zip(study.points, shown["points"], strict=True):
+        one["label"] = point.setting.label
+        one["error"] = study.error(point)
+        one["kept"] = study.kept(point)
+        one["on_front"] = point in front
+        one["on_cold_front"] = point in cold
+    shown["complete"] = study.complete
+    shown["missed"] = {
+        family: {"missed": missed, "of": count}
+        for family, (missed, count) in study.missed().items()
+    }
+    shown["slopes"] = [asdict(slope) for slope in slopes(study)]
+    shown["no_slope"] = unfitted(study)
+    shown["unsettled"] = study.unsettled()
+    shown["notes"] = [asdict(note) for note in notes(study)]
+    shown["reasons"] = reasons(study)
+    return shown

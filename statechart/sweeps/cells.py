@@ -1,0 +1,399 @@
+"""Runs of the cells of a sweep, in whatever process: together in compiled calls, or one by one."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import pickle
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cache, cached_property, lru_cache, partial
+from importlib.metadata import version
+
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart import interrupts
+from statechart.arrays import Array, Bools, Ints32
+from statechart.automaton.trace import Key, Outcome
+from statechart.compiling import working_time
+from statechart.documents.declaration import Declaration
+from statechart.errors import (
+    DeclarationError,
+    DeclarationProblem,
+    FormulaError,
+    SimulationError,
+)
+from statechart.execution.compiled_loop import T_HIGH
+from statechart.execution.simulator import Batch, BatchRunner
+from statechart.formulas.formula import parse
+from statechart.observation.batch_outputs import BatchOutputs, modes_of
+from statechart.observation.observer import Observer
+from statechart.observation.outputs import Outputs
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+from statechart.sweeps.plan import Task, lists
+
+REFUSED = "DECLARATION_ERROR"
+"""Outcome of a cell whose values the declaration does not allow."""
+FAULTY = "INTERNAL_ERROR"
+"""Outcome of a cell that a defect of this package ended."""
+OUTCOMES = {
+    **{outcome.name: outcome.value for outcome in Outcome},
+    REFUSED: "The declaration does not allow these values, or no run can start there.",
+    FAULTY: "An internal error ended the run; please report it.",
+}
+"""Outcomes of a cell, in a sentence each."""
+
+# Letters of a sequence of modes; a longer one is cut, with its length and a digest.
+_MAX_LETTERS = 240
+# Modes of a cycle that is searched for in it.
+_MAX_PERIOD = 12
+# Structures of a model whose compiled programs are kept, and texts of sequences.
+_MAX_STRUCTURES, _MAX_TEXTS = 8, 4096
+# Cells of one compiled call.
+_MAX_BATCH = 256
+# Once so many have been tried together, they go on so if one in so many went through: a cell that
+# does saves four fifths of its time, and one that does not has cost less than one fifth.
+_TRIED, _WORTH = 64, 4
+# A runner makes one run at a time, whatever threads a worker has.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass
+class CellBlock:
+    """Results of some cells, cell by cell.
+
+    Attributes
+    ----------
+    numbers : mapping of str to (n,) array
+        Output -> its value; not a number where there is none.
+    lists : mapping of str to list of (k,) array
+        Output -> its values at each event.
+    outcome, message : (n,) array of str
+        Why each run ended; the message where that is no end that the declaration names.
+    certified : (n,) array
+        Whether every guard of every step was decided.
+    modes : (n,) array
+        Place among `sequences`, texts of sequences of modes; -1 where nothing ran.
+    t_end, seconds, error_estimate : (n,) array
+        When the run ended, the time it took, and its estimated error where that was asked for.
+    """
+
+    numbers: dict[str, Array]
+    lists: dict[str, list[Array]]
+    outcome: NDArray[np.object_]
+    message: NDArray[np.object_]
+    certified: Bools
+    modes: Ints32
+    sequences: tuple[str, ...]
+    t_end: Array
+    seconds: Array
+    error_estimate: Array
+
+    def take(self, places: NDArray[np.intp], other: CellBlock, modes: Ints32) -> None:
+        """Take the cells of another block to places of this one, their modes coded by `modes`."""
+        for name, values in self.numbers.items():
+            values[places] = other.numbers[name]
+        for name, rows in self.lists.items():
+            for place, row in zip(places.tolist(), other.lists[name], strict=True):
+                rows[place] = row
+        for part in ("outcome", "message", "certified", "t_end", "seconds", "error_estimate"):
+            getattr(self, part)[places] = getattr(other, part)
+        self.modes[places] = modes
+
+    def end(self, k: int, outcome: str, message: str) -> None:
+        """Set why a cell ended."""
+        self.outcome[k], self.message[k] = outcome, message
+
+    @classmethod
+    def empty(cls, size: int, numbers: Iterable[str], lists: Iterable[str]) -> CellBlock:
+        """Return a block of cells that have not run: their outcome is the empty text."""
+        return cls(
+            {name: np.full(size, math.nan) for name in numbers},
+            {name: [np.empty(0)] * size for name in lists},
+            np.full(size, "", dtype=object),
+            np.full(size, "", dtype=object),
+            np.zeros(size, dtype=bool),
+            np.full(size, -1, dtype=np.int32),
+            (),
+            np.full(size, math.nan),
+            np.full(size, math.nan),
+            np.full(size, math.nan),
+        )
+
+
+def run_block(task: Task, rows: Array) -> CellBlock:
+    """Run cells, in whatever process this is."""
+    here = _version()
+    if task.version != here:
+        raise DeclarationError(
+            f"a worker has version {here} of contact-statecharts, not {task.version}",
+            advice="install the same version on all workers",
+        )
+    with _ONE_AT_A_TIME:
+        return _cells(task).block(rows)
+
+
+@cache
+def _version() -> str:
+    return version("contact-statecharts")
+
+
+@lru_cache(maxsize=2)
+def _cells(task: Task) -> _Cells:
+    """Return the runner of the cells of a task: compiled once in a process, for all its blocks."""
+    return _Cells(task)
+
+
+class _Cells:
+    """Runs cells; compiled programs alone are kept between them."""
+
+    def __init__(self, task: Task) -> None:
+        model = pickle.loads(task.model)
+        assert isinstance(model, Declaration)
+        self._task, self._model = task, model
+        self._whole = [k for k, name in enumerate(task.names) if name in model.whole]
+        self._lists = lists(model, task.outputs)
+        self._numbers = tuple(name for name in task.outputs if name not in self._lists)
+        self._structures: dict[tuple[float, ...], _Structure] = {}
+
+    def block(self, rows: Array) -> CellBlock:
+        """Run rows of values, those of one structure of the model one after another."""
+        found = CellBlock.empty(len(rows), self._numbers, self._lists)
+        structures = [tuple(values) for values in rows[:, self._whole].tolist()]
+        groups: dict[tuple[float, ...], list[int]] = {}
+        for k, key in enumerate(structures):
+            groups.setdefault(key, []).append(k)
+        codes: dict[str, int] = {}
+        for key in sorted(groups):
+            places = np.array(groups[key])
+            while places.size:
+                single = self._run_batch(key, places, rows, found, codes)
+                for k in single.tolist():
+                    self._run_single(key, rows[k].tolist(), found, k, codes)
+                places = places[np.flatnonzero(found.outcome[places] == "")]
+        found.sequences = tuple(codes)
+        return found
+
+    def _run_batch(
+        self,
+        key: tuple[float, ...],
+        places: NDArray[np.intp],
+        rows: Array,
+        found: CellBlock,
+        codes: dict[str, int],
+    ) -> NDArray[np.intp]:
+        """Run some of the next rows in one compiled call; return those that did not go through."""
+        structure = self._structures.get(key)
+        size = 1 if structure is None else structure.batches.size
+        if structure is None or size == 1:
+            return places[:size]
+        places = places[:size]
+        began = working_time()
+        done: list[NDArray[np.intp]] = []
+        for batch, numbers, several in structure.batches.run(rows[places]):
+            here = places[batch.rows]
+            done.append(here)
+            for name, values in numbers.items():
+                found.numbers[name][here] = values
+            for name, listed in several.items():
+                for k, values in zip(here.tolist(), listed, strict=True):
+                    found.lists[name][k] = values
+            found.outcome[here] = Outcome.HORIZON.name
+            found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
+            found.message[here] = ""
+            found.certified[here] = True
+            found.t_end[here] = batch.found.now[:, T_HIGH]
+            texts = map(structure.sequence, modes_of(batch))
+            found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
+        if done:
+            through = np.concatenate(done)
+            found.seconds[through] = (working_time() - began) / len(through)
+        return places[found.outcome[places] == ""]
+
+    def _run_single(
+        self,
+        key: tuple[float, ...],
+        row: list[float],
+        found: CellBlock,
+        k: int,
+        codes: dict[str, int],
+    ) -> None:
+        """Run one cell, whatever comes of it."""
+        began = working_time()
+        try:
+            structure = self._structure(key)
+            values = dict(zip(self._task.names, row, strict=True))
+            result = structure.runner.run(values, until=self._task.until, throw=False)
+            self._take(structure, result, found, k, codes)
+        except SimulationError as error:
+            found.end(k, error.outcome or FAULTY, error.message)
+        except DeclarationError as error:
+            found.end(k, REFUSED, str(error))
+        except MemoryError:
+            raise
+        except Exception as error:
+            interrupts.check()  # in compiled code a signal becomes another error
+            found.end(k, FAULTY, f"{type(error).__name__}: {error}")
+        found.seconds[k] = working_time() - began
+
+    def _structure(self, key: tuple[float, ...]) -> _Structure:
+        """Return the runner of the model with these numbers of copies of bodies."""
+        found = self._structures.pop(key, None)
+        if found is None:
+            whole = {self._task.names[k]: value for k, value in zip(self._whole, key, strict=True)}
+            try:
+                model = self._model.variant(whole)
+            except (DeclarationProblem, FormulaError) as error:
+                raise DeclarationError(str(error)) from None
+            found = _Structure(Runner(model, **asdict(self._task.setting)), self._task)
+        self._structures[key] = found
+        if len(self._structures) > _MAX_STRUCTURES:
+            del self._structures[next(iter(self._structures))]
+        return found
+
+    def _take(
+        self, structure: _Structure, result: Result, block: CellBlock, k: int, codes: dict[str, int]
+    ) -> None:
+        trace = result.trace
+        if trace.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        block.end(k, trace.outcome.name, "" if trace.outcome.succeeded else trace.message)
+        block.certified[k] = trace.certified is not False
+        block.t_end[k] = trace.t_end
+        block.modes[k] = codes.setdefault(structure.sequence(trace.modes), len(codes))
+        if result.error_estimate is not None:
+            block.error_estimate[k] = result.error_estimate
+        if not self._task.outputs:
+            return
+        outputs = structure.outputs(result.observer, self._task.outputs)
+        for name, value in outputs.of(trace).items():
+            if isinstance(value, list):
+                block.lists[name][k] = np.array(value, dtype=float)
+            elif value is not None:
+                block.numbers[name][k] = value
+
+
+class _Structure:
+    """A runner of the model with one structure, and the evaluation of its runs."""
+
+    def __init__(self, runner: Runner, task: Task) -> None:
+        self.runner = runner
+        self.batches = BatchedCells(runner, task)
+        self._outputs: dict[Observer, Outputs] = {}
+        self._texts: dict[tuple[Key, ...], str] = {}
+
+    def outputs(self, observer: Observer, names: Sequence[str]) -> Outputs:
+        """Return the evaluation of some outputs, made once."""
+        found = self._outputs.get(observer)
+        if found is None:
+            found = self._outputs[observer] = Outputs(observer, names)
+        return found
+
+    def sequence(self, modes: tuple[Key, ...]) -> str:
+        """Return the modes of a run, in order, as text."""
+        found = self._texts.get(modes)
+        if found is None:
+            if len(self._texts) >= _MAX_TEXTS:
+                self._texts.clear()
+            found = self._texts[modes] = self._text(modes)
+        return found
+
+    def _text(self, modes: Sequence[Key]) -> str:
+        words = [self._word(key) for key in modes]
+        text = " > ".join(repeats(words))
+        if len(text) <= _MAX_LETTERS:
+            return text
+        digest = hashlib.sha256(" > ".join(words).encode()).hexdigest()[:8]
+        begin = text[:_MAX_LETTERS].rpartition(" > ")[0] or words[0]
+        return f"{begin} > ... ({len(words)} modes, {digest})"
+
+    def _word(self, key: Key) -> str:
+        """Return the name of a mode: its regions that have states to tell apart."""
+        regions = self.runner.automaton.told(key)
+        states = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
+        if len(states) < 2:
+            return states[0][1] if states else key[0]
+        return " ".join(f"{name}:{state}" for name, state in states)
+
+
+class BatchedCells:
+    """Runs cells in compiled calls, as far as no instant of them needs more.
+
+    Parameters
+    ----------
+    runner : Runner
+        Runner of single cells.
+    task : Task
+        Request for each cell.
+
+    Attributes
+    ----------
+    through : int
+        Cells that have gone through.
+    """
+
+    def __init__(self, runner: Runner, task: Task) -> None:
+        self._runner, self._task = runner, task
+        self._tried, self.through = 0, 0
+
+    @cached_property
+    def _rows(self) -> tuple[BatchRunner, BatchOutputs] | None:
+        found = self._runner.rows(self._task.names)
+        if found is None:
+            return None
+        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
+
+    @property
+    def size(self) -> int:
+        """Number of cells to take next; 1 where each is to be run alone."""
+        lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
+        if lost or self._rows is None or not self._rows[0].ready(1):
+            return 1
+        # The first of them enter modes that are not known yet.
+        return min(2 + self._tried, _MAX_BATCH)
+
+    def run(self, table: Array) -> Iterator[tuple[Batch, dict[str, Array], dict[str, list[Array]]]]:
+        """Run rows (m, p) of values; yield those that go through, with their outputs."""
+        assert self._rows is not None
+        rows, outputs = self._rows
+        until = self._ends(table)
+        self._tried += len(table)
+        for batch in rows.run(table, until, self._runner.model.settings.max_jumps):
+            self.through += len(batch.rows)
+            yield batch, *outputs.of(batch, partial(rows.jump, batch, table[batch.rows]))
+
+    def _ends(self, table: Array) -> Array:
+        """Return when runs (m,) end; not a number where that is refused."""
+        runner, names, until = self._runner, self._task.names, self._task.until
+        time = runner.model.stop.time
+        if until is not None or time is None or not parse(time).names:
+            return np.full(len(table), runner.end(until=until))
+        found = np.full(len(table), math.nan)
+        for k, row in enumerate(table.tolist()):
+            with suppress(DeclarationError):
+                found[k] = runner.end(dict(zip(names, row, strict=True)))
+        return found
+
+
+def repeats(words: Sequence[str]) -> list[str]:
+    """Return a sequence in which cycles that repeat are written once: ``(a > b) x 3``."""
+    found: list[str] = []
+    k = 0
+    while k < len(words):
+        best = (1, 1)
+        for period in range(2, _MAX_PERIOD + 1):
+            cycle, end = words[k : k + period], k + period
+            while words[end : end + period] == cycle:
+                end += period
+            times = (end - k) // period
+            if times > 1 and times * period > best[0] * best[1]:
+                best = (period, times)
+        period, times = best
+        text = " > ".join(words[k : k + period])
+        found.append(text if times == 1 else f"({text}) x {times}")
+        k += period * times
+    return found

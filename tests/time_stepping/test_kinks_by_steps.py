@@ -1,0 +1,64 @@
+"""Points that come to rest in a kink, or slide over one, by steps."""
+
+from __future__ import annotations
+
+import pytest
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+
+VALLEY = """
+kind: scene
+name: valley
+parameters: {s: 0.4, q: 0.7}
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {x: -0.5, y: 0.4, dx: 0.3}}}
+surfaces: {left: {SURFACE_A}, right: {SURFACE_B}}
+contacts:
+  a: {point: {body: ball}, surface: left, friction: 0.1, restitution: 0.3ENABLED_A}
+  b: {point: {body: ball}, surface: right, friction: 0.1, restitution: 0.3ENABLED_B}
+stop: {time: 3}
+"""
+HEIGHTS = ("height: -s*x", "height: q*x", ", enabled: ball.x <= 0", ", enabled: ball.x >= 0")
+EDGES = ("edge: [[-3, 3*s], [0, 0]]", "edge: [[0, 0], [3, 3*q]]", "", "")
+
+
+@pytest.mark.parametrize("pieces", [HEIGHTS, EDGES])
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_a_ball_comes_to_rest_in_a_valley_of_two_pieces(pieces, step):
+    text = VALLEY
+    for word, piece in zip(
+        ("SURFACE_A", "SURFACE_B", "ENABLED_A", "ENABLED_B"), pieces, strict=True
+    ):
+        text = text.replace(word, piece)
+    trace = statechart.run(interpret(read_text(text)), engine="impulse", step=step).trace
+    assert trace.final[:2] == pytest.approx([0, 0], abs=0.1 * step)
+    assert trace.final[2:] == pytest.approx([0, 0], abs=1e-12)
+    assert trace.final_mode == ("pin", "pin")
+    # They do not go off and on while it rests: events have 4 and 9 of them before.
+    assert sum(jump.cause in ("enable", "disable") for jump in trace.jumps) < 20
+
+
+STEEP = """
+kind: scene
+name: steep
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {x: -0.28, y: 1.18, dx: -0.51}}}
+surfaces:
+  down: {edge: [[-0.52, 0.174], [0.227, -0.045]]}
+  up: {edge: [[0.227, -0.045], [1.16, 0.876]]}
+contacts:
+  one: {point: {body: ball}, surface: down, friction: 0.05, restitution: 0}
+  two: {point: {body: ball}, surface: up, friction: 0.05, restitution: 0}
+stop: {time: 1.5}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 3e-4, 1e-4])
+def test_a_point_that_has_landed_deep_in_an_edge_slides_onto_the_next(step):
+    model = interpret(read_text(STEEP))
+    wanted = statechart.run(model).trace
+    trace = statechart.run(model, engine="impulse", step=step).trace
+    assert trace.final == pytest.approx(wanted.final, abs=30 * step)
+    assert not [warning for warning in trace.warnings if "stays off" in warning]
