@@ -13,11 +13,10 @@ from typing import get_args
 
 import numpy as np
 
-from contacts.collisions.apart import check_apart
 from contacts.collisions.body_step import step_bodies
 from contacts.collisions.declared_joints import closed, implied_remarks
 from contacts.collisions.declared_surfaces import touched
-from contacts.collisions.inside import check_inside
+from contacts.collisions.initial_penetration import check_apart, check_inside
 from contacts.collisions.mechanics import BodyMechanics
 from contacts.collisions.outlines import body_numbers
 from contacts.collisions.own_step import forced_speed, own_step
@@ -36,9 +35,9 @@ from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
-from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.refused import DEEPEST
+from contacts.time_stepping.run_inputs import RunInputs
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -169,7 +168,7 @@ class BodyStepper(Stepper):
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
-    ) -> Begun:
+    ) -> RunInputs:
         setup, bodies = self._made(overrides, allowed, forces)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
@@ -186,7 +185,7 @@ class BodyStepper(Stepper):
             control = StepControl(
                 self._bodies, self._controllers, setup, bodies, bodies.switch, self._regions
             )
-        return Begun(setup, bodies, free, self._lacks(setup), control, failure)
+        return RunInputs(setup, bodies, free, self._lacks(setup), control, failure)
 
     def _made(
         self, overrides: Mapping[str, float], allowed: float, forces: bool

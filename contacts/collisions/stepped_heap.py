@@ -12,9 +12,8 @@ import numpy as np
 
 from contacts.collisions.body_step import step_bodies
 from contacts.collisions.mass_ratios import ratio_remarks
-from contacts.collisions.no_ground import NoGround
 from contacts.collisions.room import Room
-from contacts.collisions.sinking import Sinking
+from contacts.collisions.run_warnings import NoGround, Sinking
 from contacts.collisions.stiff_forces import UNSTABLE, Held, check_followed, stiffness
 from contacts.collisions.surroundings import Surroundings
 from contacts.detection.body_numbers import BOTH, BodyNumbers, Memory

@@ -61,7 +61,12 @@ def components(
     parts = split(data, _MOVING, _REGIONS, _reserved)
     try:
         return composed(
-            parts, _form, automaton, lambda made: partial(_restricted, numbers[id(made)]), _shown
+            parts,
+            _form,
+            automaton,
+            lambda made: partial(_restricted, numbers[id(made)]),
+            _shown,
+            joint=True,
         )
     except (StatechartError, ValidationError):
         # A part may not be a scene by itself, such as one without anything that moves.

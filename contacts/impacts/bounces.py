@@ -96,7 +96,14 @@ def corrected(
         later = state.copy()
         later[:n] += rest * (state[n:] + 0.5 * rest * accelerations)
         later[n:] += rest * accelerations
-        last = _falling(setup, at(later, rest), lying)
+        end, rebound = at(later, rest), resolved.contacts[i].gap_rate
+        lasting = rebound > setup.capture and rebound**2 > 2.0 * float(still[i]) * setup.lowest
+        if lasting and (
+            _stops(setup, resolved, end, closed)
+            or _wanders(setup, resolved, plastic, lying, i, rest)
+        ):
+            return None
+        last = _falling(setup, end, lying)
         change = (still[i] - last[i] - (fast[i] - still[i]) / flying) / (3.0 * still[i])
         # What is left out of the series is of the square of this.
         known = math.sqrt(_blur(resolved, state, i, float(still[i])))
@@ -104,6 +111,34 @@ def corrected(
             return None
         found[i] = float(rest * (1.0 + change))
     return found
+
+
+def _stops(setup: SceneSetup, snapshot: Snapshot, end: Snapshot, closed: Sequence[bool]) -> bool:
+    """Whether friction stops a slip while contacts bounce: it stops elsewhere than in their sum."""
+    still = 2.0 * setup.tolerances["speed"]
+    return any(
+        shut and abs(now.slip) > still and now.slip * last.slip <= still * abs(now.slip)
+        for now, last, shut in zip(snapshot.contacts, end.contacts, closed, strict=True)
+    )
+
+
+def _wanders(
+    setup: SceneSetup,
+    resolved: Snapshot,
+    plastic: Snapshot,
+    lying: Sequence[bool],
+    contact: int,
+    rest: float,
+) -> bool:
+    """Whether a contact that sticks at each bounce moves on in its flights, as on a slope.
+
+    By ``a_t (2 v / a)^2 / (2 (1 - e^2))`` in all, where their sum rests.
+    """
+    now = resolved.contacts[contact]
+    if abs(plastic.contacts[contact].slip) > 2.0 * setup.tolerances["speed"]:
+        return False
+    along = float(now.jacobian[1] @ _chosen(setup, resolved, lying)) + now.bias_t
+    return abs(along) * rest * rest > setup.tolerances["gap"]
 
 
 def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:

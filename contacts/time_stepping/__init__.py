@@ -1,14 +1,12 @@
 """Moreau's and Jean's time stepping, for points on surfaces.
 
-`stepper` is what all scenes have in common that are stepped; `scene_stepper` runs one by
-`scene_steps`, each `chunk` by the compiled `scene_step` of `scene_numbers` with the linear
-`equations`, the `step_contacts` under `step_conditions`, those `facing` each other, and the
-`control` of each step; `loop` is the run of what is `stepped` from where it has `begun`,
-`streaming` the same as it comes, `stops` ends it by its `stop_tapes` and `active_states`, `forces`
-tells modes and forces from impulses, `settling` modes from accelerations where they change,
-`effort` counts what those took, `impact_order` says whether their order matters, and `recorder`
-makes a trace of it all, whose arcs are `lazy_arcs` of the `polynomials` of steps; a
-`pose_recorder` keeps states alone. `scene_tape` are a scene's equations.
-`passing`, `limits` and `energy` tell where a step is too long, `refused` ends runs there; `misses`
-estimates the errors of a run, with `unseen` of its forces and `impacts`.
+`stepper` is the base of all steppers; `scene_stepper` runs a scene by `scene_steps`, each `chunk`
+by the compiled `scene_step` of `scene_numbers` with the linear `equations`, the `step_contacts`
+under `step_conditions`, `opposed_contacts`, and the `control` of each step; `loop` runs from
+`run_inputs`, `stops` ends it by its `stop_tapes` and `active_states`, `forces` reads modes and
+forces from impulses, `settling` modes from accelerations where they change, `impact_order` decides
+whether the order of impacts matters, and `recorder` makes a trace, whose arcs are `lazy_arcs` of
+the `polynomials` of steps; a `pose_recorder` keeps states alone. `scene_tape` has the equations.
+`passing`, `limits` and `energy` judge whether a step is too long, `refused` ends runs there;
+`discretisation_error`, `force_quadrature_error` and `solver_residual` estimate the errors of a run.
 """

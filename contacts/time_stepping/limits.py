@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.time_stepping.unseen import unseen
+from contacts.time_stepping.force_quadrature_error import force_quadrature_error
 from statechart.arrays import Array, Bools
 from statechart.errors import StepTooLarge
 
@@ -121,7 +121,7 @@ class StepLimits:
         lines = np.stack([states[:-1], np.diff(states, axis=0)], -1)
         rates = slice(n, 2 * n)
         lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
-        known, unknown = unseen(
+        known, unknown = force_quadrature_error(
             *tape.program,
             tape.reads,
             tape.n_fixed,

@@ -35,13 +35,13 @@ from functools import cached_property
 
 import numpy as np
 
-from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.chunk import WORK, Chunk
-from contacts.time_stepping.effort import Effort
 from contacts.time_stepping.polynomials import TERMS
 from contacts.time_stepping.pose_recorder import PoseRecorder
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.refused import Refused, Squeezed, evenly, no_room, too_large
+from contacts.time_stepping.run_inputs import RunInputs, Span, Stepping
+from contacts.time_stepping.solver_residual import SolverResidual
 from contacts.time_stepping.stops import StopConditions
 from statechart import interrupts
 from statechart.automaton.trace import (
@@ -70,7 +70,7 @@ _COUNTED = 2.0**53
 _KNOWN = 2**15
 
 
-def made_ready(stepping: Stepping, begun: Begun, span: Span) -> SteppedRun:
+def made_ready(stepping: Stepping, begun: RunInputs, span: Span) -> SteppedRun:
     """Return a run of a scene from its initial state."""
     values, (record, watch) = begun.setup.values, span.policy
     told = record is Record.MODES or begun.control is not None
@@ -99,7 +99,9 @@ class SteppedRun:
         What is stepped, from where, who notes it, and how far.
     """
 
-    def __init__(self, stepping: Stepping, begun: Begun, recorder: Recorder, span: Span) -> None:
+    def __init__(
+        self, stepping: Stepping, begun: RunInputs, recorder: Recorder, span: Span
+    ) -> None:
         self._begun = begun
         self.stepping, self.recorder, self.span = stepping, recorder, span
         self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
@@ -107,7 +109,7 @@ class SteppedRun:
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
-        self.effort = Effort(span.impulses)
+        self.effort = SolverResidual(span.impulses)
         self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.start_depth)
         poses = span.policy.record is Record.POSES
         self._poses = PoseRecorder(len(stepping.angles)) if poses else None

@@ -25,7 +25,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
 )
 from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
-from contacts.time_stepping.facing import close_faced
+from contacts.time_stepping.opposed_contacts import close_opposed
 from contacts.time_stepping.scene_numbers import (
     Answer,
     ContactMemory,
@@ -169,7 +169,7 @@ def keep_leaving(
     n, h, stays = tape.size, chunk.h, False
     level, closed = memory.level.copy(), memory.closed.copy()
     taking_part(scene, memory, tape, change, k, met, chunk)
-    close_faced(scene, memory, tape, h, met)
+    close_opposed(scene, memory, tape, h, met)
     which = indices(met.active)
     problem = contact_problem(scene, tape, factors, order, which, met)
     bears = np.zeros(len(which), np.bool_)
@@ -300,7 +300,7 @@ def step_scene(
                 scene, memory, tape, change, factors, order, middle, state, time, k, met, chunk
             )
         taking_part(scene, memory, tape, change, k, met, chunk)
-        close_faced(scene, memory, tape, h, met)
+        close_opposed(scene, memory, tape, h, met)
         which, total, lasting, blurred = indices(met.active), change, change.copy(), False
         chunk.efforts[k, CONTACTS] = len(which)
         nothing_borne(memory.off, forces, k, chunk)

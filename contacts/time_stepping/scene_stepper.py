@@ -16,11 +16,11 @@ from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start, hovering
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
-from contacts.time_stepping.begun import Begun
 from contacts.time_stepping.chunk import CHOSEN, Chunk
 from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.effort import INDETERMINATE
+from contacts.time_stepping.run_inputs import RunInputs
 from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.solver_residual import INDETERMINATE
 from contacts.time_stepping.stepper import RELATIVE, Stepper
 from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
@@ -67,7 +67,7 @@ class SceneStepper(Stepper):
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
-    ) -> Begun:
+    ) -> RunInputs:
         try:
             return self._checked(overrides, allowed)
         except SimulationError as error:
@@ -83,7 +83,7 @@ class SceneStepper(Stepper):
         allowed: float,
         warnings: tuple[str, ...],
         failure: SimulationError | None = None,
-    ) -> Begun:
+    ) -> RunInputs:
         scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
         control = None
 
@@ -101,9 +101,9 @@ class SceneStepper(Stepper):
 
             control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
         able = None if self._scene.regions else change
-        return Begun(setup, scene, codes, warnings, control, failure, able)
+        return RunInputs(setup, scene, codes, warnings, control, failure, able)
 
-    def _checked(self, overrides: Mapping[str, float], allowed: float) -> Begun:
+    def _checked(self, overrides: Mapping[str, float], allowed: float) -> RunInputs:
         setup = self._numbers.at(overrides, RELATIVE)
         warnings = [*self._lacks(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)

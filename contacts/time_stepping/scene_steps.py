@@ -13,8 +13,8 @@ from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, JAMMED, Chunk, stepped
+from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.limits import Swings, check_swing, remarks
-from contacts.time_stepping.misses import Equations, Misses
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.refused import depth_left
 from contacts.time_stepping.scene_numbers import ContactMemory, SceneNumbers
@@ -78,7 +78,7 @@ class SteppedScene:
         )
         self._kept = self._memory.copy()
         self._swing = self._length = 0.0
-        self._misses = Misses(setup.scales)
+        self._misses = DiscretisationError(setup.scales)
         self._misses_kept = self._misses.copy()
 
     def change(self, setup: SceneSetup) -> None:

@@ -1,4 +1,4 @@
-"""What the time steppers of scenes have in common: how they are made, start and run."""
+"""Base of the time steppers of scenes: they are made, start, run and stream alike."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.replaced_laws import replaced
 from contacts.states import STATES
-from contacts.time_stepping.begun import Begun, Span, Stepping
 from contacts.time_stepping.loop import made_ready
+from contacts.time_stepping.run_inputs import RunInputs, Span, Stepping
 from contacts.time_stepping.stop_tapes import StopTapes
-from contacts.time_stepping.streaming import stream
+from contacts.time_stepping.stops import StopConditions
 from statechart.arrays import Bools
 from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.sampling import Sampling
+from statechart.automaton.sampling import Sample, Sampling, in_order
 from statechart.automaton.time_stepper import USUAL, Impulses
-from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Outcome, Trace
 from statechart.documents.setting import Record
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, Unsupported
+from statechart.execution.outcome import error_of
 
 _EPS = float(np.finfo(float).eps)
 
@@ -119,7 +120,7 @@ class Stepper(ABC):
     def _able(
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
-    ) -> Begun:  # fmt: skip
+    ) -> RunInputs:  # fmt: skip
         """Return a run by steps that are long enough to move anything."""
         read = forces or bool(self._stepping.stop_names) or bool(self._stepping.controls)
         begun = self._begin(overrides, step, allowed, read)
@@ -137,7 +138,7 @@ class Stepper(ABC):
     @abstractmethod
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
-    ) -> Begun:
+    ) -> RunInputs:
         """Check the initial state; return a run by steps of this length, or why there is none.
 
         Forces need not be found where nobody reads them.
@@ -147,3 +148,43 @@ class Stepper(ABC):
         """Return what differs from the declaration."""
         values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
         return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())
+
+
+def stream(
+    stepping: Stepping,
+    begun: RunInputs,
+    span: Span,
+    sampling: Sampling,
+    parameters: Mapping[str, float],
+) -> Iterator[Arc | Jump]:
+    """Yield arcs and jumps of a run of a scene as they come, an arc ending with every chunk."""
+    if sampling.control is not None and begun.change is None:
+        raise Unsupported(
+            "time steps change parameters of scenes alone whose bodies do not collide by their "
+            "shapes and that have no controllers of their own; take the engine taylor or scipy"
+        )
+    made = made_ready(stepping, begun, span._replace(every=sampling.every))
+    recorder, values = made.recorder, dict(parameters)
+    seen = [0, 0]
+
+    def fresh() -> list[Arc | Jump]:
+        recorder.close()
+        found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
+        seen[:] = len(recorder.arcs), len(recorder.jumps)
+        return in_order(found)
+
+    for _ in made.chunks():
+        yield from fresh()
+        if sampling.control is None or begun.change is None:
+            continue
+        mode = dict(zip(stepping.regions, recorder.key, strict=True))
+        state = dict(zip(stepping.names, made.state.tolist(), strict=True))
+        changed = sampling.control(Sample(made.time, mode, state))
+        if changed:
+            values |= changed
+            setup = begun.change(values)
+            made.stops = StopConditions(stepping, setup)
+    yield from fresh()
+    trace = made.trace()
+    if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+        raise error_of(trace)

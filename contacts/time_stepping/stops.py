@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.begun import Stepping
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
+from contacts.time_stepping.run_inputs import Stepping
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace import Arc, Key
 

@@ -48,12 +48,15 @@ class Component:
         From the numbers of a run of the whole to those of a run of the component.
     shown : callable
         From the role of a region in the component to that in the whole.
+    joint : bool
+        Whether components that jump at one instant do so in one jump, or one after another.
     """
 
     automaton: Automaton
     names: Mapping[str, str]
     restricted: Callable[[Setup, Places], Setup]
     shown: Callable[[Role, Places], Role]
+    joint: bool
 
     def named(self, text: str) -> str:
         """Return a text with the names that the model declares."""
@@ -232,6 +235,8 @@ def composed(
     compose: Callable[[Data], Automaton],
     restricted: Callable[[Automaton], Callable[[Setup, Places], Setup]],
     shown: Callable[[Role, Places], Role] = lambda role, _: role,
+    *,
+    joint: bool,
 ) -> tuple[Component, ...]:
     """Return parts with their automata, one for all parts of the same form."""
     made: dict[str, Automaton] = {}
@@ -241,5 +246,5 @@ def composed(
         automaton = made.get(key)
         if automaton is None:
             automaton = made[key] = compose(data)
-        found.append(Component(automaton, names, restricted(automaton), shown))
+        found.append(Component(automaton, names, restricted(automaton), shown, joint))
     return tuple(found)

@@ -36,7 +36,11 @@ def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Com
     parts = split(data, ("variables", "regions"), ("regions",), _reserved)
     try:
         return composed(
-            parts, _form, lambda part: compose(Chart.model_validate(part)), lambda _: _restricted
+            parts,
+            _form,
+            lambda part: compose(Chart.model_validate(part)),
+            lambda _: _restricted,
+            joint=False,
         )
     except (StatechartError, ValidationError):
         return ()

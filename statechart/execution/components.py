@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.special import comb
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -74,6 +73,15 @@ class _Part:
         local = min(max(between(arc.start, time), 0.0), arc.duration)
         return arc.states(np.array([local]))[0]
 
+    def beside(self, count: int, time: Clock) -> Array:
+        """Return its state at a jump of others, after so many of its own."""
+        near = _ONE_INSTANT * _ULP * time.high
+        if count and time.high - self.times[count - 1] <= near:
+            return self.trace.jumps[count - 1].after
+        if count < len(self.times) and self.times[count] - time.high <= near:
+            return self.trace.jumps[count].before
+        return self.state(time)
+
     def energy(self, time: Clock) -> float:
         """Return its energy at a time at which it does not jump."""
         tape = _energy(self.component.automaton)
@@ -116,7 +124,8 @@ class MergedRun:
                 for place, part in enumerate(self._parts)
                 for j, time in enumerate(part.times[: -1 if stops and part is ended else None])
                 if time <= until
-            )
+            ),
+            joint=self._parts[0].component.joint,
         )
         if stops:
             # What else happens at this instant comes first.
@@ -213,7 +222,9 @@ class MergedRun:
         before = [part.key(count) for part, count in zip(self._parts, counts, strict=True)]
         after = [jumps[k].target if k in jumps else key for k, key in enumerate(before)]
         now = Clock(time)
-        beside = {k: part.state(now) for k, part in enumerate(self._parts) if k not in jumps}
+        beside = {
+            k: part.beside(counts[k], now) for k, part in enumerate(self._parts) if k not in jumps
+        }
         states = [beside[k] if k in beside else jumps[k].before for k in range(len(before))]
         left = [beside[k] if k in beside else jumps[k].after for k in range(len(before))]
         named = [(self._parts[place].component.named, jump) for place, jump in jumps.items()]
@@ -291,12 +302,24 @@ class MergedRun:
         return Arc(self._key(keys), tuple(found), start, number, times, coefficients)
 
 
-def _instants(jumps: Sequence[tuple[float, int, int]]) -> list[tuple[float, dict[int, int]]]:
+def _instants(
+    jumps: Sequence[tuple[float, int, int]], *, joint: bool
+) -> list[tuple[float, dict[int, int]]]:
     """Return jumps (time, component, number) in order of time as those of the whole.
 
     Each is a time, and component -> number of its jump. Components that jump at one instant do so
-    together, the first jumps of all of them before the second ones.
+    in one `joint` jump, the first jumps of all of them before the second ones; or one after
+    another, in their order.
     """
+    if not joint:
+        order: list[tuple[int, int, int]] = []
+        instant, last = 0, -math.inf
+        for time, place, j in jumps:
+            instant += time - last > _ONE_INSTANT * _ULP * time
+            last = time
+            order.append((instant, place, j))
+        times = {(place, j): time for time, place, j in jumps}
+        return [(times[place, j], {place: j}) for _, place, j in sorted(order)]
     found: list[tuple[float, dict[int, int]]] = []
     first, last = 0, -math.inf
     for time, place, j in jumps:
@@ -331,5 +354,4 @@ def _restricted_steps(arc: Arc, begins: Array, lengths: Array) -> Array:
 
 def _binomials(terms: int) -> Array:
     """Return (terms, terms): binom(k, i) in row i, column k; zero where i exceeds k."""
-    i = np.arange(terms)
-    return np.asarray(comb(i[None, :], i[:, None]), float)
+    return np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)], float)

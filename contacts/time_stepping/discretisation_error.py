@@ -1,4 +1,4 @@
-"""What the steps of a run miss, in parts of the run: estimates, to the first order, of its errors.
+"""Discretisation error of a run, estimated to the first order, relative to its motion.
 
 A step sees forces in its middle, and what happens in it happens there. What forces do beside that,
 what contacts turn on before they are struck, where in a step slips turn round or end, and by how
@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.scales import Scales
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.solvers.impulse_coupling import coupled_contacts
+from contacts.solvers.step_impulses import solve_impacts
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.impacts import velocity_change
 from contacts.time_stepping.limits import Swings
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Bools, Ints
@@ -29,6 +31,47 @@ _LITTLE = 1e-3
 _FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
 # And so much of the way of a coordinate.
 _WAY = 0.2
+
+
+# Directions are one to within this part of the largest.
+_DEPENDENT = 1e-9
+
+
+def velocity_change(
+    mass: Array, held: Array, pushes: Array, velocities: Array, cones: Array, restitution: Array
+) -> Array | None:
+    """Return what Moreau's law of impact adds to the rates (n,); None where it is not solved.
+
+    Parameters
+    ----------
+    mass : (n, n) array
+    held : (r, n) array
+        Directions in which joints and pins hold.
+    pushes : (m, 2, n) array
+        Jacobians of what is struck.
+    velocities : (m, 2) array
+        Normal and tangential, before.
+    cones : (m, 2) array
+    restitution : (m,) array
+    """
+    n, m, r = len(mass), len(pushes), len(held)
+    rows = pushes.reshape(2 * m, n)
+    system = np.zeros((n + r, n + r))
+    system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
+    right = np.vstack([rows.T, np.zeros((r, 2 * m))])
+    moved = np.linalg.lstsq(system, right, rcond=_DEPENDENT)[0][:n]
+    delassus = np.ascontiguousarray(rows @ moved)
+    wanted = np.zeros((m, 2))
+    wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
+    groups = coupled_contacts(
+        mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
+    )
+    good, _, _, impulses, _ = solve_impacts(
+        delassus, groups, velocities, velocities.copy(), wanted, cones,
+        restitution > 0.0, np.zeros(UNKNOWNS * m, dtype=np.bool_), np.zeros(0), False,
+    )  # fmt: skip
+    change: Array = moved @ impulses.reshape(2 * m)
+    return change if good and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):
@@ -49,7 +92,7 @@ class Equations(NamedTuple):
     restitution: Array
 
 
-class Misses:
+class DiscretisationError:
     """Watches a run.
 
     Parameters
@@ -68,9 +111,9 @@ class Misses:
         # Speeds that are off after one impact, and of springs; ways that slips that end are off.
         self._late, self._ahead, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
 
-    def copy(self) -> Misses:
+    def copy(self) -> DiscretisationError:
         """Return what is known so far."""
-        found = Misses.__new__(Misses)
+        found = DiscretisationError.__new__(DiscretisationError)
         found.__dict__.update(self.__dict__)  # no array is changed in place
         return found
 

@@ -1,8 +1,7 @@
-"""Contacts that face each other without play, as a latch does a stop: both are closed, or none.
+"""Two opposed contacts (a latch and its stop) have no clearance: both are closed, or none.
 
-What the landing of one has left is no play of the other. As if it were, an impact would send what
-they hold from the one to the other, and they would be struck in turn, whose outcome is another than
-that of being struck at once, however short the step.
+The small gap left when one closes must not count as clearance of the other: the body would bounce
+between them, and be struck in turn instead of at once, however short the step.
 """
 
 from __future__ import annotations
@@ -17,7 +16,9 @@ _BENT = 1.01
 
 
 @part
-def close_faced(scene: SceneNumbers, memory: ContactMemory, tape: Tape, h: float, met: Met) -> None:
+def close_opposed(
+    scene: SceneNumbers, memory: ContactMemory, tape: Tape, h: float, met: Met
+) -> None:
     """Let contacts last that are apart by what the landing of one that faces them has left."""
     n = tape.size
     for i in range(len(scene.cones)):
@@ -30,7 +31,7 @@ def close_faced(scene: SceneNumbers, memory: ContactMemory, tape: Tape, h: float
             lasts = met.active[other] and not met.hit[other]
             if not lasts or memory.level[other] >= -scene.near:
                 continue
-            lever = _facing(tape, i, other)
+            lever = _opposing_lever(tape, i, other)
             if lever > 0.0 and gap <= scene.near - _BENT * lever * left:
                 # Kept where the other is, neither is asked to part by what the other is not.
                 met.active[i], memory.closed[i] = True, True
@@ -42,7 +43,7 @@ def close_faced(scene: SceneNumbers, memory: ContactMemory, tape: Tape, h: float
 
 
 @part
-def _facing(tape: Tape, i: int, other: int) -> float:
+def _opposing_lever(tape: Tape, i: int, other: int) -> float:
     """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
     n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
     most = least = apart = 0.0

@@ -1,4 +1,4 @@
-"""What the impulses of a run took, and by how much they miss the contact laws."""
+"""Residual of the contact laws over a run, and the work that its impulses took."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ INDETERMINATE = (
 """What is said where the impulses of a step are not the only ones that the contact laws allow."""
 
 
-class Effort:
+class SolverResidual:
     """Counts contacts and iterations, and the steps whose impulses are not as asked.
 
     Parameters

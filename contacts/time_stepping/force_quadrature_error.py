@@ -1,4 +1,4 @@
-"""What forces do within time steps beside what they are in the middle of each.
+"""Force quadrature error of time steps: mean force over a step less that in its middle.
 
 The midpoint rule takes a force for what it is at one place. Its mean over the step is that of three
 places in each piece in which it is resolved (see `statechart.kernels.resolution`); what is resolved
@@ -26,7 +26,7 @@ _NARROW = 2.0**-20  # of a step, likewise
 
 
 @seldom
-def unseen(
+def force_quadrature_error(
     code: Ints32,
     constants: Array,
     outputs: Ints32,

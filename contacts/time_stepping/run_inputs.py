@@ -1,21 +1,65 @@
-"""What a run by steps is made from: its model, where it begins, how far it goes, what is kept."""
+"""Inputs of a run by steps: the system that is stepped, its start, its span, what is kept."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.stepped import Control, Stepped
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_tapes import StopTapes
-from statechart.arrays import Bools, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.time_stepper import Impulses
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Jump, Key
 from statechart.errors import SimulationError
 from statechart.formulas.tape import Tape
+
+
+class Stepped(Protocol):
+    """What is stepped."""
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least values seen."""
+        ...
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        ...
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps."""
+        ...
+
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays in what it touches, whatever moves; see `refused`.
+
+        After the last steps, which have come near that state.
+        """
+        ...
+
+
+class Control(Protocol):
+    """What acts at the ends of steps."""
+
+    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
+        """Return the steps up to the first after which it may act, and whether there is one."""
+        ...
+
+    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
+        """Return the first step at whose end what it waits for has no value, and its name."""
+        ...
+
+    def turn(
+        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
+    ) -> Array:
+        """Act at the end of a step, after the jumps of the step; return the state then."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +102,7 @@ class Stepping:
     energy: Tape
 
 
-class Begun(NamedTuple):
+class RunInputs(NamedTuple):
     """A run that can start, or why it cannot.
 
     Attributes
