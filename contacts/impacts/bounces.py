@@ -115,7 +115,7 @@ def corrected(
 def _stops(setup: SceneSetup, snapshot: Snapshot, end: Snapshot, closed: Sequence[bool]) -> bool:
     """Whether friction stops a slip while contacts bounce: it stops elsewhere than in their sum.
 
-    The slip after the impact may be zero and that after the plastic one not, whose friction is less.
+    The slip after the impact may be zero, and that after the plastic one, with less friction, not.
     """
     still = 2.0 * setup.tolerances["speed"]
     return any(

@@ -36,26 +36,15 @@ _DROPPED = ("doc", "ranges", "invariants", "outputs")
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A part of a model that has nothing to do with the rest.
+    """A part of a model that has nothing to do with the rest."""
 
-    Attributes
-    ----------
-    automaton : Automaton
-        Its own, in neutral names; alike components share it.
-    names : mapping
-        Neutral name -> name.
-    restricted : callable
-        From the numbers of a run of the whole to those of a run of the component.
-    shown : callable
-        From the role of a region in the component to that in the whole.
-    joint : bool
-        Whether components that jump at one instant do so in one jump, or one after another.
-    """
-
-    automaton: Automaton
-    names: Mapping[str, str]
+    automaton: Automaton  # Its own, in neutral names; alike components share it.
+    names: Mapping[str, str]  # Neutral name -> name.
+    # From the numbers of a run of the whole to those of a run of the component.
     restricted: Callable[[Setup, Places], Setup]
+    # From the role of a region in the component to that in the whole.
     shown: Callable[[Role, Places], Role]
+    # Whether components that jump at one instant do so in one jump, or one after another.
     joint: bool
 
     def named(self, text: str) -> str:
