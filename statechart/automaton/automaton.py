@@ -8,13 +8,16 @@ state contributes equations in the shared unknowns, never a vector field of its 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
 import sympy as sp
 
+from statechart.arrays import Ints
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import (
@@ -26,18 +29,19 @@ from statechart.automaton.regions import (
     active_in,
 )
 from statechart.automaton.time_stepper import TimeStepper
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Key, Role
 from statechart.errors import Unsupported
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
-    from statechart.automaton.components import Component
     from statechart.documents.declaration import Declaration
     from statechart.formulas.condition import Active
     from statechart.formulas.tape import Tape
 
 
 UNTOLD = "not recorded"
+NEUTRAL = re.compile(r"zz\d+zz")
+"""Names that alike components share."""
 """What is shown as the state of a region whose modes a run does not keep."""
 
 
@@ -175,3 +179,43 @@ class Automaton:
             time=self.time,
             definitions=mode.definitions if mode else (),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A part of a model that has nothing to do with the rest."""
+
+    automaton: Automaton  # Its own, in neutral names; alike components share it.
+    names: Mapping[str, str]  # Neutral name -> name.
+    # From the numbers of a run of the whole to those of a run of the component.
+    restricted: Callable[[Setup, Places], Setup]
+    # From the role of a region in the component to that in the whole.
+    shown: Callable[[Role, Places], Role]
+    # Whether components that jump at one instant do so in one jump, or one after another.
+    joint: bool
+
+    def named(self, text: str) -> str:
+        """Return a text with the names that the model declares."""
+        return NEUTRAL.sub(lambda found: self.names.get(found[0], found[0]), text)
+
+
+class Places:
+    """Where regions, variables and parameters of a component stand in the whole.
+
+    Attributes
+    ----------
+    regions, variables, parameters : array of int
+    whole : Automaton
+    """
+
+    def __init__(self, component: Component, whole: Automaton) -> None:
+        part, named = component.automaton, component.named
+
+        def places(names: Sequence[str], of: Sequence[str]) -> Ints:
+            found = {name: place for place, name in enumerate(of)}
+            return np.array([found[named(name)] for name in names], np.int64)
+
+        self.whole = whole
+        self.regions = places(part.region_names, whole.region_names)
+        self.variables = places(part.names, whole.names)
+        self.parameters = places(part.parameter_names, whole.parameter_names)

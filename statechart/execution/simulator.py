@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from statechart import interrupts
 from statechart.arrays import Array, Bools
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.components import Places
+from statechart.automaton.automaton import Automaton, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.sampling import Sampling
