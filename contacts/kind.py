@@ -12,7 +12,7 @@ from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
-    from contacts.dynamics.setup import SceneNumbers
+    from contacts.dynamics.setup_evaluation import SceneNumbers
     from contacts.scene.modes import ContactSymbols
     from statechart.automaton.regions import Margin, Region
     from statechart.automaton.time_stepper import TimeStepper
@@ -34,7 +34,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from contacts.dynamics.control_guards import given, memory_rates
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
-    from contacts.dynamics.setup import SceneNumbers
+    from contacts.dynamics.setup_evaluation import SceneNumbers
     from contacts.event_driven.laws import SceneLaws
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import stop_conditions

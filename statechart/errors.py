@@ -154,14 +154,9 @@ class DeclarationProblem(ValueError):
         The formula or relation that `offset` points into, as read; empty for none.
     see : tuple of str or int
         Another place that has to do with it, which `{see}` in the message stands for.
-
-    Attributes
-    ----------
-    others : tuple of DeclarationProblem
-        What is wrong besides, found by `Findings`.
     """
 
-    others: tuple[DeclarationProblem, ...] = ()
+    others: tuple[DeclarationProblem, ...] = ()  # What is wrong besides, found by `Findings`.
 
     def __init__(
         self,

@@ -18,18 +18,10 @@ _COUNTED = 10**9
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a text that belong under each other.
+    """Rows of a text that belong under each other."""
 
-    Attributes
-    ----------
-    rows : sequence of sequence of str
-        Those of one table are of one length.
-    headed : bool
-        Whether the first row is the head.
-    """
-
-    rows: Sequence[Sequence[str]]
-    headed: bool = False
+    rows: Sequence[Sequence[str]]  # Those of one table are of one length.
+    headed: bool = False  # Whether the first row is the head.
 
 
 Block = str | Table

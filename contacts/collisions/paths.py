@@ -19,18 +19,10 @@ from statechart.formulas.writer import compile_tape
 
 
 class Where(NamedTuple):
-    """Where what has a path is, at instants.
+    """Where what has a path is, at instants."""
 
-    Attributes
-    ----------
-    frames : (m, s, 3)
-        Of all surfaces that bodies touch.
-    places : (m, j, 2)
-        Of all joints; zero where they hold two bodies together.
-    """
-
-    frames: Array
-    places: Array
+    frames: Array  # (m, s, 3): of all surfaces that bodies touch.
+    places: Array  # (m, j, 2): of all joints; zero where they hold two bodies together.
 
 
 class Paths:

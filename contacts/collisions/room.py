@@ -15,58 +15,34 @@ from statechart.arrays import Array, Bools, Ints
 
 
 class Room(NamedTuple):
-    """Where steps work; of it `worst` alone lasts.
-
-    Attributes
-    ----------
-    look : Look
-    touches : Touches
-    grid : Grid
-    pressed : (c, 2), steady : (c, 2)
-        Impulses of the step, and those of them that are forces.
-    bounces : (c,) array of int
-        1: restitution is asked for.
-    known : (c,)
-        Slip that the impulses of the island may have missed.
-    contacts : ContactRows
-        Those of an island.
-    island : (5, c, 2)
-        Their velocities before the step and without impulses, what is wanted, and impulses; and
-        those of impacts in turn.
-    rebounds : (c,) array of bool
-        Which of them do.
-    parents, local : (b,) array of int, begins : (b + 1,), order, spare : (c,)
-        See `contacts.collisions.islands`.
-    borne : (b,)
-        The largest impulse that presses a body.
-    worst : (4,)
-        What lasts: of all islands whose impulses missed what was allowed, that with the largest
-        ratio of masses: this ratio, its lightest and its heaviest body, the residual.
-    earlier : Memory
-        What was remembered before the last step.
-    apart : (2,)
-        The part of the energy of motion that joints add in a step, for which no impulses were
-        found that close them; and 1 where it can be taken in parts.
-    """
+    """Where steps work; of it `worst` alone lasts."""
 
     look: Look
     touches: Touches
     grid: Grid
+    # (c, 2): impulses of the step, and those of them that are forces.
     pressed: Array
     steady: Array
-    bounces: Ints
-    known: Array
-    contacts: ContactRows
+    bounces: Ints  # (c,): 1: restitution is asked for.
+    known: Array  # (c,): slip that the impulses of the island may have missed.
+    contacts: ContactRows  # Those of an island.
+    # (5, c, 2): their velocities before the step and without impulses, what is wanted, and
+    # impulses; and those of impacts in turn.
     island: Array
-    rebounds: Bools
-    parents: Ints
-    local: Ints
-    begins: Ints
-    order: Ints
-    spare: Ints
-    borne: Array
+    rebounds: Bools  # (c,): which of them do.
+    # See `contacts.collisions.islands`.
+    parents: Ints  # shape (b,)
+    local: Ints  # shape (b,)
+    begins: Ints  # shape (b + 1,)
+    order: Ints  # shape (c,)
+    spare: Ints  # shape (c,)
+    borne: Array  # (b,): the largest impulse that presses a body.
+    # (4,): what lasts: of all islands whose impulses missed what was allowed, that with the largest
+    # ratio of masses: this ratio, its lightest and its heaviest body, the residual.
     worst: Array
-    earlier: Memory
+    earlier: Memory  # What was remembered before the last step.
+    # (2,): the part of the energy of motion that joints add in a step, for which no impulses were
+    # found that close them; and 1 where it can be taken in parts.
     apart: Array
 
     @classmethod

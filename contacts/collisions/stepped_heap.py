@@ -38,18 +38,10 @@ _MOVES, _INSTANT = 20, 1e-6
 
 
 class _Touched(NamedTuple):
-    """What bodies touch at a look.
+    """What bodies touch at a look."""
 
-    Attributes
-    ----------
-    levels : (m,)
-        How deep contacts are.
-    lasts, rough : (m,) array of bool
-        Which last, and which rub.
-    normal, tangential, joints : Held
-    """
-
-    levels: Array
+    levels: Array  # (m,): how deep contacts are.
+    # (m,): which last, and which rub.
     lasts: Bools
     rough: Bools
     normal: Held

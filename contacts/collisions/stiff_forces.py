@@ -47,21 +47,13 @@ class Forces(NamedTuple):
 
 
 class Stiffness(NamedTuple):
-    """What a step of forces does per change, of coordinates whose squared rates are energies.
+    """What a step of forces does per change, of coordinates whose squared rates are energies."""
 
-    Attributes
-    ----------
-    size : int
-        Coordinates, n.
-    rows, columns : (k,) array of int
-        What changes by what.
-    places, rates : (k,) array
-        ``h^2 K`` and ``2 h D``: less force where bodies have moved, and are faster.
-    """
-
-    size: int
+    size: int  # Coordinates, n.
+    # (k,): what changes by what.
     rows: Ints
     columns: Ints
+    # (k,): ``h^2 K`` and ``2 h D``: less force where bodies have moved, and are faster.
     places: Array
     rates: Array
 
@@ -116,18 +108,10 @@ def stiffness(
 
 
 class Held(NamedTuple):
-    """Directions in which contacts and joints hold.
+    """Directions in which contacts and joints hold."""
 
-    Attributes
-    ----------
-    bodies : (r, 2) array of int
-        Whose; -1: none.
-    rows : (r, 6)
-        Of their rates.
-    """
-
-    bodies: Ints
-    rows: Array
+    bodies: Ints  # (r, 2): whose; -1: none.
+    rows: Array  # (r, 6): of their rates.
 
     def only(self, which: Bools) -> Held:
         """Return some of them."""

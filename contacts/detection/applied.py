@@ -10,18 +10,11 @@ from statechart.kernels.tapes import run_tape
 
 
 class ForceProgram(NamedTuple):
-    """Forces and moments on some bodies.
+    """Forces and moments on some bodies."""
 
-    Attributes
-    ----------
-    bodies : (f,) array of int
-        Which.
-    code, constants, outputs, values
-        The program (see `statechart.formulas.tape.Tape`) over the state of a run, and the
-        parameters: two components and a moment for each.
-    """
-
-    bodies: Ints
+    bodies: Ints  # (f,): which.
+    # The program (see `statechart.formulas.tape.Tape`) over the state of a run, and the parameters:
+    # two components and a moment for each.
     code: Ints32
     constants: Array
     outputs: Ints32
@@ -29,21 +22,13 @@ class ForceProgram(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """What acts on bodies in the next steps.
+    """What acts on bodies in the next steps."""
 
-    Attributes
-    ----------
-    frames : (k + 2, s, 3), places : (k + 2, j, 2)
-        Of surfaces, and what joints hold points to in the world, at the midpoints of the steps, of
-        the one before and of the one after.
-    memories : (k + 2, w)
-        What controllers remember then.
-    forces : ForceProgram
-    """
-
-    frames: Array
-    places: Array
-    memories: Array
+    # Of surfaces, and what joints hold points to in the world, at the midpoints of the steps, of
+    # the one before and of the one after.
+    frames: Array  # shape (k + 2, s, 3)
+    places: Array  # shape (k + 2, j, 2)
+    memories: Array  # (k + 2, w): what controllers remember then.
     forces: ForceProgram
 
     def after(self, count: int) -> Ahead:

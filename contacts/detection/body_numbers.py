@@ -22,110 +22,61 @@ _PER_PIECE = 8
 
 
 class PieceNumbers(NamedTuple):
-    """The convex pieces that bodies are made of, in the order of these.
+    """The convex pieces that bodies are made of, in the order of these."""
 
-    Attributes
-    ----------
-    bodies : (p,) array of int, begins : (b + 1,) array of int
-        Whose they are, and where those of a body begin.
-    vertices : (v, 2), firsts : (p + 1,)
-        Corners in the frames of their bodies, and where those of a piece begin; none of discs.
-    middles : (p, 2)
-        Centres of discs, and places in polygons, in those frames.
-    radii, sizes, cores : (p,)
-        Of discs; how far a piece reaches from its middle at most, and at least.
-    spans : (p,)
-        How far it reaches from the centre of its body.
-    """
-
-    bodies: Ints
-    begins: Ints
-    vertices: Array
-    firsts: Ints
-    middles: Array
+    # Whose they are, and where those of a body begin.
+    bodies: Ints  # shape (p,)
+    begins: Ints  # shape (b + 1,)
+    # Corners in the frames of their bodies, and where those of a piece begin; none of discs.
+    vertices: Array  # shape (v, 2)
+    firsts: Ints  # shape (p + 1,)
+    middles: Array  # (p, 2): centres of discs, and places in polygons, in those frames.
+    # (p,): of discs; how far a piece reaches from its middle at most, and at least.
     radii: Array
     sizes: Array
     cores: Array
-    spans: Array
+    spans: Array  # (p,): how far it reaches from the centre of its body.
 
 
 class JointNumbers(NamedTuple):
-    """The joints of a scene.
+    """The joints of a scene."""
 
-    Attributes
-    ----------
-    bodies : (j, 2) array of int
-        Of the point, and of what it is held to; -1: a place in the world.
-    at : (j, 2, 2)
-        The points in the frames of these bodies.
-    holds : (j,) array of int
-    """
-
-    bodies: Ints
-    at: Array
-    holds: Ints
+    bodies: Ints  # (j, 2): of the point, and of what it is held to; -1: a place in the world.
+    at: Array  # (j, 2, 2): the points in the frames of these bodies.
+    holds: Ints  # shape (j,)
 
 
 class BodyNumbers(NamedTuple):
-    """What does not change in a run of colliding bodies.
-
-    Attributes
-    ----------
-    pieces : PieceNumbers
-    sizes : (b,)
-        How far a body reaches from its centre; 0 of those without a shape.
-    inverse : (b, 3)
-        1/mass, 1/mass, 1/moment of inertia.
-    gravity : (2,)
-    surfaces : SurfaceNumbers
-    kinds : (b,) array of int
-        What bodies are copies of.
-    laws : (k, k + s) array of int
-        Which law kinds of bodies touch each other and surfaces by; -1: they do not.
-    materials : (m, 3)
-        Laws: edge of the cone (2), restitution.
-    joints : JointNumbers
-    """
+    """What does not change in a run of colliding bodies."""
 
     pieces: PieceNumbers
-    sizes: Array
-    inverse: Array
-    gravity: Array
+    sizes: Array  # (b,): how far a body reaches from its centre; 0 of those without a shape.
+    inverse: Array  # (b, 3): 1/mass, 1/mass, 1/moment of inertia.
+    gravity: Array  # shape (2,)
     surfaces: SurfaceNumbers
-    kinds: Ints
+    kinds: Ints  # (b,): what bodies are copies of.
+    # (k, k + s): which law kinds of bodies touch each other and surfaces by; -1: they do not.
     laws: Ints
-    materials: Array
+    materials: Array  # (m, 3): laws: edge of the cone (2), restitution.
     joints: JointNumbers
 
 
 class Memory(NamedTuple):
-    """What lasts from step to step.
+    """What lasts from step to step."""
 
-    Attributes
-    ----------
-    keys : (c, 2) array of int
-        Of the contacts of the step before: pair and feature. There is place for more than take
-        part in a step.
-    contacts : (c, MEMORY)
-        See `MEMORY`.
-    many : (1,) array of int
-        How many they are.
-    past : (3,)
-        Length of the step before; the fastest approach so far, and the longest in a step, of
-        which half is how deep bodies may be kept.
-    shown : (b, 2) array of int
-        Mode of every body in the last step, and 1 where it is read from accelerations; see
-        `contacts.collisions.body_modes`.
-    landed : (b, 6)
-        The largest gap at which a body landed, since it settles; the normal there, what lies at the
-        gap zero along it, and the corner in the frame of the body.
-    """
-
+    # (c, 2): of the contacts of the step before: pair and feature. There is place for more than
+    # take part in a step.
     keys: Ints
-    contacts: Array
-    many: Ints
+    contacts: Array  # (c, MEMORY): see `MEMORY`.
+    many: Ints  # (1,): how many they are.
+    # (3,): length of the step before; the fastest approach so far, and the longest in a step, of
+    # which half is how deep bodies may be kept.
     past: Array
+    # (b, 2): mode of every body in the last step, and 1 where it is read from accelerations; see
+    # `contacts.collisions.body_modes`.
     shown: Ints
+    # (b, 6): the largest gap at which a body landed, since it settles; the normal there, what lies
+    # at the gap zero along it, and the corner in the frame of the body.
     landed: Array
 
     @classmethod

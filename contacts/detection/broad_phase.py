@@ -27,33 +27,17 @@ _ACROSS = 73856093
 
 
 class Grid(NamedTuple):
-    """Where the search for pairs works.
+    """Where the search for pairs works."""
 
-    Attributes
-    ----------
-    cells : (b, 2) array of int
-        Cell of every body; of a large one none.
-    large : (b,) array of int
-    heads, order : (c + 1,), (b,) array of int
-        Bodies by the hash of their cells.
-    pairs : (p, 2) array of int
-        Those found, in order.
-    circles : (b, 3)
-        Middles and radii of the circles that the listed pairs are of.
-    listed : (p, 2) array of int
-        Pairs of these, in order.
-    many : (1,) array of int
-        How many; -1: none are listed.
-    """
-
-    cells: Ints
-    large: Ints
+    cells: Ints  # (b, 2): cell of every body; of a large one none.
+    large: Ints  # shape (b,)
+    # (c + 1,): bodies by the hash of their cells.
     heads: Ints
     order: Ints
-    pairs: Ints
-    circles: Array
-    listed: Ints
-    many: Ints
+    pairs: Ints  # (p, 2): those found, in order.
+    circles: Array  # (b, 3): middles and radii of the circles that the listed pairs are of.
+    listed: Ints  # (p, 2): pairs of these, in order.
+    many: Ints  # (1,): how many; -1: none are listed.
 
     @classmethod
     def room(cls, count: int, most: int) -> Grid:

@@ -35,24 +35,15 @@ _GRAZED = 0.1
 
 
 class Ground(NamedTuple):
-    """The surfaces in the middle of a step.
+    """The surfaces in the middle of a step."""
 
-    Attributes
-    ----------
-    paths : (3, s, 3)
-        Their frames at the look before, at this one and at the next; of no use where none moves.
-    registers : (int, array)
-        Of the program of heights; see `statechart.kernels.tapes.filled`.
-    frames : (3, 3)
-        Is overwritten.
-    still : (3, 3)
-        Zero.
-    """
-
+    # (3, s, 3): their frames at the look before, at this one and at the next; of no use where none
+    # moves.
     paths: Array
+    # (int, array): of the program of heights; see `statechart.kernels.tapes.filled`.
     registers: tuple[int, Array]
-    frames: Array
-    still: Array
+    frames: Array  # (3, 3): is overwritten.
+    still: Array  # (3, 3): zero.
 
 
 @part

@@ -18,30 +18,20 @@ TOUCHING = 1e-12
 
 
 class Look(NamedTuple):
-    """Bodies in the middle of a step.
+    """Bodies in the middle of a step."""
 
-    Attributes
-    ----------
-    places, old, loose : (b, 3)
-        Where they are; their rates before the step, and after it without contacts.
-    centres, drifts : (p, 2), world : (v, 2)
-        Middles of pieces in the world and their velocities before the step; corners of polygons.
-    reach : (p,)
-        How far a piece moves within two steps, and since the last look, and is taken to touch.
-    gaps : (b,)
-        To what is nearest, where that is found.
-    pull : (b,)
-        How much faster gravity, or a surface that moves, makes a body within the step.
-    """
-
+    # (b, 3): where they are; their rates before the step, and after it without contacts.
     places: Array
     old: Array
     loose: Array
-    centres: Array
-    drifts: Array
-    world: Array
+    # Middles of pieces in the world and their velocities before the step; corners of polygons.
+    centres: Array  # shape (p, 2)
+    drifts: Array  # shape (p, 2)
+    world: Array  # shape (v, 2)
+    # (p,): how far a piece moves within two steps, and since the last look, and is taken to touch.
     reach: Array
-    gaps: Array
+    gaps: Array  # (b,): to what is nearest, where that is found.
+    # (b,): how much faster gravity, or a surface that moves, makes a body within the step.
     pull: Array
 
     @classmethod

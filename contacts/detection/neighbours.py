@@ -28,23 +28,16 @@ _AROUND = 2e-3
 
 
 class Neighbours(NamedTuple):
-    """The pieces near each piece.
+    """The pieces near each piece."""
 
-    Attributes
-    ----------
-    heads, lower : (p + 1,), (k,) array of int
-        Of every piece those near it that stand before it: where they begin, and which they are.
-    others, many : (p,), (1,) array of int
-        Those near one piece, and how many they are.
-    covering : (c,) array of int
-        Is overwritten; see `near_obstacles`.
-    """
-
+    # (p + 1,): of every piece those near it that stand before it: where they begin, and which they
+    # are.
     heads: Ints
     lower: Ints
+    # (p,): those near one piece, and how many they are.
     others: Ints
     many: Ints
-    covering: Ints
+    covering: Ints  # (c,): is overwritten; see `near_obstacles`.
 
 
 @part

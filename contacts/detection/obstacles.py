@@ -32,26 +32,15 @@ RAYS = 32
 
 
 class Obstacle(NamedTuple):
-    """A convex set.
-
-    Attributes
-    ----------
-    sort : int
-    corners : (k, 2)
-        Of a polygon, counter-clockwise; two on the boundary of a half-plane, which has its solid on
-        the left; the ends of a sheet.
-    centre : (2,)
-    radius : float
-        Of a disc.
-    size : float
-        How far it reaches from its middle; infinite of a half-plane.
-    """
+    """A convex set."""
 
     sort: int
+    # (k, 2): of a polygon, counter-clockwise; two on the boundary of a half-plane, which has its
+    # solid on the left; the ends of a sheet.
     corners: Array
-    centre: Array
-    radius: float
-    size: float
+    centre: Array  # shape (2,)
+    radius: float  # Of a disc.
+    size: float  # How far it reaches from its middle; infinite of a half-plane.
 
 
 @part

@@ -15,39 +15,25 @@ CROSSED = 0.5
 
 
 class Pair(NamedTuple):
-    """A piece of a body, and what it may touch.
+    """A piece of a body, and what it may touch."""
 
-    Attributes
-    ----------
-    p, q : int
-        The piece; another, or a surface, which stand behind all pieces.
-    body, other : int
-        Of the piece; which other body it touches, also one that carries a surface, or -1.
-    key : int
-        See `Memory`.
-    material : int
-        Which law they touch by; -1: they do not.
-    whole, discs, moves : bool
-        Whether both are pieces; both discs; one a surface that moves, and no body.
-    slowly, turns : bool
-        Whether the step is short beside how fast pieces move: all that looks closer at what is fast
-        is within its error; whether they turn much in it.
-    size : float
-        Of the smaller one.
-    """
-
+    # The piece; another, or a surface, which stand behind all pieces.
     p: int
     q: int
+    # Of the piece; which other body it touches, also one that carries a surface, or -1.
     body: int
     other: int
-    key: int
-    material: int
+    key: int  # See `Memory`.
+    material: int  # Which law they touch by; -1: they do not.
+    # Whether both are pieces; both discs; one a surface that moves, and no body.
     whole: bool
     discs: bool
     moves: bool
+    # Whether the step is short beside how fast pieces move: all that looks closer at what is fast
+    # is within its error; whether they turn much in it.
     slowly: bool
     turns: bool
-    size: float
+    size: float  # Of the smaller one.
 
 
 @part

@@ -26,29 +26,17 @@ _SAME = 1e-3
 
 
 class SurfaceNumbers(NamedTuple):
-    """The surfaces that bodies collide with.
+    """The surfaces that bodies collide with."""
 
-    Attributes
-    ----------
-    kinds : (s,) array of int
-    numbers : (s, 4)
-        A point and the unit normal out of the solid of lines, the ends of plates, centre and radius
-        of circles.
-    carriers : (s,) array of int
-        Bodies that carry them; -1: none.
-    moves : (s,) array of bool
-        Which of them have paths.
-    graphs : (s,) array of int
-        Where a height, its slope and its curvature are among the outputs of the program.
-    code, constants, outputs, values
-        The program (see `statechart.formulas.tape.Tape`), and the parameters that it reads.
-    """
-
-    kinds: Ints
+    kinds: Ints  # shape (s,)
+    # (s, 4): A point and the unit normal out of the solid of lines, the ends of plates, centre and
+    # radius of circles.
     numbers: Array
-    carriers: Ints
-    moves: Bools
+    carriers: Ints  # (s,): bodies that carry them; -1: none.
+    moves: Bools  # (s,): which of them have paths.
+    # (s,): where a height, its slope and its curvature are among the outputs of the program.
     graphs: Ints
+    # The program (see `statechart.formulas.tape.Tape`), and the parameters that it reads.
     code: Ints32
     constants: Array
     outputs: Ints32

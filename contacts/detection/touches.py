@@ -16,43 +16,24 @@ _LASTS = 0.95
 
 
 class Touches(NamedTuple):
-    """Contacts that take part in a step.
+    """Contacts that take part in a step."""
 
-    Attributes
-    ----------
-    bodies : (c, 2) array of int
-        Which touch; -1: a surface.
-    rows : (c, 2, 6)
-        Velocities, normal and tangential, per unit rates of the two.
-    keys : (c, 2) array of int
-        See `Memory`.
-    memory : (c, 4)
-        The level at which each is kept; how far above that it is, or, where it is struck, above
-        the other; slip that the impulses of the step before may have missed; how far it is above
-        the level at which it was kept.
-    materials : (c, 3)
-        See `BodyNumbers`.
-    before, free, wanted : (c, 2)
-        Velocities before the step, and after it without impulses; what these may not fall below,
-        negated.
-    pushes : (c, 2)
-        Impulses of the step before.
-    hit : (c,) array of bool
-        Who is struck.
-    closing : (c, 2, 2)
-        How far joints are left open in both directions, and by how much less with time.
-    """
-
-    bodies: Ints
-    rows: Array
-    keys: Ints
+    bodies: Ints  # (c, 2): which touch; -1: a surface.
+    rows: Array  # (c, 2, 6): velocities, normal and tangential, per unit rates of the two.
+    keys: Ints  # (c, 2): see `Memory`.
+    # (c, 4): the level at which each is kept; how far above that it is, or, where it is struck,
+    # above the other; slip that the impulses of the step before may have missed; how far it is
+    # above the level at which it was kept.
     memory: Array
-    materials: Array
+    materials: Array  # (c, 3): see `BodyNumbers`.
+    # (c, 2): velocities before the step, and after it without impulses; what these may not fall
+    # below, negated.
     before: Array
     free: Array
     wanted: Array
-    pushes: Array
-    hit: Bools
+    pushes: Array  # (c, 2): impulses of the step before.
+    hit: Bools  # (c,): who is struck.
+    # (c, 2, 2): how far joints are left open in both directions, and by how much less with time.
     closing: Array
 
     @classmethod

@@ -55,71 +55,41 @@ APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
 
 
 class Seen(NamedTuple):
-    """What a look has found.
+    """What a look has found."""
 
-    Attributes
-    ----------
-    contacts : int
-        That take part; -1: more than there is place for.
-    approach, closing : float
-        The fastest approach of what touches; the deepest that an impact is.
-    passed : float
-        See `contacts.time_stepping.chunk.Chunk`.
-    sunk : float
-        By how much the deepest that was not known yet is deeper than two looks explain; or how
-        deep is what is hit, where that is much beside its size, or what approaches, where that is
-        more than a step at the fastest approach.
-    turned : float
-        Twice what turning has changed the normal velocity of what lasts by, at most: in a step
-        this makes how deep it may get.
-    """
-
-    contacts: int
+    contacts: int  # That take part; -1: more than there is place for.
+    # The fastest approach of what touches; the deepest that an impact is.
     approach: float
     closing: float
-    passed: float
+    passed: float  # See `contacts.time_stepping.chunk.Chunk`.
+    # By how much the deepest that was not known yet is deeper than two looks explain; or how deep
+    # is what is hit, where that is much beside its size, or what approaches, where that is more
+    # than a step at the fastest approach.
     sunk: float
+    # Twice what turning has changed the normal velocity of what lasts by, at most: in a step this
+    # makes how deep it may get.
     turned: float
 
 
 class _Times(NamedTuple):
-    """When a look is taken.
+    """When a look is taken."""
 
-    Attributes
-    ----------
-    h, since : float
-        Length of the step; since the last look. Between looks bodies move in straight lines.
-    fall : float
-        What gravity makes of rest in a step.
-    first : bool
-        Whether there was no look before.
-    lowest : float
-        A contact is kept no deeper; where the run starts it may be.
-    """
-
+    # Length of the step; since the last look. Between looks bodies move in straight lines.
     h: float
     since: float
-    fall: float
-    first: bool
-    lowest: float
+    fall: float  # What gravity makes of rest in a step.
+    first: bool  # Whether there was no look before.
+    lowest: float  # A contact is kept no deeper; where the run starts it may be.
 
 
 class _Points(NamedTuple):
-    """Where a pair touches, and where the search for that works.
+    """Where a pair touches, and where the search for that works."""
 
-    Attributes
-    ----------
-    found, features : (m, FOUND), (m,) array
-        See `contacts.detection.convex.between`.
-    aside : (m, FOUND) array
-        Of the same pair at another time.
-    worst : (5,) array
-        What a look has found so far of `APPROACH`, `CLOSING`, `PASSED`, `SUNK` and `TURNED`.
-    """
-
+    # (m, FOUND): see `contacts.detection.convex.between`.
     found: Array
     features: Ints
-    aside: Array
+    aside: Array  # (m, FOUND): of the same pair at another time.
+    # (5,): what a look has found so far of `APPROACH`, `CLOSING`, `PASSED`, `SUNK` and `TURNED`.
     worst: Array
 
 

@@ -5,7 +5,7 @@ roll; `mechanics` derives the equations in the `parameters`, `joints` the rows o
 the equations of the coordinates that a mode leaves. `gates` are the relations that keep contacts
 on, and `conditions` judges them; `control_guards` are those of controllers, `controller_state`
 their variables.
-Numbers: `setup` evaluates those of a run, with its `scales` and each `contact_law`, `run_numbers`
-those of a batch; `snapshot` evaluates the equations at a state, `projection` brings a state onto
-the constraints, `starting` checks the start. `components` are bodies that nothing couples.
+Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`,
+`run_numbers` those of a batch; `snapshot` evaluates the equations at a state, `projection` brings
+a state onto the constraints, `starting` checks the start. `components` are uncoupled bodies.
 """

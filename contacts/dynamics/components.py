@@ -12,18 +12,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.scene.modes import Bearing
 from contacts.scene.scene import Scene
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.components import (
-    Component,
-    Data,
-    Places,
-    composed,
-    reserved_words,
-    split,
-)
+from statechart.automaton.automaton import Automaton, Component, Places
+from statechart.automaton.components import Data, composed, reserved_words, split
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 from statechart.errors import StatechartError

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import horizon, measure
-from contacts.dynamics.setup import FAR, POINT_MASS, ROUNDING, SceneNumbers
+from contacts.dynamics.setup import ROUNDING
+from contacts.dynamics.setup_evaluation import FAR, POINT_MASS, SceneNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.jit import beside

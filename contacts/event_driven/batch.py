@@ -10,7 +10,8 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.run_numbers import Numbers, Rules, run_buffer
-from contacts.dynamics.setup import LOOK_AHEAD, SHORT, TIE, SceneNumbers, doubtful, tolerated
+from contacts.dynamics.setup import SHORT, TIE, doubtful, tolerated
+from contacts.dynamics.setup_evaluation import LOOK_AHEAD, SceneNumbers
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_batch import SceneBatch, run_batch
 from contacts.event_driven.run_compiled import CAUSES

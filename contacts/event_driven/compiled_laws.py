@@ -12,7 +12,8 @@ import numpy as np
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection, unseen_room
 from contacts.dynamics.run_numbers import rules
-from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.batch import BatchCall
 from contacts.event_driven.decision import cause, explained

@@ -12,7 +12,8 @@ import numpy as np
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
-from contacts.dynamics.setup import SceneNumbers, SceneSetup
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
 from contacts.event_driven.accumulation import closed_at_once

@@ -97,9 +97,8 @@ def corrected(
         later[:n] += rest * (state[n:] + 0.5 * rest * accelerations)
         later[n:] += rest * accelerations
         end, rebound = at(later, rest), resolved.contacts[i].gap_rate
-        lasting = rebound > setup.capture and rebound**2 > 2.0 * float(still[i]) * setup.lowest
-        if lasting and (
-            _stops(setup, resolved, end, closed)
+        if rebound > setup.capture and (
+            any(_stops(setup, begin, end, closed) for begin in (resolved, plastic))
             or _wanders(setup, resolved, plastic, lying, i, rest)
         ):
             return None
@@ -114,7 +113,10 @@ def corrected(
 
 
 def _stops(setup: SceneSetup, snapshot: Snapshot, end: Snapshot, closed: Sequence[bool]) -> bool:
-    """Whether friction stops a slip while contacts bounce: it stops elsewhere than in their sum."""
+    """Whether friction stops a slip while contacts bounce: it stops elsewhere than in their sum.
+
+    The slip after the impact may be zero, and that after the plastic one, with less friction, not.
+    """
     still = 2.0 * setup.tolerances["speed"]
     return any(
         shut and abs(now.slip) > still and now.slip * last.slip <= still * abs(now.slip)

@@ -40,37 +40,23 @@ _GROWN = 1.001
 
 
 class ContactRows(NamedTuple):
-    """Contacts that feel each other through what they move.
+    """Contacts that feel each other through what they move."""
 
-    Attributes
-    ----------
-    bodies : (m, s) array of int
-        Which bodies a contact moves, of three rates each, that stand side by side.
-    moving : int
-        How many bodies there are; what nothing moves has this number.
-    rows, columns : (m, 2, 3 s)
-        Its velocity, normal and tangential, per unit of these rates; and their change per unit
-        impulse along each.
-    own : (m, 3)
-        Its compliances: normal, tangential, between the two.
-    cones : (m, 2)
-        ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
-    laws : (m, LAW)
-        See `law_of`.
-    rates : (3, 3 b + 3), spare : (7, m, 2)
-        Where solvers work, who need arrays for every island: rates of what moves, and of what
-        nothing moves, how they went on, and before; see `BEST`.
-    """
-
+    # (m, s): which bodies a contact moves, of three rates each, that stand side by side.
     bodies: Ints
-    moving: int
+    moving: int  # How many bodies there are; what nothing moves has this number.
+    # (m, 2, 3 s): its velocity, normal and tangential, per unit of these rates; and their change
+    # per unit impulse along each.
     rows: Array
     columns: Array
-    own: Array
+    own: Array  # (m, 3): its compliances: normal, tangential, between the two.
+    # (m, 2): ``(cone_n, cone_t)``, with ``mu = cone_t / cone_n``; of joints see `HELD`.
     cones: Array
-    laws: Array
-    rates: Array
-    spare: Array
+    laws: Array  # (m, LAW): see `law_of`.
+    # Where solvers work, who need arrays for every island: rates of what moves, and of what nothing
+    # moves, how they went on, and before; see `BEST`.
+    rates: Array  # shape (3, 3 b + 3)
+    spare: Array  # shape (7, m, 2)
 
     @classmethod
     def room(cls, most: int, bodies: int) -> ContactRows:

@@ -48,20 +48,12 @@ class LcpStatus(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class LcpSolution:
-    """What was found.
+    """What was found."""
 
-    Attributes
-    ----------
-    z : (n,) array
-        The unknowns; of the best candidate unless `status` is SOLVED.
-    status : LcpStatus
-    residual : float
-        The largest violation of a row relative to the row's terms ``|M| z + |q|``; `z` itself is
-        not negative. Scaling rows or columns does not change it.
-    """
-
-    z: Array
+    z: Array  # (n,): the unknowns; of the best candidate unless `status` is SOLVED.
     status: LcpStatus
+    # The largest violation of a row relative to the row's terms ``|M| z + |q|``; `z` itself is not
+    # negative. Scaling rows or columns does not change it.
     residual: float
 
 

@@ -47,21 +47,16 @@ def largest_in_column(matrix: Array, k: int) -> float:
 
 
 class Room(NamedTuple):
-    """Memory to solve systems of up to s unknowns in.
+    """Memory to solve systems of up to s unknowns in."""
 
-    Attributes
-    ----------
-    factors, errors : (s, s) array
-    column_scale, y, residual : (s,) array
-    order : (s,) array of int64
-    """
-
+    # of shape (s, s) each
     factors: Array
     errors: Array
+    # of shape (s,) each
     column_scale: Array
     y: Array
     residual: Array
-    order: Ints
+    order: Ints  # shape (s,)
 
 
 @part

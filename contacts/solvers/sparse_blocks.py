@@ -23,25 +23,15 @@ _ENTRIES = 16
 
 
 class Pattern(NamedTuple):
-    """Which entries the elimination of bodies fills, each by its place in the order of that.
+    """Which entries the elimination of bodies fills, each by its place in the order of that."""
 
-    Attributes
-    ----------
-    ends : (m, 2) array of int
-        Places of the two bodies of each contact; -1 for what nothing moves.
-    entries : (m,) array of int
-        Which entry its two bodies share; -1 for none.
-    begins : (b + 1,), others : (e,) array of int
-        Entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of the body at
-        place p, with those at the places `others`, later ones in their order.
-    targets : (t,) array of int
-        Which entry each pair of entries of a body changes, in the order of elimination.
-    """
-
-    ends: Ints
-    entries: Ints
-    begins: Ints
-    others: Ints
+    ends: Ints  # (m, 2): places of the two bodies of each contact; -1 for what nothing moves.
+    entries: Ints  # (m,): which entry its two bodies share; -1 for none.
+    # Entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of the body at place
+    # p, with those at the places `others`, later ones in their order.
+    begins: Ints  # shape (b + 1,)
+    others: Ints  # shape (e,)
+    # (t,): which entry each pair of entries of a body changes, in the order of elimination.
     targets: Ints
 
 

@@ -21,25 +21,15 @@ OPEN, STICKS, SLIDES = range(3)
 
 
 class Equations(NamedTuple):
-    """Room for the equations of bodies in contact.
-
-    Attributes
-    ----------
-    pattern : Pattern
-    diagonal, after, before
-        Blocks as those of the pattern, factored.
-    rates : (b, 3)
-        Of the bodies.
-    right : (m, 2)
-        Changes of the velocities of contacts that are asked for.
-    """
+    """Room for the equations of bodies in contact."""
 
     pattern: Pattern
+    # Blocks as those of the pattern, factored.
     diagonal: Array
     after: Array
     before: Array
-    rates: Array
-    right: Array
+    rates: Array  # (b, 3): of the bodies.
+    right: Array  # (m, 2): changes of the velocities of contacts that are asked for.
 
 
 @kernel

@@ -55,54 +55,32 @@ _COLUMNS = JAMMED + 1
 
 
 class Chunk(NamedTuple):
-    """Consecutive steps of one length.
+    """Consecutive steps of one length."""
 
-    Attributes
-    ----------
-    h : float
-        Length of a step.
-    states : (k + 1, 2 n) array
-        The first is where the first step begins.
-    solved : (k, u) array
-        Accelerations (n,) under what lasts, and the further unknowns.
-    codes, modes : (k, r) array
-        Mode of every region under the impulses of the step, as `contacts.states` numbers them, and
-        the mode that the trace shows (`contacts.time_stepping.settling`).
-    struck, shared : (k, r) array of bool
-        Regions with an impact in the middle of the step; those whose forces the motion does not
-        determine.
-    impulses : (k, r, 2) array
-        Of the impacts, and of what they make others bear.
-    gaps : (k, r) array
-        At the midpoints.
-    approach, closing : (k,) array
-        The fastest approach of what touches; the largest gap, of either sign, that a step closes.
-    passed : (k,) array
-        Where something passed another between the middle of the step before and that of this one:
-        the part of a step in which they overlapped.
-    late : (k,) array
-        How long after the middle of the step its impacts are.
-    gained : (k,) array
-        What contacts add to the energy, or would; see `contacts.time_stepping.energy`.
-    efforts : (k, e) array
-        What impulses took, in the columns `RESIDUAL` to `JAMMED`.
-    """
-
-    h: float
-    states: Array
-    solved: Array
+    h: float  # Length of a step.
+    states: Array  # (k + 1, 2 n): the first is where the first step begins.
+    solved: Array  # (k, u): accelerations (n,) under what lasts, and the further unknowns.
+    # (k, r): mode of every region under the impulses of the step, as `contacts.states` numbers
+    # them, and the mode that the trace shows (`contacts.time_stepping.settling`).
     codes: Ints
     modes: Ints
+    # (k, r): regions with an impact in the middle of the step; those whose forces the motion does
+    # not determine.
     struck: Bools
     shared: Bools
-    impulses: Array
-    gaps: Array
+    impulses: Array  # (k, r, 2): of the impacts, and of what they make others bear.
+    gaps: Array  # (k, r): at the midpoints.
+    # (k,): the fastest approach of what touches; the largest gap, of either sign, that a step
+    # closes.
     approach: Array
     closing: Array
+    # (k,): where something passed another between the middle of the step before and that of this
+    # one: the part of a step in which they overlapped.
     passed: Array
-    late: Array
+    late: Array  # (k,): how long after the middle of the step its impacts are.
+    # (k,): what contacts add to the energy, or would; see `contacts.time_stepping.energy`.
     gained: Array
-    efforts: Array
+    efforts: Array  # (k, e): what impulses took, in the columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
     def room(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:

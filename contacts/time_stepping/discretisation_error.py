@@ -75,21 +75,12 @@ def velocity_change(
 
 
 class Equations(NamedTuple):
-    """What a scene's steps are made by for now.
-
-    Attributes
-    ----------
-    source : SteppedTape
-    values : (p,) array
-        Of the parameters.
-    cones : (c, 2) array
-    restitution : (c,) array
-    """
+    """What a scene's steps are made by for now."""
 
     source: SteppedTape
-    values: Array
-    cones: Array
-    restitution: Array
+    values: Array  # (p,): of the parameters.
+    cones: Array  # shape (c, 2)
+    restitution: Array  # shape (c,)
 
 
 class DiscretisationError:

@@ -30,39 +30,21 @@ def _own(rows: T) -> T:
 
 
 class Steps(NamedTuple):
-    """Consecutive steps; each is one piece of an arc, one with impacts two.
-
-    Attributes
-    ----------
-    begin : Clock
-    spans : tuple of (float, int)
-        Their lengths, each with the number of steps that have it.
-    coordinates : int
-    states : (k + 1, w) array
-    solved : (k, u) array
-        Unknowns.
-    felt : (k, r, 2), struck : (k, r) array
-        Impulses of impacts; the regions struck. Empty where no jumps are made.
-    hit : (k,) array of bool
-        Which steps have impacts.
-    late : (k,) array
-        Time from the middle of a step to its impacts.
-    places : (k + 1,) array of int
-        First piece of each step.
-    halves : (p, u) array or None
-        Unknowns of the pieces, where they differ from those of their steps.
-    """
+    """Consecutive steps; each is one piece of an arc, one with impacts two."""
 
     begin: Clock
+    # Their lengths, each with the number of steps that have it.
     spans: tuple[tuple[float, int], ...]
     coordinates: int
-    states: Array
-    solved: Array
-    felt: Array
-    struck: Bools
-    hit: Bools
-    late: Array
-    places: Ints
+    states: Array  # shape (k + 1, w)
+    solved: Array  # (k, u): unknowns.
+    # Impulses of impacts; the regions struck. Empty where no jumps are made.
+    felt: Array  # shape (k, r, 2)
+    struck: Bools  # shape (k, r)
+    hit: Bools  # (k,): which steps have impacts.
+    late: Array  # (k,): time from the middle of a step to its impacts.
+    places: Ints  # (k + 1,): first piece of each step.
+    # (p, u): unknowns of the pieces, where they differ from those of their steps.
     halves: Array | None = None
 
     @classmethod

@@ -22,21 +22,11 @@ _FINE = 0.1
 
 
 class Swings(NamedTuple):
-    """How springs swing.
+    """How springs swing."""
 
-    Attributes
-    ----------
-    speeds : (k,) array
-        In radians per time.
-    shapes : (n, k) array
-        How far each moves the coordinates.
-    parts : (k, n) array
-        What each has of the rates.
-    """
-
-    speeds: Array
-    shapes: Array
-    parts: Array
+    speeds: Array  # (k,): in radians per time.
+    shapes: Array  # (n, k): how far each moves the coordinates.
+    parts: Array  # (k, n): what each has of the rates.
 
     def off(self, rates: Array, smooth: Bools, h: float, span: float) -> Array:
         """Return how far off rates (n,) are after so long, as the midpoint rule swings too fast.

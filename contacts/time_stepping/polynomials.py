@@ -64,18 +64,10 @@ def struck(
 
 
 class Pieces(NamedTuple):
-    """The polynomials of consecutive steps: one of each, two of one with impacts.
+    """The polynomials of consecutive steps: one of each, two of one with impacts."""
 
-    Attributes
-    ----------
-    terms : (p, w, TERMS) array
-        Coefficients.
-    places : (k + 1,) array of int
-        Where those of each step begin.
-    """
-
-    terms: Array
-    places: Ints
+    terms: Array  # (p, w, TERMS): coefficients.
+    places: Ints  # (k + 1,): where those of each step begin.
 
     @classmethod
     def of(

@@ -25,20 +25,11 @@ _SHALLOW = 1e-6
 
 
 class Refused(NamedTuple):
-    """A step that is not taken.
+    """A step that is not taken."""
 
-    Attributes
-    ----------
-    step : int
-        Its number in the chunk.
-    why : StepTooLarge or UnsolvedImpulses
-    deep : str
-        The region that gets too deep in something, where that is why.
-    """
-
-    step: int
+    step: int  # Its number in the chunk.
     why: StepTooLarge | UnsolvedImpulses
-    deep: str = ""
+    deep: str = ""  # The region that gets too deep in something, where that is why.
 
 
 def too_large(

@@ -64,69 +64,33 @@ class Control(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Stepping:
-    """What a run of a scene is made from.
+    """What a run of a scene is made from."""
 
-    Attributes
-    ----------
-    name : str
-        Of the model.
-    names, parameter_names : tuple of str
-        Of the variables and the parameters.
-    regions : tuple of str
-    controls : Key
-        States at the start of those of them, the last, that no step recognises.
-    again : str
-        Cause of an impact on a region that is not free.
-    forces : int or None
-        See `Recorder`.
-    sticks : (r,) array of bool
-        See `Recorder`.
-    angles : (n,) array of bool
-        Which coordinates are angles.
-    stops : StopTapes
-    stop_names : tuple of str
-    energy : Tape
-    """
-
-    name: str
+    name: str  # Of the model.
+    # Of the variables and the parameters.
     names: tuple[str, ...]
     parameter_names: tuple[str, ...]
     regions: tuple[str, ...]
-    controls: Key
-    again: str
-    forces: int | None
-    sticks: Bools
-    angles: Bools
+    controls: Key  # States at the start of those of them, the last, that no step recognises.
+    again: str  # Cause of an impact on a region that is not free.
+    forces: int | None  # See `Recorder`.
+    sticks: Bools  # (r,): see `Recorder`.
+    angles: Bools  # (n,): which coordinates are angles.
     stops: StopTapes
     stop_names: tuple[str, ...]
     energy: Tape
 
 
 class RunInputs(NamedTuple):
-    """A run that can start, or why it cannot.
-
-    Attributes
-    ----------
-    setup : SceneSetup
-    stepped : Stepped
-    codes : (r,) array of int
-        Modes at the start, as `contacts.states` numbers them.
-    warnings : tuple of str
-        Besides those of the setup.
-    control : Control or None
-        What acts at the ends of steps.
-    failure : SimulationError or None
-        Why not even one step can be made.
-    change : callable or None
-        Lets it go on with other values of parameters; returns the numbers. None where it cannot.
-    """
+    """A run that can start, or why it cannot."""
 
     setup: SceneSetup
     stepped: Stepped
-    codes: Ints
-    warnings: tuple[str, ...]
-    control: Control | None = None
-    failure: SimulationError | None = None
+    codes: Ints  # (r,): modes at the start, as `contacts.states` numbers them.
+    warnings: tuple[str, ...]  # Besides those of the setup.
+    control: Control | None = None  # What acts at the ends of steps.
+    failure: SimulationError | None = None  # Why not even one step can be made.
+    # Lets it go on with other values of parameters; returns the numbers. None where it cannot.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
 
 

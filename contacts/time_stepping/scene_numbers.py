@@ -19,113 +19,70 @@ LANDED = 2
 
 
 class SceneNumbers(NamedTuple):
-    """What does not change in a run, until a controller or a condition changes it.
+    """What does not change in a run, until a controller or a condition changes it."""
 
-    Attributes
-    ----------
-    equations
-        The program of a tape over the state (2 n + w,), which ends with what controllers remember
-        (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
-        their derivatives by the rates (n, n), then per contact Jacobian (2, n) and what `CONTACT`
-        lists, per component of a joint Jacobian (n,) and what `JOINT` lists, and what controllers
-        give (u,).
-    flows
-        That of the rates of what controllers remember (w,).
-    size : int
-        Coordinates.
-    damped : bool
-    parameters : (p,)
-    cones : (c, 2), restitution : (c,)
-    plastic : bool
-        Whether contacts that are hit together do not rebound.
-    bodies : (c, 2) array of int
-        The body of each contact's point, and of its surface; -1 for none, and for all where the
-        scene does not ask for impacts at once that rebound.
-    pairs : (c,) array of int
-        The number of the pair of a body and a surface's body, or a surface, that touch.
-    held : (c,) array of int
-        How many components of a contact's velocity are constrained whatever the impulse: 0, 1
-        (normal), 2 (both).
-    slips : (c,) array of int
-        Whether a contact may slide: 0, 1, or 2 if its slides have a direction.
-    joints : int
-        Number of components of joints.
-    near, still : float
-        Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed
-        of approach. A contact that was off comes back where it is no deeper than the gap tolerance
-        below those that last.
-    rounding : float
-        Round-off of velocities: no contact begins to press at an approach up to this.
-    speed : float
-        The scene's scale of velocities.
-    slowest, negligible : float
-        What contacts add to the energy is told in parts of what they move with: at this speed at
-        least, and twice this energy at least.
-    """
-
+    # The program of a tape over the state (2 n + w,), which ends with what controllers remember
+    # (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
+    # their derivatives by the rates (n, n), then per contact Jacobian (2, n) and what `CONTACT`
+    # lists, per component of a joint Jacobian (n,) and what `JOINT` lists, and what controllers
+    # give (u,).
     equations: tuple[Ints32, Array, Ints32]
-    flows: tuple[Ints32, Array, Ints32]
-    size: int
+    flows: tuple[Ints32, Array, Ints32]  # That of the rates of what controllers remember (w,).
+    size: int  # Coordinates.
     damped: bool
-    parameters: Array
-    cones: Array
-    restitution: Array
-    plastic: bool
+    parameters: Array  # shape (p,)
+    cones: Array  # shape (c, 2)
+    restitution: Array  # shape (c,)
+    plastic: bool  # Whether contacts that are hit together do not rebound.
+    # (c, 2): the body of each contact's point, and of its surface; -1 for none, and for all where
+    # the scene does not ask for impacts at once that rebound.
     bodies: Ints
+    # (c,): the number of the pair of a body and a surface's body, or a surface, that touch.
     pairs: Ints
+    # (c,): how many components of a contact's velocity are constrained whatever the impulse: 0, 1
+    # (normal), 2 (both).
     held: Ints
-    slips: Ints
-    joints: int
+    slips: Ints  # (c,): whether a contact may slide: 0, 1, or 2 if its slides have a direction.
+    joints: int  # Number of components of joints.
+    # Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed of
+    # approach. A contact that was off comes back where it is no deeper than the gap tolerance below
+    # those that last.
     near: float
     still: float
+    # Round-off of velocities: no contact begins to press at an approach up to this.
     rounding: float
-    speed: float
+    speed: float  # The scene's scale of velocities.
+    # What contacts add to the energy is told in parts of what they move with: at this speed at
+    # least, and twice this energy at least.
     slowest: float
     negligible: float
 
 
 class ContactMemory(NamedTuple):
-    """What lasts of contacts from step to step.
+    """What lasts of contacts from step to step."""
 
-    Attributes
-    ----------
-    level : (c,)
-        Gap at which a contact that lasts is kept: what its landing has left, above 0 only where
-        that of one that faces it is as far below.
-    closed, slid : (c,)
-        Whether it lasts, and slipped in the last step by more than rounding.
-    fresh : (c,) array of int
-        Of how many steps, this one included, impulses are not those of forces alone.
-    settling, shown : (c,) array of int
-        Whether its mode is read from accelerations: 0, 1 after a change of a mode, `LANDED` after
-        an impact; the mode of the last step.
-    off : (c,)
-        Whether its condition keeps it off.
-    behind : (c,)
-        Whether it was closed as it went off, and its point has not left its surface yet.
-    past : (c, 3)
-        Condition, gap and its rate in the middle of the last step.
-    missed : (c, 3)
-        Depths of contacts that are off though their conditions hold: where these began to hold,
-        and now; and the least that contacts never came back from, before their conditions failed.
-    light : (1,)
-        Whether coordinates without an inertia of their own were given one.
-    bases : (c, 4)
-        Positive unknowns of the last problem.
-    """
-
+    # (c,): gap at which a contact that lasts is kept: what its landing has left, above 0 only where
+    # that of one that faces it is as far below.
     level: Array
+    # (c,): whether it lasts, and slipped in the last step by more than rounding.
     closed: Bools
     slid: Bools
+    # (c,): of how many steps, this one included, impulses are not those of forces alone.
     fresh: Ints
+    # (c,): whether its mode is read from accelerations: 0, 1 after a change of a mode, `LANDED`
+    # after an impact; the mode of the last step.
     settling: Ints
     shown: Ints
-    off: Bools
+    off: Bools  # (c,): whether its condition keeps it off.
+    # (c,): whether it was closed as it went off, and its point has not left its surface yet.
     behind: Bools
-    past: Array
+    past: Array  # (c, 3): condition, gap and its rate in the middle of the last step.
+    # (c, 3): depths of contacts that are off though their conditions hold: where these began to
+    # hold, and now; and the least that contacts never came back from, before their conditions
+    # failed.
     missed: Array
-    light: Bools
-    bases: Bools
+    light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
+    bases: Bools  # (c, 4): positive unknowns of the last problem.
 
     @classmethod
     def of(cls, off: Bools) -> ContactMemory:
@@ -152,94 +109,61 @@ class ContactMemory(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """The numbers of a step's tape; the Jacobian of contact i begins at ``first + per * i``.
+    """The numbers of a step's tape; the Jacobian of contact i begins at ``first + per * i``."""
 
-    Attributes
-    ----------
-    numbers : (k,)
-    size, first, per : int
-        Coordinates; where contacts begin; numbers of a contact.
-    """
-
-    numbers: Array
+    numbers: Array  # shape (k,)
+    # Coordinates; where contacts begin; numbers of a contact.
     size: int
     first: int
     per: int
 
 
 class Met(NamedTuple):
-    """How contacts take part in a step.
+    """How contacts take part in a step."""
 
-    Attributes
-    ----------
-    active, hit, leaving : (c,) array of bool
-        Who takes part, who is struck, whose condition ceases to hold while it lasts.
-    entered : (c,)
-        The gap of a contact that is off where its point leaves another surface in this step.
-    wanted, before, free : (c, 2) array
-        What velocities may not fall below, negated; what they are before the step, and after it
-        without impulses.
-    """
-
+    # (c,): who takes part, who is struck, whose condition ceases to hold while it lasts.
     active: Bools
     hit: Bools
     leaving: Bools
+    # (c,): the gap of a contact that is off where its point leaves another surface in this step.
     entered: Array
+    # (c, 2): what velocities may not fall below, negated; what they are before the step, and after
+    # it without impulses.
     wanted: Array
     before: Array
     free: Array
 
 
 class Problem(NamedTuple):
-    """The contact problem of those that take part.
+    """The contact problem of those that take part."""
 
-    Attributes
-    ----------
-    which : (m,) array of int
-        Contacts.
-    columns : (2 m, s), delassus : (2 m, 2 m)
-        What unit impulses do to all that moves, and to the contacts' velocities.
-    groups : (m,) array of int
-        Equal for those that feel each other's impulses.
-    cones, before, free, wanted : (m, 2)
-    rebounds, sudden : (m,) array of bool
-        Who asks for restitution; whose impulse is one at an instant.
-    """
-
-    which: Ints
-    columns: Array
-    delassus: Array
-    groups: Ints
+    which: Ints  # (m,): contacts.
+    # What unit impulses do to all that moves, and to the contacts' velocities.
+    columns: Array  # shape (2 m, s)
+    delassus: Array  # shape (2 m, 2 m)
+    groups: Ints  # (m,): equal for those that feel each other's impulses.
+    # of shape (m, 2) each
     cones: Array
     before: Array
     free: Array
     wanted: Array
+    # (m,): who asks for restitution; whose impulse is one at an instant.
     rebounds: Bools
     sudden: Bools
 
 
 class Answer(NamedTuple):
-    """What solves it.
+    """What solves it."""
 
-    Attributes
-    ----------
-    z, basis : (4 m,)
-        Unknowns; which of them are positive.
-    least : (m, 2)
-        Velocities without impulses, as they were asked for.
-    pushes, steady : (m, 2), slides : (m,) array of bool
-        Impulses; those of them that are forces, and who slides under these.
-    several : bool
-        Whether another solution lets a contact come off that slides, or slide that comes off.
-    jammed : int
-        1 + the number of a contact that friction lets neither slide on nor come off; 0: none.
-    """
-
+    # (4 m,): unknowns; which of them are positive.
     z: Array
     basis: Bools
-    least: Array
-    pushes: Array
-    steady: Array
-    slides: Bools
+    least: Array  # (m, 2): velocities without impulses, as they were asked for.
+    # Impulses; those of them that are forces, and who slides under these.
+    pushes: Array  # shape (m, 2)
+    steady: Array  # shape (m, 2)
+    slides: Bools  # shape (m,)
+    # Whether another solution lets a contact come off that slides, or slide that comes off.
     several: bool
+    # 1 + the number of a contact that friction lets neither slide on nor come off; 0: none.
     jammed: int

@@ -163,8 +163,8 @@ def keep_leaving(
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
     In a valley each side leads back to the other, and both hold at the kink. So a contact stays on
-    in a step in which it bears a force, beside the others, and its condition falls no further. The
-    parameters are those of `step_scene` in its step k.
+    in a step in which it bears a force, its condition falls no further, and forces of the other
+    contacts keep it from falling. The parameters are those of `step_scene` in its step k.
     """
     n, h, stays = tape.size, chunk.h, False
     level, closed = memory.level.copy(), memory.closed.copy()
@@ -174,6 +174,7 @@ def keep_leaving(
     problem = contact_problem(scene, tape, factors, order, which, met)
     bears = np.zeros(len(which), np.bool_)
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
+    alone = np.empty_like(tape.numbers)
     for at_rest in (False, True):
         for a in range(len(which) if at_rest else 0):
             # Gaps that landings have left move the point, too, to where it is to rest.
@@ -202,9 +203,19 @@ def keep_leaving(
         at = tape.first + tape.per * i + 2 * n + 5
         now, then = tape.numbers[at], ahead[at]
         # At rest conditions fall by round-off.
-        falls = now - then > _AT_REST * abs(now) + h * scene.rounding
-        memory.off[i] = falls or not bears[a]
-        stays = stays or not memory.off[i]
+        rounding = _AT_REST * abs(now) + h * scene.rounding
+        stays_on = bears[a] and now - then <= rounding
+        if stays_on:
+            apart = there.copy()
+            for j in range(n):
+                for b in range(len(which)):
+                    for d in range(2 if b != a else 0):
+                        apart[n + j] -= problem.columns[2 * b + d, j] * pushes[b, d]
+                apart[j] += h * (apart[n + j] - there[n + j])
+            tape_values(*scene.equations, apart, scene.parameters, time + h, alone)
+            stays_on = then - alone[at] > rounding
+        memory.off[i] = not stays_on
+        stays = stays or stays_on
     for a in range(len(which)):
         i, row = which[a], tape.first + tape.per * which[a]
         if not (met.leaving[i] and memory.off[i]):

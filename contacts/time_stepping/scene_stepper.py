@@ -11,7 +11,8 @@ import numpy as np
 from contacts.dynamics.control_guards import given
 from contacts.dynamics.controller_state import ControllerState
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.setup import ROUNDING, SceneNumbers, SceneSetup
+from contacts.dynamics.setup import ROUNDING, SceneSetup
+from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start, hovering
 from contacts.solvers.contact_lcp_kernels import STEEPEST

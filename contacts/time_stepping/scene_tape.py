@@ -18,20 +18,13 @@ from statechart.formulas.tape import Tape
 
 
 class Rows(NamedTuple):
-    """What the equations are in one state.
+    """What the equations are in one state."""
 
-    Attributes
-    ----------
-    mass : (n, n) array
-    contacts : (c, 2 n + CONTACT) array
-        Jacobian of each, then what `contacts.time_stepping.equations.CONTACT` lists.
-    joints : (r, n + JOINT) array
-        Likewise.
-    """
-
-    mass: Array
+    mass: Array  # shape (n, n)
+    # (c, 2 n + CONTACT): jacobian of each, then what `contacts.time_stepping.equations.CONTACT`
+    # lists.
     contacts: Array
-    joints: Array
+    joints: Array  # (r, n + JOINT): likewise.
 
     @property
     def gaps(self) -> Array:

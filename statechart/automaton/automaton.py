@@ -8,13 +8,16 @@ state contributes equations in the shared unknowns, never a vector field of its 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
 import sympy as sp
 
+from statechart.arrays import Ints
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import (
@@ -26,89 +29,59 @@ from statechart.automaton.regions import (
     active_in,
 )
 from statechart.automaton.time_stepper import TimeStepper
-from statechart.automaton.trace import Key
+from statechart.automaton.trace import Key, Role
 from statechart.errors import Unsupported
 from statechart.palette import region_colours
 
 if TYPE_CHECKING:
-    from statechart.automaton.components import Component
     from statechart.documents.declaration import Declaration
     from statechart.formulas.condition import Active
     from statechart.formulas.tape import Tape
 
 
 UNTOLD = "not recorded"
+NEUTRAL = re.compile(r"zz\d+zz")
+"""Names that alike components share."""
 """What is shown as the state of a region whose modes a run does not keep."""
 
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
-    """Regions composed over shared unknowns; topology and modes on demand.
+    """Regions composed over shared unknowns; topology and modes on demand."""
 
-    Attributes
-    ----------
-    name : str
-        Of the model.
-    declaration : Declaration
-        The document it was made from (outputs, stop, settings).
-    names, variables : tuple
-        Names and symbols of the state's variables.
-    parameter_names, parameters : tuple
-        Names and symbols of the parameters.
-    time : Symbol
-        Time, in expressions.
-    unknowns : tuple of Symbol
-        Solved for in every mode: accelerations and forces, or rates; first those that belong to
-        `equations`, one by one.
-    rates : tuple of Expr
-        d/dt of every variable, in variables and unknowns.
-    equations : tuple of Expr
-        The equations that hold in every mode, each = 0.
-    regions : tuple of Region
-        In the order of the keys.
-    stops : tuple of StopCondition
-        What ends a run.
-    observables : mapping
-        Name -> expression; what outputs, tables and figures can show.
-    setup : callable
-        From overrides of parameters and a relative tolerance to the numbers of a run.
-    laws : Laws or None
-        Initial mode, jumps, projection; None where only steps can run the model.
-    idle : bool
-        True where an unknown that no state sets is zero (a chart's variable without a flow).
-    controls : tuple of Symbol
-        What the states of regions set (`State.values`), in an order in which each value uses
-        only those before it. In every mode exactly one state sets each.
-    stepper : callable or None
-        Makes what steps the model through time without its modes, where its kind offers that.
-    coordinates : Coordinates or None
-        Where the equations are those of mechanics: what modes may be reduced by.
-    own_step : callable or None
-        Where nothing but steps can run the model: returns how long they should be, by its scales.
-    components : callable
-        Returns the parts that have nothing to do with each other; none where all belong together.
-    """
-
-    name: str
-    declaration: Declaration
+    name: str  # Of the model.
+    declaration: Declaration  # The document it was made from (outputs, stop, settings).
+    # Names and symbols of the state's variables.
     names: tuple[str, ...]
     variables: tuple[sp.Symbol, ...]
+    # Names and symbols of the parameters.
     parameter_names: tuple[str, ...]
     parameters: tuple[sp.Symbol, ...]
-    time: sp.Symbol
+    time: sp.Symbol  # Time, in expressions.
+    # Solved for in every mode: accelerations and forces, or rates; first those that belong to
+    # `equations`, one by one.
     unknowns: tuple[sp.Symbol, ...]
-    rates: tuple[sp.Expr, ...]
-    equations: tuple[sp.Expr, ...]
-    regions: tuple[Region, ...]
-    stops: tuple[StopCondition, ...]
+    rates: tuple[sp.Expr, ...]  # d/dt of every variable, in variables and unknowns.
+    equations: tuple[sp.Expr, ...]  # The equations that hold in every mode, each = 0.
+    regions: tuple[Region, ...]  # In the order of the keys.
+    stops: tuple[StopCondition, ...]  # What ends a run.
+    # Name -> expression; what outputs, tables and figures can show.
     observables: Mapping[str, sp.Expr]
+    # From overrides of parameters and a relative tolerance to the numbers of a run.
     setup: Callable[[Mapping[str, float], float], Setup]
-    laws: Laws | None
+    laws: Laws | None  # Initial mode, jumps, projection; None where only steps can run the model.
+    # True where an unknown that no state sets is zero (a chart's variable without a flow).
     idle: bool = False
+    # What the states of regions set (`State.values`), in an order in which each value uses only
+    # those before it. In every mode exactly one state sets each.
     controls: tuple[sp.Symbol, ...] = ()
+    # Makes what steps the model through time without its modes, where its kind offers that.
     stepper: Callable[[], TimeStepper] | None = None
+    # Where nothing but steps can run the model: returns how long they should be, by its scales.
     own_step: Callable[[], float] | None = None
+    # Where the equations are those of mechanics: what modes may be reduced by.
     coordinates: Coordinates | None = None
+    # Returns the parts that have nothing to do with each other; none where all belong together.
     components: Callable[[], tuple[Component, ...]] = tuple
 
     @property
@@ -206,3 +179,43 @@ class Automaton:
             time=self.time,
             definitions=mode.definitions if mode else (),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A part of a model that has nothing to do with the rest."""
+
+    automaton: Automaton  # Its own, in neutral names; alike components share it.
+    names: Mapping[str, str]  # Neutral name -> name.
+    # From the numbers of a run of the whole to those of a run of the component.
+    restricted: Callable[[Setup, Places], Setup]
+    # From the role of a region in the component to that in the whole.
+    shown: Callable[[Role, Places], Role]
+    # Whether components that jump at one instant do so in one jump, or one after another.
+    joint: bool
+
+    def named(self, text: str) -> str:
+        """Return a text with the names that the model declares."""
+        return NEUTRAL.sub(lambda found: self.names.get(found[0], found[0]), text)
+
+
+class Places:
+    """Where regions, variables and parameters of a component stand in the whole.
+
+    Attributes
+    ----------
+    regions, variables, parameters : array of int
+    whole : Automaton
+    """
+
+    def __init__(self, component: Component, whole: Automaton) -> None:
+        part, named = component.automaton, component.named
+
+        def places(names: Sequence[str], of: Sequence[str]) -> Ints:
+            found = {name: place for place, name in enumerate(of)}
+            return np.array([found[named(name)] for name in names], np.int64)
+
+        self.whole = whole
+        self.regions = places(part.region_names, whole.region_names)
+        self.variables = places(part.names, whole.names)
+        self.parameters = places(part.parameter_names, whole.parameter_names)

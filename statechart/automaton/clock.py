@@ -10,15 +10,10 @@ from statechart.arrays import Array
 
 
 class Clock(NamedTuple):
-    """Time as an unevaluated sum of two floats, so that long runs keep their resolution.
+    """Time as an unevaluated sum of two floats, so that long runs keep their resolution."""
 
-    Attributes
-    ----------
-    high, low : float
-        The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``, or a few ulps
-        where `high` is `short`.
-    """
-
+    # The time is ``high + low``; ``|low|`` is at most half an ulp of ``high``, or a few ulps where
+    # `high` is `short`.
     high: float = 0.0
     low: float = 0.0
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from sympy.utilities.iterables import connected_components
 
-from statechart.arrays import Ints
+from statechart.automaton.automaton import NEUTRAL, Automaton, Component, Places
 
 if TYPE_CHECKING:
-    from statechart.automaton.automaton import Automaton
     from statechart.automaton.laws import Setup
     from statechart.automaton.trace import Role
 
@@ -29,60 +26,8 @@ Entity = tuple[str, str]
 """Section of a declaration, and name in it."""
 
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
-_NEUTRAL = re.compile(r"zz\d+zz")
 _STILL = ("surfaces", "stop")
 _DROPPED = ("doc", "ranges", "invariants", "outputs")
-
-
-@dataclass(frozen=True, eq=False)
-class Component:
-    """A part of a model that has nothing to do with the rest.
-
-    Attributes
-    ----------
-    automaton : Automaton
-        Its own, in neutral names; alike components share it.
-    names : mapping
-        Neutral name -> name.
-    restricted : callable
-        From the numbers of a run of the whole to those of a run of the component.
-    shown : callable
-        From the role of a region in the component to that in the whole.
-    joint : bool
-        Whether components that jump at one instant do so in one jump, or one after another.
-    """
-
-    automaton: Automaton
-    names: Mapping[str, str]
-    restricted: Callable[[Setup, Places], Setup]
-    shown: Callable[[Role, Places], Role]
-    joint: bool
-
-    def named(self, text: str) -> str:
-        """Return a text with the names that the model declares."""
-        return _NEUTRAL.sub(lambda found: self.names.get(found[0], found[0]), text)
-
-
-class Places:
-    """Where regions, variables and parameters of a component stand in the whole.
-
-    Attributes
-    ----------
-    regions, variables, parameters : array of int
-    whole : Automaton
-    """
-
-    def __init__(self, component: Component, whole: Automaton) -> None:
-        part, named = component.automaton, component.named
-
-        def places(names: Sequence[str], of: Sequence[str]) -> Ints:
-            found = {name: place for place, name in enumerate(of)}
-            return np.array([found[named(name)] for name in names], np.int64)
-
-        self.whole = whole
-        self.regions = places(part.region_names, whole.region_names)
-        self.variables = places(part.names, whole.names)
-        self.parameters = places(part.parameter_names, whole.parameter_names)
 
 
 def split(
@@ -129,7 +74,7 @@ def split(
     if len(groups) < 2:
         return []
     words = {*reserved(), *_words_of_regions(data, regions)}
-    if words & owners.keys() or any(_NEUTRAL.search(text) for text in _texts(data)):
+    if words & owners.keys() or any(NEUTRAL.search(text) for text in _texts(data)):
         return []
     groups[0] = groups[0].union(*idle, (e for e in still if e[0] == "stop"))
     return [

@@ -15,27 +15,17 @@ from statechart.kernels.constraints import off_by
 
 
 class Constraints(NamedTuple):
-    """Numbers that stay at their targets while a flow lasts.
+    """Numbers that stay at their targets while a flow lasts."""
 
-    Attributes
-    ----------
-    tape : Tape
-        Outputs: the numbers.
-    targets, weights : (k,) array
-        Of the outputs; a weight is one through the tolerance, 0 where a number is free.
-    project : callable
-        From a state that is off and the absolute time to the nearest one that is not; the same
-        object where it cannot be brought nearer.
-    within : Tape or None
-        Outputs: what falls below minus `room` along a step that did not see something that the
-        flow meets (a narrow bump under a sliding point); None where that cannot be.
-    room : float
-    """
-
-    tape: Tape
+    tape: Tape  # Outputs: the numbers.
+    # (k,): of the outputs; a weight is one through the tolerance, 0 where a number is free.
     targets: Array
     weights: Array
+    # From a state that is off and the absolute time to the nearest one that is not; the same object
+    # where it cannot be brought nearer.
     project: Callable[[Array, float], Array]
+    # Outputs: what falls below minus `room` along a step that did not see something that the flow
+    # meets (a narrow bump under a sliding point); None where that cannot be.
     within: Tape | None = None
     room: float = 0.0
 

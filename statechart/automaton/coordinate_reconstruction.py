@@ -33,21 +33,12 @@ class Reconstruction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ModeReconstruction:
-    """Reconstruction of the dependent coordinates in the flows of a mode.
+    """Reconstruction of the dependent coordinates in the flows of a mode."""
 
-    Attributes
-    ----------
-    tape : Tape
-        Outputs: the dependent coordinates; its variables are those of the automaton, then anchors.
-    places : (k,) array
-        Of the outputs among the variables.
-    anchors : Tape
-        Outputs: the anchors, of the state in which a flow begins.
-    """
-
+    # Outputs: the dependent coordinates; its variables are those of the automaton, then anchors.
     tape: Tape
-    places: Ints32
-    anchors: Tape
+    places: Ints32  # (k,): of the outputs among the variables.
+    anchors: Tape  # Outputs: the anchors, of the state in which a flow begins.
 
     def begun(self, state: Array, parameters: Array, time: float) -> Reconstruction:
         """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""

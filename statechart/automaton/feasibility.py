@@ -13,18 +13,9 @@ MOST_MODES = 4096
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Which product modes are possible at a configuration.
+    """Which product modes are possible at a configuration."""
 
-    Attributes
-    ----------
-    modes : mapping
-        Every product mode -> why it is not possible; "" where it is.
-    declared : mapping
-        The same as the declaration counts modes (sliding without direction).
-    remarks : tuple of str
-        What a reader must know of the configuration.
-    """
-
-    modes: Mapping[Key, str]
+    modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
+    # The same as the declaration counts modes (sliding without direction).
     declared: Mapping[Key, str]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # What a reader must know of the configuration.

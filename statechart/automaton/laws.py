@@ -56,40 +56,24 @@ def moving_mode(roles: Roles) -> Key:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """The numbers of one run.
+    """The numbers of one run."""
 
-    Attributes
-    ----------
-    values : (p,) array
-        Of the automaton's parameters.
-    initial : (n,) array
-        Initial state.
-    tolerances : mapping
-        Kind of margin -> absolute tolerance, in the scene's own units.
-    short : float
-        The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes
-        less than this part of the sequence's longest interval.
-    warnings : tuple of str
-        What a reader must know of these numbers.
-    sizes : (n,) array or None
-        How large each variable is, where the model has scales of its own.
-    precision : float
-        How well margins are known, in parts of their terms: a value summed from them is off by a
-        few units in the last place of the largest.
-    horizon : float
-        A long time for the first flow, in the model's own scales: how far to look ahead at first.
-    modes : callable or None
-        Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
-    """
-
-    values: Array
-    initial: Array
+    values: Array  # (p,): of the automaton's parameters.
+    initial: Array  # (n,): initial state.
+    # Kind of margin -> absolute tolerance, in the scene's own units.
     tolerances: Mapping[str, float]
+    # The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes less
+    # than this part of the sequence's longest interval.
     short: float = 0.0
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # What a reader must know of these numbers.
+    # (n,): how large each variable is, where the model has scales of its own.
     sizes: Array | None = None
+    # How well margins are known, in parts of their terms: a value summed from them is off by a few
+    # units in the last place of the largest.
     precision: float = 64.0 * _EPS
+    # A long time for the first flow, in the model's own scales: how far to look ahead at first.
     horizon: float = float("inf")
+    # Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
     modes: Callable[[Roles], Mode] | None = None
 
     @cached_property
@@ -99,54 +83,33 @@ class Setup:
 
 
 class Flow(NamedTuple):
-    """What the executor does next: flow in a mode, possibly shown as another, possibly timed.
+    """What the executor does next: flow in a mode, possibly shown as another, possibly timed."""
 
-    Attributes
-    ----------
-    mode : Key
-        The mode shown.
-    roles : Roles
-        Whose equations apply; `HELD` is the state of a region that is held.
-    remaining : float
-        Time until the laws are asked again even if no margin falls (a Zeno sequence's
-        accumulation); inf otherwise.
-    warning : str
-        What a reader must know of the choice of this mode; "" where nothing.
-    settled : bool
-        True when the laws have seen the state that the flow starts from and keep the mode.
-    notes : tuple of str
-        What a reader must know of the mode, told once.
-    held : mapping
-        Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
-    tolerances : mapping
-        Margin -> its tolerance in this flow, where that of its kind is not the one.
-    terms : (n, k) array or None
-        What each variable was summed from when the last flow ended, at a time that is rounded;
-        None before the first. Kept by the executor.
-    summed : (n,) array or None
-        How large the terms are that jumps since then have summed each variable from.
-    pending : mapping
-        Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
-    start : (n,) array or None
-        Where to flow on from, where a mode holds but its state is brought back onto its
-        constraints; None where it is the state that the laws were asked about.
-    doubted : bool
-        Whether forces may begin beyond their bounds, by what the run is off by: then they fall
-        from where they begin.
-    """
-
-    mode: Key
-    roles: Roles
+    mode: Key  # The mode shown.
+    roles: Roles  # Whose equations apply; `HELD` is the state of a region that is held.
+    # Time until the laws are asked again even if no margin falls (a Zeno sequence's accumulation);
+    # inf otherwise.
     remaining: float = float("inf")
-    warning: str = ""
+    warning: str = ""  # What a reader must know of the choice of this mode; "" where nothing.
+    # True when the laws have seen the state that the flow starts from and keep the mode.
     settled: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # What a reader must know of the mode, told once.
+    # Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
     held: Mapping[str, Clock] = _NOTHING
+    # Margin -> its tolerance in this flow, where that of its kind is not the one.
     tolerances: Mapping[str, float] = _NOTHING
+    # (n, k): what each variable was summed from when the last flow ended, at a time that is
+    # rounded; None before the first. Kept by the executor.
     terms: Array | None = None
+    # (n,): how large the terms are that jumps since then have summed each variable from.
     summed: Array | None = None
+    # Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
     pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
+    # (n,): where to flow on from, where a mode holds but its state is brought back onto its
+    # constraints; None where it is the state that the laws were asked about.
     start: Array | None = None
+    # Whether forces may begin beyond their bounds, by what the run is off by: then they fall from
+    # where they begin.
     doubted: bool = False
 
     @property
@@ -156,30 +119,14 @@ class Flow(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What the laws are asked about: where a flow has come to.
+    """What the laws are asked about: where a flow has come to."""
 
-    Attributes
-    ----------
-    setup : Setup
-        The numbers of the run.
-    clock : Clock
-        When.
-    j : int
-        How many jumps there were.
-    flow : Flow
-        What has come here.
-    state : (n,) array
-        Values of the variables.
-    fired : tuple of str
-        Margins that have fallen.
-    """
-
-    setup: Setup
-    clock: Clock
-    j: int
-    flow: Flow
-    state: Array
-    fired: tuple[str, ...] = ()
+    setup: Setup  # The numbers of the run.
+    clock: Clock  # When.
+    j: int  # How many jumps there were.
+    flow: Flow  # What has come here.
+    state: Array  # (n,): values of the variables.
+    fired: tuple[str, ...] = ()  # Margins that have fallen.
 
     def jump(
         self, region: str, cause: str, target: Key, after: Array | None = None, **told: Any

@@ -12,53 +12,28 @@ UNREACHED = "no transition leads there from the start"
 
 @dataclass(frozen=True)
 class Choice:
-    """A state that an edge may lead to, and what is reset on the way.
+    """A state that an edge may lead to, and what is reset on the way."""
 
-    Attributes
-    ----------
-    target : str
-        A state that holds no others.
-    reset : str
-        As of an `Edge`.
-    """
-
-    target: str
-    reset: str
+    target: str  # A state that holds no others.
+    reset: str  # As of an `Edge`.
 
 
 @dataclass(frozen=True)
 class HierarchicalEdge:
-    """Edges of a region that a person draws as one.
+    """Edges of a region that a person draws as one."""
 
-    Attributes
-    ----------
-    cause : str
-        As of an `Edge`.
-    source, target : str
-        States or superstates. The edge leaves every state in `source`.
-    guard : str
-        As of an `Edge`.
-    choices : tuple of Choice
-        Where it leads: `target` itself, or one of the states in it, which the laws choose.
-    on_zeno : bool
-        As of an `Edge`.
-    updates : mapping
-        Variable -> new value, of the values before.
-    events : tuple of str
-        Of other regions, that fire it.
-    internal : bool
-        Whether it leaves no state.
-    """
-
-    cause: str
+    cause: str  # As of an `Edge`.
+    # States or superstates. The edge leaves every state in `source`.
     source: str
     target: str
-    guard: str
+    guard: str  # As of an `Edge`.
+    # Where it leads: `target` itself, or one of the states in it, which the laws choose.
     choices: tuple[Choice, ...]
-    on_zeno: bool = False
+    on_zeno: bool = False  # As of an `Edge`.
+    # Variable -> new value, of the values before.
     updates: Mapping[str, str | int | float] = field(default_factory=dict)
-    events: tuple[str, ...] = ()
-    internal: bool = False
+    events: tuple[str, ...] = ()  # Of other regions, that fire it.
+    internal: bool = False  # Whether it leaves no state.
 
     @property
     def reset(self) -> str:
@@ -68,61 +43,35 @@ class HierarchicalEdge:
 
 
 class History(NamedTuple):
-    """A target that stands for what was last active.
+    """A target that stands for what was last active."""
 
-    Attributes
-    ----------
-    depth : str
-        Whether it remembers states of `parent` alone, or those in them, too.
-    parent : str
-        Of which it remembers.
-    initial : str
-        What it stands for as long as nothing is remembered.
-    """
-
+    # Whether it remembers states of `parent` alone, or those in them, too.
     depth: Literal["shallow", "deep"]
-    parent: str
-    initial: str
+    parent: str  # Of which it remembers.
+    initial: str  # What it stands for as long as nothing is remembered.
 
 
 @dataclass(frozen=True, eq=False)
 class Nesting:
-    """What was declared of the states of a flattened region, beside its superstates.
+    """What was declared of the states of a flattened region, beside its superstates."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        States and superstates in the order of the document.
-    configurations : mapping
-        State of the region -> the innermost states that are active in it.
-    joint : mapping
-        Cause -> the causes that it stands for, where one jump takes several transitions.
-    initial : mapping
-        Superstate -> the state in it that it begins with; "" is the region.
-    parallel : frozenset of str
-        Superstates whose states are regions: all of them are active.
-    histories : mapping
-        Name -> history.
-    entries, exits : mapping
-        State -> updates when it is entered, or left.
-    edges : tuple of HierarchicalEdge
-        As declared, of flat regions too.
-    unreached : frozenset of str
-        States and superstates that no chain of transitions enters from the start.
-    flows : mapping
-        State -> rates of variables that it declares.
-    """
-
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()  # States and superstates in the order of the document.
+    # State of the region -> the innermost states that are active in it.
     configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # Cause -> the causes that it stands for, where one jump takes several transitions.
     joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # Superstate -> the state in it that it begins with; "" is the region.
     initial: Mapping[str, str] = field(default_factory=dict)
+    # Superstates whose states are regions: all of them are active.
     parallel: frozenset[str] = frozenset()
-    histories: Mapping[str, History] = field(default_factory=dict)
+    histories: Mapping[str, History] = field(default_factory=dict)  # Name -> history.
+    # State -> updates when it is entered, or left.
     entries: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
     exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
-    edges: tuple[HierarchicalEdge, ...] = ()
+    edges: tuple[HierarchicalEdge, ...] = ()  # As declared, of flat regions too.
+    # States and superstates that no chain of transitions enters from the start.
     unreached: frozenset[str] = frozenset()
+    # State -> rates of variables that it declares.
     flows: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
 
     def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:

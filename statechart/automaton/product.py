@@ -26,24 +26,12 @@ _Jump = tuple[Key, Key, str, str]  # source, target, region, event
 
 @dataclass(frozen=True)
 class Product:
-    """Modes of an automaton and the edges between them, which are found when they are asked for.
+    """Modes of an automaton and the edges between them, which are found when they are asked for."""
 
-    Attributes
-    ----------
-    name : str
-        Of the automaton.
-    modes : dict of Key to dict
-        What is told of every mode, as nodes of `graph` have it.
-    charts : tuple of Region
-        The regions as they are shown.
-    taken : Counter or None
-        How often a run took every edge.
-    """
-
-    name: str
-    modes: dict[Key, dict[str, Any]]
-    charts: tuple[Region, ...]
-    taken: Counter[_Jump] | None
+    name: str  # Of the automaton.
+    modes: dict[Key, dict[str, Any]]  # What is told of every mode, as nodes of `graph` have it.
+    charts: tuple[Region, ...]  # The regions as they are shown.
+    taken: Counter[_Jump] | None  # How often a run took every edge.
 
     def edges(self) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
         """Yield the ends of every edge, and what `graph` has of it: by source, then by target."""

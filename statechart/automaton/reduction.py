@@ -24,31 +24,19 @@ Known = Mapping[sp.Symbol, sp.Expr]
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Coordinates that follow from the others in a mode.
+    """Coordinates that follow from the others in a mode."""
 
-    Attributes
-    ----------
-    positions : mapping
-        Coordinate eliminated -> expression of those left, of parameters, time and anchors.
-    rates, accelerations : mapping
-        Its rate and its acceleration -> expression of variables and accelerations that are left.
-    anchors : mapping
-        Constant of a flow -> the expression of the variables that is constant in it.
-    replaced : mapping
-        Equation for accelerations -> place of the coordinate whose equation stands for it now.
-    forces : frozenset of Symbol
-        Those that hold the coordinates eliminated.
-    steep : bool
-        Whether they may move without bound when the others move: forces are then lost in the
-        difference of accelerations, so that these are found together.
-    """
-
+    # Coordinate eliminated -> expression of those left, of parameters, time and anchors.
     positions: Known
+    # Its rate and its acceleration -> expression of variables and accelerations that are left.
     rates: Known
     accelerations: Known
-    anchors: Known
+    anchors: Known  # Constant of a flow -> the expression of the variables that is constant in it.
+    # Equation for accelerations -> place of the coordinate whose equation stands for it now.
     replaced: Mapping[sp.Expr, int]
-    forces: frozenset[sp.Symbol]
+    forces: frozenset[sp.Symbol]  # Those that hold the coordinates eliminated.
+    # Whether they may move without bound when the others move: forces are then lost in the
+    # difference of accelerations, so that these are found together.
     steep: bool
 
     @property
@@ -60,32 +48,20 @@ class Elimination:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """The coordinates of an automaton whose equations are those of mechanics.
+    """The coordinates of an automaton whose equations are those of mechanics."""
 
-    Attributes
-    ----------
-    positions, rates, accelerations : tuple of Symbol
-        Coordinate by coordinate; the first unknowns of the automaton are the accelerations, and
-        its first equations are theirs.
-    time : Symbol
-    joints : tuple of Hold
-        What every mode holds.
-    motion : callable
-        From an `Elimination` and the forces that may do work beside it to the equations of motion
-        (each = 0) of the coordinates that are left, in their order.
-    written : mapping
-        Parameters that the document does not declare -> how a person writes them.
-    mass_unit : Symbol or None
-        Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
-    """
-
+    # Coordinate by coordinate; the first unknowns of the automaton are the accelerations, and its
+    # first equations are theirs.
     positions: tuple[sp.Symbol, ...]
     rates: tuple[sp.Symbol, ...]
     accelerations: tuple[sp.Symbol, ...]
     time: sp.Symbol
-    joints: tuple[Hold, ...]
+    joints: tuple[Hold, ...]  # What every mode holds.
+    # From an `Elimination` and the forces that may do work beside it to the equations of motion
+    # (each = 0) of the coordinates that are left, in their order.
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]
-    written: Known
+    written: Known  # Parameters that the document does not declare -> how a person writes them.
+    # Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
     mass_unit: sp.Symbol | None = None
 
     def left(self, elimination: Elimination) -> tuple[int, ...]:

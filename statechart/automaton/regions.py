@@ -23,28 +23,17 @@ MarginKind = Literal["plain", "gap", "speed", "force"]
 
 @dataclass(frozen=True)
 class Margin:
-    """An expression that is >= 0 while a mode holds.
+    """An expression that is >= 0 while a mode holds."""
 
-    Attributes
-    ----------
-    name : str
-        Such as ``tip.gap`` or ``tip.mu V - H``.
-    expression : Expr
-        In variables, parameters, time and unknowns.
-    kind : str
-        Which tolerance decides it. A `force` margin is an event once it is below minus its
-        tolerance (hysteresis, so that the mode just left is not entered again); the others are
-        located at their zero.
-    relation : str
-        Name of the relation that it is one of several atoms of; "" where it stands alone.
-    whole : Expr or None
-        Margin of that relation; None also where the relation asks for states of regions.
-    """
-
-    name: str
-    expression: sp.Expr
+    name: str  # Such as ``tip.gap`` or ``tip.mu V - H``.
+    expression: sp.Expr  # In variables, parameters, time and unknowns.
+    # Which tolerance decides it. A `force` margin is an event once it is below minus its tolerance
+    # (hysteresis, so that the mode just left is not entered again); the others are located at their
+    # zero.
     kind: MarginKind = "plain"
+    # Name of the relation that it is one of several atoms of; "" where it stands alone.
     relation: str = ""
+    # Margin of that relation; None also where the relation asks for states of regions.
     whole: sp.Expr | None = None
 
     def replaced(self, values: Mapping[sp.Symbol, sp.Expr]) -> Margin:
@@ -86,20 +75,11 @@ def margins_of(
 
 @dataclass(frozen=True, eq=False)
 class StopCondition:
-    """A condition that ends a run.
-
-    Attributes
-    ----------
-    name : str
-    condition : Condition
-        Its relation.
-    margins : tuple of Margin
-        Those of its atoms.
-    """
+    """A condition that ends a run."""
 
     name: str
-    condition: Condition
-    margins: tuple[Margin, ...]
+    condition: Condition  # Its relation.
+    margins: tuple[Margin, ...]  # Those of its atoms.
 
 
 def stop_conditions(
@@ -114,20 +94,11 @@ def stop_conditions(
 
 @dataclass(frozen=True, eq=False)
 class Invariant:
-    """A relation that a declaration asserts of a run, or of it as long as a state is active.
-
-    Attributes
-    ----------
-    name : str
-    text : str
-        The relation.
-    known : mapping
-        Name -> expression, of what it may use.
-    """
+    """A relation that a declaration asserts of a run, or of it as long as a state is active."""
 
     name: str
-    text: str
-    known: Mapping[str, sp.Expr]
+    text: str  # The relation.
+    known: Mapping[str, sp.Expr]  # Name -> expression, of what it may use.
 
     @cached_property
     def relation(self) -> Relation:
@@ -157,21 +128,11 @@ class Invariant:
 
 @dataclass(frozen=True)
 class Claim:
-    """Relations that all hold as long as a state is active, or of which one does not.
+    """Relations that all hold as long as a state is active, or of which one does not."""
 
-    Attributes
-    ----------
-    name : str
-        Of the guard, invariant or condition.
-    relations : tuple of str
-        As declared.
-    holds : bool
-        True: all of them hold. False: at least one does not.
-    """
-
-    name: str
-    relations: tuple[str, ...]
-    holds: bool
+    name: str  # Of the guard, invariant or condition.
+    relations: tuple[str, ...]  # As declared.
+    holds: bool  # True: all of them hold. False: at least one does not.
 
 
 def _no_claims(_state: str) -> tuple[Claim, ...]:
@@ -183,146 +144,86 @@ class Loads:
     """Unknowns that the motion leaves open: something carries them in the equations of motion.
 
     They are solved for when the motion is known, by equations of their own.
-
-    Attributes
-    ----------
-    carried : mapping
-        Unknown of the automaton -> what stands for it in the equations of motion.
-    carriers : tuple of Symbol
-        The unknowns of that.
-    laws : mapping
-        Unknown -> its equation (= 0), linear in what is carried and in further unknowns.
-    balances : mapping
-        Unknown, which states share -> what this one adds to a sum over them that is zero.
     """
 
+    # Unknown of the automaton -> what stands for it in the equations of motion.
     carried: Mapping[sp.Symbol, sp.Expr]
-    carriers: tuple[sp.Symbol, ...]
+    carriers: tuple[sp.Symbol, ...]  # The unknowns of that.
+    # Unknown -> its equation (= 0), linear in what is carried and in further unknowns.
     laws: Mapping[sp.Symbol, sp.Expr]
+    # Unknown, which states share -> what this one adds to a sum over them that is zero.
     balances: Mapping[sp.Symbol, sp.Expr]
 
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Positions that are held, and the equations that say so for accelerations.
+    """Positions that are held, and the equations that say so for accelerations."""
 
-    Attributes
-    ----------
-    places : tuple of Expr
-        Each = 0; their gradients are those of lengths.
-    equations : tuple of Expr
-        As many, each = 0: together they say what the second derivatives of `places` do.
-    forces : tuple of Symbol
-        As many; in motions that keep the places they do no work.
-    anchors : mapping
-        Constant of a flow that is in `places` -> the expression of the variables that is constant.
-    steep : bool
-        Whether gradients of the places may grow without bound.
-    """
-
-    places: tuple[sp.Expr, ...]
+    places: tuple[sp.Expr, ...]  # Each = 0; their gradients are those of lengths.
+    # As many, each = 0: together they say what the second derivatives of `places` do.
     equations: tuple[sp.Expr, ...]
-    forces: tuple[sp.Symbol, ...]
+    forces: tuple[sp.Symbol, ...]  # As many; in motions that keep the places they do no work.
+    # Constant of a flow that is in `places` -> the expression of the variables that is constant.
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    steep: bool = False
+    steep: bool = False  # Whether gradients of the places may grow without bound.
 
 
 @dataclass(frozen=True)
 class State:
-    """What a region contributes to a mode.
+    """What a region contributes to a mode."""
 
-    Attributes
-    ----------
-    equations : tuple of Expr
-        Each = 0, linear in the automaton's unknowns and its carriers.
-    margins : tuple of Margin
-        What an event of the state is the fall of.
-    invariants : tuple of Invariant
-        What its declaration asserts besides; for checks of a trace, no run looks at them.
-    values : mapping
-        What the state sets: some of the automaton's controls -> expressions without unknowns.
-    loads : Loads or None
-        What it adds where the mode's motion leaves some of its unknowns open.
-    holds : tuple of Hold
-        What some of its equations hold in place.
-    """
-
+    # Each = 0, linear in the automaton's unknowns and its carriers.
     equations: tuple[sp.Expr, ...] = ()
-    margins: tuple[Margin, ...] = ()
+    margins: tuple[Margin, ...] = ()  # What an event of the state is the fall of.
+    # What its declaration asserts besides; for checks of a trace, no run looks at them.
     invariants: tuple[Invariant, ...] = ()
+    # What the state sets: some of the automaton's controls -> expressions without unknowns.
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    # What it adds where the mode's motion leaves some of its unknowns open.
     loads: Loads | None = None
-    holds: tuple[Hold, ...] = ()
+    holds: tuple[Hold, ...] = ()  # What some of its equations hold in place.
 
 
 @dataclass(frozen=True)
 class Edge:
-    """A transition of a region, as text for people.
+    """A transition of a region, as text for people."""
 
-    Attributes
-    ----------
-    cause : str
-        touchdown, liftoff, ... or the transition's name.
-    source, target : str
-        States of the region.
-    guard, reset : str
-        What fires it and what it does; "" where nothing is changed.
-    on_zeno : bool
-        True where no guard fires it but the accumulation of jumps out of `source`.
-    """
-
-    cause: str
+    cause: str  # touchdown, liftoff, ... or the transition's name.
+    # States of the region.
     source: str
     target: str
+    # What fires it and what it does; "" where nothing is changed.
     guard: str
     reset: str = ""
+    # True where no guard fires it but the accumulation of jumps out of `source`.
     on_zeno: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """An orthogonal region: its states, built when first asked for, and its edges.
+    """An orthogonal region: its states, built when first asked for, and its edges."""
 
-    Attributes
-    ----------
-    name : str
-        Of the region (a contact, a controller).
-    states : tuple of str
-        Names of its states.
-    build : callable
-        Role -> State.
-    edges : tuple of Edge
-        The region's own statechart.
-    superstates : mapping
-        State or superstate -> the superstate that it is in; names differ, those outermost are
-        no keys.
-    listed : tuple of str
-        Superstates that the declaration lists as states of their own: slide, which runs know by
-        its directions alone.
-    blow : str
-        Cause that its jumps have where it is struck, besides that of its change: impact; "" where
-        what strikes it changes it, as a contact.
-    nesting : Nesting
-        What else its declaration says of states in states.
-    forces : tuple of Symbol
-        Unknowns that are zero for others while the region is captured (see `Role`).
-    default : str
-        The state that goes without saying where a mode is named by its others: `free` of a
-        contact; "" where every state says something.
-    claims : callable
-        State -> the declared relations that tests compare with its runs.
-    """
-
-    name: str
-    states: tuple[str, ...]
-    build: Callable[[Role], State]
-    edges: tuple[Edge, ...]
+    name: str  # Of the region (a contact, a controller).
+    states: tuple[str, ...]  # Names of its states.
+    build: Callable[[Role], State]  # Role -> State.
+    edges: tuple[Edge, ...]  # The region's own statechart.
+    # State or superstate -> the superstate that it is in; names differ, those outermost are no
+    # keys.
     superstates: Mapping[str, str] = field(default_factory=dict)
+    # Superstates that the declaration lists as states of their own: slide, which runs know by its
+    # directions alone.
     listed: tuple[str, ...] = ()
+    # Cause that its jumps have where it is struck, besides that of its change: impact; "" where
+    # what strikes it changes it, as a contact.
     blow: str = ""
+    # What else its declaration says of states in states.
     nesting: Nesting = field(default_factory=Nesting)
+    # Unknowns that are zero for others while the region is captured (see `Role`).
     forces: tuple[sp.Symbol, ...] = ()
+    # The state that goes without saying where a mode is named by its others: `free` of a contact;
+    # "" where every state says something.
     default: str = ""
+    # State -> the declared relations that tests compare with its runs.
     claims: Callable[[str], tuple[Claim, ...]] = _no_claims
 
     def declared(self, state: str) -> str:
@@ -371,31 +272,18 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A mode's equations, solved.
+    """A mode's equations, solved."""
 
-    Attributes
-    ----------
-    definitions : tuple of (Symbol, Expr)
-        Straight-line program for the controls and the unknowns.
-    rates : tuple of Expr
-        d/dt of every variable.
-    margins : tuple of Margin
-        The mode's invariant, stop conditions last.
-    hidden : mapping
-        What forces are for those who look at the mode, where they are not what moves the state.
-    eliminated : mapping
-        Place of a variable that follows from the others -> expression of these, of parameters,
-        time and anchors. Its rate is that of the expression, and is integrated along with the
-        others; nothing else reads it but through `definitions`.
-    anchors : mapping
-        Constant of a flow -> the expression of the variables that is constant.
-    """
-
-    definitions: tuple[Definition, ...]
-    rates: tuple[sp.Expr, ...]
-    margins: tuple[Margin, ...]
+    definitions: tuple[Definition, ...]  # Straight-line program for the controls and the unknowns.
+    rates: tuple[sp.Expr, ...]  # d/dt of every variable.
+    margins: tuple[Margin, ...]  # The mode's invariant, stop conditions last.
+    # What forces are for those who look at the mode, where they are not what moves the state.
     hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    # Place of a variable that follows from the others -> expression of these, of parameters, time
+    # and anchors. Its rate is that of the expression, and is integrated along with the others;
+    # nothing else reads it but through `definitions`.
     eliminated: Mapping[int, sp.Expr] = field(default_factory=dict)
+    # Constant of a flow -> the expression of the variables that is constant.
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
 
 

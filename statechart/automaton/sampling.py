@@ -33,16 +33,9 @@ Control = Callable[[Sample], Mapping[str, float] | None]
 
 
 class Sampling(NamedTuple):
-    """When a run is looked at, and what may change then.
+    """When a run is looked at, and what may change then."""
 
-    Attributes
-    ----------
-    every : float
-        Time between instants; inf for none.
-    control : Control or None
-    """
-
-    every: float
+    every: float  # Time between instants; inf for none.
     control: Control | None
 
 

@@ -14,18 +14,10 @@ if TYPE_CHECKING:
 
 
 class Impulses(NamedTuple):
-    """How well the impulses of a step are to satisfy the contact laws.
+    """How well the impulses of a step are to satisfy the contact laws."""
 
-    Attributes
-    ----------
-    tolerance : float
-        In parts of the step's fastest approach; more is told.
-    bound : float
-        More ends the run.
-    """
-
-    tolerance: float = 1e-6
-    bound: float = math.inf
+    tolerance: float = 1e-6  # In parts of the step's fastest approach; more is told.
+    bound: float = math.inf  # More ends the run.
 
 
 USUAL = Impulses()

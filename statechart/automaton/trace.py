@@ -72,22 +72,14 @@ def check_size(size: int, jumps: int, time: float) -> None:
 
 
 class Role(NamedTuple):
-    """How a region takes part in a flow.
+    """How a region takes part in a flow."""
 
-    Attributes
-    ----------
-    state : str
-        Whose equations apply.
-    captured : bool
-        True where the region is shown in another state meanwhile: for everybody else its forces
-        are what they are in that, zero.
-    share : hashable or None
-        What determines the quantities that the mode's equations leave open, where these do not
-        change the motion; for the region that builds the state to read.
-    """
-
-    state: str
+    state: str  # Whose equations apply.
+    # True where the region is shown in another state meanwhile: for everybody else its forces are
+    # what they are in that, zero.
     captured: bool = False
+    # What determines the quantities that the mode's equations leave open, where these do not change
+    # the motion; for the region that builds the state to read.
     share: Hashable | None = None
 
 

@@ -109,59 +109,30 @@ def _view(mapped: NDArray[np.uint8], at: int, like: NDArray[Any]) -> NDArray[Any
 
 
 class TraceBuffer(NamedTuple):
-    """Arcs and events in the order in which they were made.
+    """Arcs and events in the order in which they were made."""
 
-    Attributes
-    ----------
-    arcs : (a, 4) array of int32
-        Kind, number of jumps before it, steps, terms of its polynomials.
-    places : (a, 2) array of int64
-        Where its times and its coefficients begin.
-    starts : (a, 2) array
-        When it starts, a `Clock`.
-    times, coefficients : (..,) arrays
-        Of all arcs, one behind the other (see `Arc`).
-    events : (e, 6) array of int32
-        Kind left and kind entered, the margin that fell; the others are the laws' own.
-    numbers : (e, 6) array
-        When, energy before and after, time skipped; the others are the laws' own.
-    states : (e, 2, n) array
-        Before and after.
-    used : (4,) array of int64
-        How much of it is written: arcs, times, coefficients, events.
-    """
-
+    # (a, 4): kind, number of jumps before it, steps, terms of its polynomials.
     arcs: NDArray[np.int32]
-    places: NDArray[np.int64]
-    starts: Array
+    places: NDArray[np.int64]  # (a, 2): where its times and its coefficients begin.
+    starts: Array  # (a, 2): when it starts, a `Clock`.
+    # (..,): of all arcs, one behind the other (see `Arc`).
     times: Array
     coefficients: Array
+    # (e, 6): kind left and kind entered, the margin that fell; the others are the laws' own.
     events: NDArray[np.int32]
+    # (e, 6): when, energy before and after, time skipped; the others are the laws' own.
     numbers: Array
-    states: Array
-    used: NDArray[np.int64]
+    states: Array  # (e, 2, n): before and after.
+    used: NDArray[np.int64]  # (4,): how much of it is written: arcs, times, coefficients, events.
 
 
 class RecordedEvent(NamedTuple):
-    """One event of a block, from which the laws make a jump.
+    """One event of a block, from which the laws make a jump."""
 
-    Attributes
-    ----------
-    j : int
-        Number of jumps before it.
-    source, target : Key
-    fired : int
-        Margin of the mode left.
-    path, struck, group : int
-    t, energy_before, energy_after, skipped : float
-    normal, tangential : float
-    before, after : (n,) array
-    """
-
-    j: int
+    j: int  # Number of jumps before it.
     source: Key
     target: Key
-    fired: int
+    fired: int  # Margin of the mode left.
     path: int
     struck: int
     group: int
@@ -171,6 +142,7 @@ class RecordedEvent(NamedTuple):
     skipped: float
     normal: float
     tangential: float
+    # of shape (n,) each
     before: Array
     after: Array
 

@@ -10,15 +10,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.components import (
-    Component,
-    Data,
-    Places,
-    composed,
-    reserved_words,
-    split,
-)
+from statechart.automaton.automaton import Automaton, Component, Places
+from statechart.automaton.components import Data, composed, reserved_words, split
 from statechart.automaton.laws import Setup
 from statechart.charts.chart import Chart
 from statechart.errors import StatechartError

@@ -36,92 +36,46 @@ class Begin(Enum):
 
 
 class FlowWatch(NamedTuple):
-    """A flow, and what it is watched for.
+    """A flow, and what it is watched for."""
 
-    Attributes
-    ----------
-    guards : Tape
-        Outputs: the margins whose fall is an event.
-    tolerances : (g,) array
-        How far below zero each may go.
-    constraints : Constraints
-        What the states are to satisfy.
-    parameters : (p,) array
-        Values of the automaton's parameters.
-    start : float
-        When the flow begins.
-    reconstruction : Reconstruction
-        What follows from other variables in every state.
-    """
-
-    guards: Tape
-    tolerances: Array
-    constraints: Constraints
-    parameters: Array
-    start: float
-    reconstruction: Reconstruction
+    guards: Tape  # Outputs: the margins whose fall is an event.
+    tolerances: Array  # (g,): how far below zero each may go.
+    constraints: Constraints  # What the states are to satisfy.
+    parameters: Array  # (p,): values of the automaton's parameters.
+    start: float  # When the flow begins.
+    reconstruction: Reconstruction  # What follows from other variables in every state.
 
 
 class Steps(NamedTuple):
-    """What a call for steps made; the steps stand in the path.
+    """What a call for steps made; the steps stand in the path."""
 
-    Attributes
-    ----------
-    finished : bool
-        Whether the last one ends where they had to.
-    first : int
-        Where the last chunk of steps begins; in those before is no event, and they end on the
-        flow's constraints.
-    begun : (n,) array
-        The state there.
-    boxes : int
-        Looked at in the search for events.
-    found : Search or None
-        What the search of the last chunk found; None where it was not searched, as that depends
-        on whether its end is on the constraints.
-    """
-
-    finished: bool
+    finished: bool  # Whether the last one ends where they had to.
+    # Where the last chunk of steps begins; in those before is no event, and they end on the flow's
+    # constraints.
     first: int
-    begun: Array
-    boxes: int = 0
+    begun: Array  # (n,): the state there.
+    boxes: int = 0  # Looked at in the search for events.
+    # What the search of the last chunk found; None where it was not searched, as that depends on
+    # whether its end is on the constraints.
     found: Search | None = None
 
 
 class Pace(NamedTuple):
-    """How an engine integrates.
+    """How an engine integrates."""
 
-    Attributes
-    ----------
-    tolerance, max_step, allowed : float
-        See `Engine`, and the longest step in time.
-    terms : int
-        Of its series.
-    """
-
+    # See `Engine`, and the longest step in time.
     tolerance: float
     max_step: float
     allowed: float
-    terms: int
+    terms: int  # Of its series.
 
 
 class Entry(NamedTuple):
-    """Where compiled loops enter a mode's step.
+    """Where compiled loops enter a mode's step."""
 
-    Attributes
-    ----------
-    address : int
-        See `statechart.engines.heyoka_step.Step`.
-    fixed : Tape
-        What it takes of the automaton's parameters, behind the time.
-    takes : int
-        How many parameters it takes, the time among them.
-    pace : Pace
-    """
-
-    address: int
-    fixed: Tape
-    takes: int
+    address: int  # See `statechart.engines.heyoka_step.Step`.
+    fixed: Tape  # What it takes of the automaton's parameters, behind the time.
+    takes: int  # How many parameters it takes, the time among them.
     pace: Pace
 
 
@@ -129,33 +83,21 @@ class Engine(ABC):
     """An integrator: it makes a mode's steps, and knows nothing of events.
 
     An engine is created for one tolerance and may keep what it compiled for a mode.
-
-    Attributes
-    ----------
-    name, method : str
-        What it is called; `method` is `name` where there is only one.
-    tolerance : float
-        Relative.
-    sharp : bool
-        Whether the last digits cost little more than the first.
-    evaluations : int
-        Of the rates, so far; 0 where they are not counted.
-    sizes : (n,) array or None
-        How large each variable is in the model's own scales, where it says so; set for each run.
-    floor : (n,) array or float
-        Errors of a variable that is smaller are relative to this; set for each flow.
-    allowed : float
-        Of what a variable is and moves in a step, how far the slope of the step may be off its
-        rate. The slope of a dense output is of a lower order than the step.
     """
 
+    # What it is called; `method` is `name` where there is only one.
     name: str
     method: str
-    tolerance: float
-    sharp: bool = False
-    evaluations: int = 0
+    tolerance: float  # Relative.
+    sharp: bool = False  # Whether the last digits cost little more than the first.
+    evaluations: int = 0  # Of the rates, so far; 0 where they are not counted.
+    # (n,): how large each variable is in the model's own scales, where it says so; set for each
+    # run.
     sizes: Array | None = None
+    # (n,): errors of a variable that is smaller are relative to this; set for each flow.
     floor: Array | float = 0.0
+    # Of what a variable is and moves in a step, how far the slope of the step may be off its rate.
+    # The slope of a dense output is of a lower order than the step.
     allowed: float
 
     @property

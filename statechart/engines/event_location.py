@@ -46,52 +46,28 @@ _VERDICTS = {
 
 
 class Crossing(NamedTuple):
-    """A margin's fall, in place and local time of the arc.
+    """A margin's fall, in place and local time of the arc."""
 
-    Attributes
-    ----------
-    guard : int
-        Index of the margin; -1 in `Search.undecided` where it is no margin in particular.
-    step : int
-        Step that holds `time`.
-    s : float
-        Place in that step, in [0, 1].
-    time : float
-        Where the margin itself vanished on the descent that then passed -tolerance: the last
-        float64 place, to a few ulp, where it is still >= 0. If it is below 0 on all of that
-        descent, where the descent starts (the start of the arc for one that starts below 0
-        and falls).
-    crossed : float
-        End of the bracket, >= `time`: margin + tolerance is certainly <= 0 there. At the end of
-        a step it may be zero to within rounding.
-    """
-
-    guard: int
-    step: int
-    s: float
+    guard: int  # Index of the margin; -1 in `Search.undecided` where it is no margin in particular.
+    step: int  # Step that holds `time`.
+    s: float  # Place in that step, in [0, 1].
+    # Where the margin itself vanished on the descent that then passed -tolerance: the last float64
+    # place, to a few ulp, where it is still >= 0. If it is below 0 on all of that descent, where
+    # the descent starts (the start of the arc for one that starts below 0 and falls).
     time: float
+    # End of the bracket, >= `time`: margin + tolerance is certainly <= 0 there. At the end of a
+    # step it may be zero to within rounding.
     crossed: float
 
 
 class Search(NamedTuple):
-    """Result of `search`.
+    """Result of `search`."""
 
-    Attributes
-    ----------
-    verdict : Verdict
-        How it ended.
-    crossing : Crossing or None
-        The crossing, if and only if the verdict is CROSSING.
-    boxes : int
-        Number of boxes looked at.
-    undecided : Crossing or None
-        The box [`time`, `crossed`] that could not be decided, for GRAZE, BUDGET and NON_FINITE;
-        all before it is proved clear.
-    """
-
-    verdict: Verdict
-    crossing: Crossing | None
-    boxes: int
+    verdict: Verdict  # How it ended.
+    crossing: Crossing | None  # The crossing, if and only if the verdict is CROSSING.
+    boxes: int  # Number of boxes looked at.
+    # The box [`time`, `crossed`] that could not be decided, for GRAZE, BUDGET and NON_FINITE; all
+    # before it is proved clear.
     undecided: Crossing | None = None
 
 

@@ -23,33 +23,17 @@ JUMP = 1e-9
 
 
 class Watch(NamedTuple):
-    """Numbers that the search of a flow needs, beside its margins.
+    """Numbers that the search of a flow needs, beside its margins."""
 
-    Attributes
-    ----------
-    parameters : (p,) array
-    kinds : (4,) array
-        Tolerance of each kind of margin.
-    bands : (b,) array
-        Tolerances of single margins; -1 where that of the kind is the one.
-    floors : (n,) array
-        What is smaller counts as so large.
-    off : (9,) array of int64
-        Tape of the constraints.
-    targets, weights : (k,) array
-        Of the constraints.
-    room : float
-        How far what is to stay above zero may fall.
-    """
-
-    parameters: Array
-    kinds: Array
-    bands: Array
-    floors: Array
-    off: NDArray[np.int64]
+    parameters: Array  # shape (p,)
+    kinds: Array  # (4,): tolerance of each kind of margin.
+    bands: Array  # (b,): tolerances of single margins; -1 where that of the kind is the one.
+    floors: Array  # (n,): what is smaller counts as so large.
+    off: NDArray[np.int64]  # (9,): tape of the constraints.
+    # (k,): of the constraints.
     targets: Array
     weights: Array
-    room: float
+    room: float  # How far what is to stay above zero may fall.
 
 
 @part

@@ -37,20 +37,12 @@ listed."""
 
 
 class Program(NamedTuple):
-    """The modes of an automaton for compiled loops.
+    """The modes of an automaton for compiled loops."""
 
-    Attributes
-    ----------
-    ints : (..,) array of int32
-    floats : (..,) array
-        Codes, outputs and reads of tapes, and their constants, one behind the other.
-    modes : (m, `COLUMNS`) array of int64
-        Rows of zeros are modes that have not been compiled.
-    """
-
-    ints: Ints32
+    ints: Ints32  # shape (..,)
+    # (..,): codes, outputs and reads of tapes, and their constants, one behind the other.
     floats: Array
-    modes: NDArray[np.int64]
+    modes: NDArray[np.int64]  # (m, `COLUMNS`): rows of zeros are modes that have not been compiled.
 
 
 @part
@@ -97,45 +89,28 @@ def stands(
 
 
 class Scratch(NamedTuple):
-    """Memory of a flow: its steps, as in `statechart.engines.path.Path`, and what they begin with.
+    """Memory of a flow: its steps, as in `statechart.engines.path.Path`, and their first states."""
 
-    Attributes
-    ----------
-    times : (s + 1,), coefficients : (s, n, terms) array
-        Of the steps; times[0] is 0.
-    state, ended : (n,) array
-    pars : (p,) array
-        At least as many as any mode takes.
-    clock : (2,) array
-    series : (n, terms) array
-    powers : (terms,), length : (1,) array
-        Of the length of a step.
-    offs, sizes : (n,) array
-        Of a step, see `statechart.engines.taylor_loop.stray`.
-    doubtful : (s,) array of bool
-        Steps.
-    tolerances : (m,) array
-        Of margins; at least as many as any mode has, likewise for what follows.
-    searched : Memory
-    whole : (r, 6) array
-        Ranges over a step.
-    """
-
-    times: Array
-    coefficients: Array
+    # Of the steps; times[0] is 0.
+    times: Array  # shape (s + 1,)
+    coefficients: Array  # shape (s, n, terms)
+    # of shape (n,) each
     state: Array
     ended: Array
-    pars: Array
-    clock: Array
-    series: Array
-    powers: Array
-    length: Array
+    pars: Array  # (p,): at least as many as any mode takes.
+    clock: Array  # shape (2,)
+    series: Array  # shape (n, terms)
+    # Of the length of a step.
+    powers: Array  # shape (terms,)
+    length: Array  # shape (1,)
+    # (n,): of a step, see `statechart.engines.taylor_loop.stray`.
     offs: Array
     sizes: Array
-    doubtful: Bools
+    doubtful: Bools  # (s,): steps.
+    # (m,): of margins; at least as many as any mode has, likewise for what follows.
     tolerances: Array
     searched: Memory
-    whole: Array
+    whole: Array  # (r, 6): ranges over a step.
 
 
 def scratch(

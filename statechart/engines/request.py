@@ -18,29 +18,16 @@ it the difference of the two bounds the error in 179, at 3.2 to 3.7 times the co
 
 @dataclass(frozen=True)
 class Chosen:
-    """A setting that was seen to do, and what tells its run when it is made again.
+    """A setting that was seen to do, and what tells its run when it is made again."""
 
-    Attributes
-    ----------
-    setting : Setting
-        With a tolerance.
-    error : float
-        That of its run at most: against a reference, and that of the reference itself.
-    outcome : str
-        Why its run ended.
-    steps, evaluations, flows : int
-        Which it took.
-    decides : str
-        The quantity that has the largest error.
-    """
-
-    setting: Setting
-    error: float
-    outcome: str
+    setting: Setting  # With a tolerance.
+    error: float  # That of its run at most: against a reference, and that of the reference itself.
+    outcome: str  # Why its run ended.
+    # Which it took.
     steps: int
     evaluations: int
     flows: int
-    decides: str = ""
+    decides: str = ""  # The quantity that has the largest error.
 
 
 class Measured(Protocol):
@@ -66,31 +53,17 @@ class Measured(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """How to run a model.
+    """How to run a model."""
 
-    Attributes
-    ----------
-    setting : Setting
-        What was asked for, with what the model's settings say in the place of None.
-    first : float or None
-        Tolerance of the first run, where that was measured.
-    basis : str
-        What that was chosen by, or the first step.
-    chosen : Chosen or None
-        The run that was measured to reach the accuracy asked for.
-    measured : float or None
-        End of the runs that it was chosen by, where they were measured: what they say holds of a
-        run to this end with the parameters of the model.
-    reason : str
-        Why an engine was taken that nobody asked for; else empty.
-    """
-
-    setting: Setting
-    first: float | None = None
+    setting: Setting  # What was asked for, with what the model's settings say in the place of None.
+    first: float | None = None  # Tolerance of the first run, where that was measured.
+    # What that was chosen by, or the first step.
     basis: str = "estimated: nothing was measured of this run"
-    chosen: Chosen | None = None
+    chosen: Chosen | None = None  # The run that was measured to reach the accuracy asked for.
+    # End of the runs that it was chosen by, where they were measured: what they say holds of a run
+    # to this end with the parameters of the model.
     measured: float | None = None
-    reason: str = ""
+    reason: str = ""  # Why an engine was taken that nobody asked for; else empty.
 
 
 def planned(

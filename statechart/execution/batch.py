@@ -22,53 +22,27 @@ ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
 
 
 class BatchResult(NamedTuple):
-    """What rows gave beside their arcs and events, which stand in a block.
+    """What rows gave beside their arcs and events, which stand in a block."""
 
-    Attributes
-    ----------
-    ends : (m, 4) array of int64
-        How it ended, why the loop did, the margin that fell, the kind of the first mode.
-    spans : (m, 4) array of int64
-        Where its arcs and its events begin and end.
-    now : (m, 6) array, place : (m, 6) array of int64
-        Where it has come, see `statechart.execution.compiled_loop`.
-    values : (m, p), initial, final : (m, n) array
-        Its parameters, first and last state.
-    entered : (m, k) array of bool
-        The kinds of modes that it has been in.
-    """
-
+    # (m, 4): how it ended, why the loop did, the margin that fell, the kind of the first mode.
     ends: Ints
-    spans: Ints
+    spans: Ints  # (m, 4): where its arcs and its events begin and end.
+    # (m, 6): where it has come, see `statechart.execution.compiled_loop`.
     now: Array
     place: Ints
-    values: Array
-    initial: Array
-    final: Array
-    entered: Bools
+    # Its parameters, first and last state.
+    values: Array  # shape (m, p)
+    initial: Array  # shape (m, n)
+    final: Array  # shape (m, n)
+    entered: Bools  # (m, k): the kinds of modes that it has been in.
 
 
 class BatchInputs(NamedTuple):
-    """Rows for a compiled call.
+    """Rows for a compiled call."""
 
-    Attributes
-    ----------
-    inputs : (m, i) array
-        What the numbers of a run are computed from.
-    until : (m,) array
-        When each ends; not a number where that is refused.
-    zeros : (p,) array of bool
-        Which parameters are exactly zero.
-    most_jumps : int
-    floor : float
-        What is smaller counts as so large.
-    alone : bool
-        Whether a row is handed back as far as it has come.
-    """
-
-    inputs: Array
-    until: Array
-    zeros: Bools
+    inputs: Array  # (m, i): what the numbers of a run are computed from.
+    until: Array  # (m,): when each ends; not a number where that is refused.
+    zeros: Bools  # (p,): which parameters are exactly zero.
     most_jumps: int
-    floor: float
-    alone: bool
+    floor: float  # What is smaller counts as so large.
+    alone: bool  # Whether a row is handed back as far as it has come.

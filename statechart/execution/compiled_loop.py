@@ -41,44 +41,25 @@ LOOK_AHEAD = 16.0
 
 
 class LoopResult(NamedTuple):
-    """What a loop has made of a run.
+    """What a loop has made of a run."""
 
-    Attributes
-    ----------
-    kinds : tuple of (Key, Roles)
-        Of the modes.
-    reason, margin : int
-        Why it ended, and the margin that fell, or the series that accumulates.
-    now : (6,) array, place : (6,) array of int64, state : (n,) array
-        Where it has come.
-    entered : (k,) array of bool
-        The kinds that the run has been in.
-    """
-
-    kinds: tuple[Kind, ...]
+    kinds: tuple[Kind, ...]  # Of the modes.
+    # Why it ended, and the margin that fell, or the series that accumulates.
     reason: int
     margin: int
-    now: Array
-    place: Ints
-    state: Array
-    entered: Bools
+    # Where it has come.
+    now: Array  # shape (6,)
+    place: Ints  # shape (6,)
+    state: Array  # shape (n,)
+    entered: Bools  # (k,): the kinds that the run has been in.
 
 
 class LoopStart(NamedTuple):
-    """How far a loop has taken a run from its start.
+    """How far a loop has taken a run from its start."""
 
-    Attributes
-    ----------
-    kind : (Key, Roles)
-        Of the first mode.
-    made : LoopResult
-    series : (s, ..) array
-        Of jumps, see `statechart.execution.zeno`.
-    """
-
-    kind: Kind
+    kind: Kind  # (Key, Roles): of the first mode.
     made: LoopResult
-    series: Array
+    series: Array  # (s, ..): of jumps, see `statechart.execution.zeno`.
 
 
 # Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
@@ -277,27 +258,14 @@ class BatchCall(Protocol):
 
 
 class Loop(NamedTuple):
-    """What compiled loops run through.
-
-    Attributes
-    ----------
-    program : Program
-    tapes : (t, 9) array of int64
-        The laws' own.
-    pace : Pace
-    memory : Scratch
-    margins : tuple of str
-        Whose tolerances a run may set one by one, in their order.
-    kinds : tuple of (Key, Roles)
-        Of the rows of the program.
-    """
+    """What compiled loops run through."""
 
     program: Program
-    tapes: NDArray[np.int64]
+    tapes: NDArray[np.int64]  # (t, 9): the laws' own.
     pace: Pace
     memory: Scratch
-    margins: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    margins: tuple[str, ...]  # Whose tolerances a run may set one by one, in their order.
+    kinds: tuple[Kind, ...]  # Of the rows of the program.
 
 
 _NO_TAPE = (0,) * TAPE

@@ -23,36 +23,16 @@ from statechart.formulas.tape import Tape
 
 @dataclass(frozen=True, eq=False)
 class CompiledMode:
-    """A mode with its guards on tape, and what an engine made of its rates.
+    """A mode with its guards on tape, and what an engine made of its rates."""
 
-    Attributes
-    ----------
-    mode : Mode
-        Equations and margins.
-    guards : Tape
-        Outputs: the margins, in order.
-    rates : Tape
-        Outputs: the rates of all variables.
-    reconstruction : ModeReconstruction
-        What follows from other variables.
-    watched : tuple of (str, str)
-        Name and kind of every margin.
-    names : tuple of str
-        The names.
-    stepper : object
-        The engine's own.
-    wholes : Tape
-        Outputs: the margins of whole relations; see `whole_margins`.
-    """
-
-    mode: Mode
-    guards: Tape
-    rates: Tape
-    reconstruction: ModeReconstruction
-    watched: tuple[tuple[str, str], ...]
-    names: tuple[str, ...]
-    stepper: object
-    wholes: Tape
+    mode: Mode  # Equations and margins.
+    guards: Tape  # Outputs: the margins, in order.
+    rates: Tape  # Outputs: the rates of all variables.
+    reconstruction: ModeReconstruction  # What follows from other variables.
+    watched: tuple[tuple[str, str], ...]  # Name and kind of every margin.
+    names: tuple[str, ...]  # The names.
+    stepper: object  # The engine's own.
+    wholes: Tape  # Outputs: the margins of whole relations; see `whole_margins`.
 
     @cached_property
     def plain(self) -> Bools:

@@ -16,9 +16,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.automaton import Automaton
+from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.components import Component, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping, LazySequence
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace

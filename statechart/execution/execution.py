@@ -61,45 +61,22 @@ FARTHEST = 1e12
 
 @dataclass(eq=False)
 class Execution:
-    """A run of an automaton from its initial state, as far as it has come.
+    """A run of an automaton from its initial state, as far as it has come."""
 
-    Attributes
-    ----------
-    modes : CompiledModes
-        The automaton and the engine, with the modes entered so far, in this run or before.
-    path : Path
-        Takes the steps of the flow under way.
-    record : TraceRecorder
-        Takes its arcs and jumps.
-    setup : Setup
-        The numbers of the run.
-    zeros : frozenset of int
-        Places of the parameters that are exactly zero.
-    until : float
-        Its end.
-    max_jumps : int
-        End after so many jumps.
-    progress : bool
-        Whether to report to stderr.
-    loop : CompiledLoop or None
-        Takes the run through unambiguous instants in compiled code, where that can be.
-    certificate : Certificate or None
-        Takes all flows and jumps, where the run is made again to prove its motion.
-    begun : LoopStart or None
-        How far a loop has taken the run from its start.
-    """
-
+    # The automaton and the engine, with the modes entered so far, in this run or before.
     modes: CompiledModes
-    path: Path
-    record: TraceRecorder
-    setup: Setup
-    zeros: frozenset[int]
-    until: float
-    max_jumps: int
-    progress: bool
+    path: Path  # Takes the steps of the flow under way.
+    record: TraceRecorder  # Takes its arcs and jumps.
+    setup: Setup  # The numbers of the run.
+    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
+    until: float  # Its end.
+    max_jumps: int  # End after so many jumps.
+    progress: bool  # Whether to report to stderr.
+    # Takes the run through unambiguous instants in compiled code, where that can be.
     loop: CompiledLoop | None = None
+    # Takes all flows and jumps, where the run is made again to prove its motion.
     certificate: Certificate | None = None
-    begun: LoopStart | None = None
+    begun: LoopStart | None = None  # How far a loop has taken the run from its start.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""

@@ -84,21 +84,6 @@ class Advance:
         would be lost in that step's rounding.
     on_steps : callable or None
         Called with the local time reached and the steps taken, now and then (progress).
-
-    Attributes
-    ----------
-    state : (n,) array
-        Where it is.
-    crossing : Crossing or None
-        The event that ended it; None at the end of the duration.
-    graze : bool
-        True when the event is one that could not be proved.
-    boxes, steps : int
-        Costs.
-    failure : SimulationError, KeyboardInterrupt or None
-        What stopped the flow where it is.
-    unfollowed : float or None
-        From when on it is not known whether steps follow the rates.
     """
 
     engine: Engine
@@ -109,13 +94,14 @@ class Advance:
     duration: float
     horizon: float
     on_steps: Callable[[float, int], None] | None
-    state: Array = field(init=False)
-    crossing: Crossing | None = None
-    graze: bool = False
+    state: Array = field(init=False)  # (n,): where it is.
+    crossing: Crossing | None = None  # The event that ended it; None at the end of the duration.
+    graze: bool = False  # True when the event is one that could not be proved.
+    # Costs.
     boxes: int = 0
     steps: int = 0
-    failure: SimulationError | KeyboardInterrupt | None = None
-    unfollowed: float | None = None
+    failure: SimulationError | KeyboardInterrupt | None = None  # What stopped the flow where it is.
+    unfollowed: float | None = None  # From when on it is not known whether steps follow the rates.
     # Steps that are proved, and the local time that they reach.
     _kept: int = field(init=False)
     _reached: float = field(init=False)

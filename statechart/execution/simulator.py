@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from statechart import interrupts
 from statechart.arrays import Array, Bools
-from statechart.automaton.automaton import Automaton
-from statechart.automaton.components import Places
+from statechart.automaton.automaton import Automaton, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.sampling import Sampling
@@ -337,32 +336,15 @@ class Simulator:
 
 
 class Batch(NamedTuple):
-    """Rows that have gone through; valid until the next of them are made.
+    """Rows that have gone through; valid until the next of them are made."""
 
-    Attributes
-    ----------
-    rows : (m,) array of int
-        Which they are.
-    found : BatchResult
-        Of them alone.
-    block : TraceBuffer
-        Holds their arcs and events, and others.
-    kinds : tuple of (Key, Roles)
-        Of the modes.
-    modes : LoopModes
-    zeros : frozenset of int
-        Places of the parameters that are exactly zero.
-    series : (s, ..) array
-        Of the jumps of the last row, see `statechart.execution.zeno`.
-    """
-
-    rows: NDArray[np.intp]
-    found: BatchResult
-    block: TraceBuffer
-    kinds: tuple[Kind, ...]
+    rows: NDArray[np.intp]  # (m,): which they are.
+    found: BatchResult  # Of them alone.
+    block: TraceBuffer  # Holds their arcs and events, and others.
+    kinds: tuple[Kind, ...]  # Of the modes.
     modes: LoopModes
-    zeros: frozenset[int]
-    series: Array
+    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
+    series: Array  # (s, ..): of the jumps of the last row, see `statechart.execution.zeno`.
 
     @property
     def stopped(self) -> Bools:

@@ -34,21 +34,13 @@ from statechart.kernels.lowering import References, Written
 
 
 class Callee(NamedTuple):
-    """A kernel that the machine code of another one calls.
+    """A kernel that the machine code of another one calls."""
 
-    Attributes
-    ----------
-    module, name : str
-        Where it stands.
-    signature : tuple
-    symbol : str
-        What its machine code is called; another one whenever it is compiled again.
-    """
-
+    # Where it stands.
     module: str
     name: str
     signature: Signature
-    symbol: str
+    symbol: str  # What its machine code is called; another one whenever it is compiled again.
 
     @classmethod
     def of(cls, compiled: Any, signature: Signature) -> Callee:
@@ -73,18 +65,10 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _KernelLibrary(JITCodeLibrary):
-    """Machine code of a kernel and all its parts.
+    """Machine code of a kernel and all its parts."""
 
-    Attributes
-    ----------
-    callees : list of Callee
-        The kernels that it calls.
-    later : set of Later
-        Those that are compiled when they are entered.
-    """
-
-    callees: list[Callee]
-    later: set[Later]
+    callees: list[Callee]  # The kernels that it calls.
+    later: set[Later]  # Those that are compiled when they are entered.
     _linking_libraries: list[Any]
 
     def finalize(self) -> None:

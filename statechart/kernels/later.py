@@ -38,18 +38,10 @@ _RESOLVER = "statechart_kernel_that_is_entered"
 
 
 class Later(NamedTuple):
-    """A kernel that machine code calls, and that is compiled when it does.
+    """A kernel that machine code calls, and that is compiled when it does."""
 
-    Attributes
-    ----------
-    symbol : str
-        By which the code asks for it.
-    module, name : str
-        Where it stands.
-    signature : tuple
-    """
-
-    symbol: str
+    symbol: str  # By which the code asks for it.
+    # Where it stands.
     module: str
     name: str
     signature: Signature

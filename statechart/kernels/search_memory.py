@@ -25,30 +25,20 @@ and the outputs that are undecided in them."""
 
 
 class Memory(NamedTuple):
-    """Memory to search in, for tapes of up to r registers, c operations and o outputs.
+    """Memory to search in, for tapes of up to r registers, c operations and o outputs."""
 
-    Attributes
-    ----------
-    registers : (r, 1), jets : (r, 6) array
-    needs : (r,) array of int64, code : (c, 3) array of int32
-    variables : (n + 1,) array of int32, kept : (3,) array of int64
-        See `statechart.kernels.needed`.
-    bounds : (n,) array
-        Of third derivatives.
-    evidence : (o + 1, 11), ends : (2, b), marks : (b + 1, o) array
-        On the outputs; boxes still to see, and what is undecided in them.
-    """
-
-    registers: Array
-    jets: Array
-    needs: Ints
-    code: Ints32
-    variables: Ints32
-    kept: Ints
-    bounds: Array
-    evidence: Array
-    ends: Array
-    marks: NDArray[np.uint8]
+    registers: Array  # shape (r, 1)
+    jets: Array  # shape (r, 6)
+    needs: Ints  # shape (r,)
+    code: Ints32  # shape (c, 3)
+    # See `statechart.kernels.needed`.
+    variables: Ints32  # shape (n + 1,)
+    kept: Ints  # shape (3,)
+    bounds: Array  # (n,): of third derivatives.
+    # On the outputs; boxes still to see, and what is undecided in them.
+    evidence: Array  # shape (o + 1, 11)
+    ends: Array  # shape (2, b)
+    marks: NDArray[np.uint8]  # shape (b + 1, o)
 
 
 @seldom

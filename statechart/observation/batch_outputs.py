@@ -103,56 +103,37 @@ class OutputGroups:
 
 
 class BatchFormulas(NamedTuple):
-    """Formulas of the outputs, for every kind of mode, as packed tapes.
+    """Formulas of the outputs, for every kind of mode, as packed tapes."""
 
-    Attributes
-    ----------
-    ints, floats : (..,) array
-        See `statechart.execution.compiled_loop.Packed`.
-    start, end, integrals : (k, 9) array
-        Tapes of the formulas of a group, one for each kind of mode.
-    columns : (k, f) array
-        Integral to which each output of `integrals` is added.
-    values : (a, k, 9), extremes : (x, k, 9) array
-        Tapes of each output at events, and of each formula of an extreme.
-    moments : (a, 3) array
-        Of outputs at events: the wait, the number of events (the last ones if negative, all if 0),
-        and whether the state before the event counts.
-    counts : (c,) array
-        Wait of each count.
-    """
-
+    # (..,): see `statechart.execution.compiled_loop.Packed`.
     ints: Ints32
     floats: Array
+    # (k, 9): tapes of the formulas of a group, one for each kind of mode.
     start: Ints
     end: Ints
     integrals: Ints
-    columns: Ints
-    values: Ints
-    extremes: Ints
+    columns: Ints  # (k, f): integral to which each output of `integrals` is added.
+    # Tapes of each output at events, and of each formula of an extreme.
+    values: Ints  # shape (a, k, 9)
+    extremes: Ints  # shape (x, k, 9)
+    # (a, 3): of outputs at events: the wait, the number of events (the last ones if negative, all
+    # if 0), and whether the state before the event counts.
     moments: Ints
-    counts: Ints
+    counts: Ints  # (c,): wait of each count.
 
 
 class BatchValues(NamedTuple):
-    """Values of the outputs of m runs.
+    """Values of the outputs of m runs."""
 
-    Attributes
-    ----------
-    listed : (a, e), tally : (a, m) array
-        Values at events, run by run, and the number of values of each run.
-    counted : (c, m) array
-    start, end, integrals : (m, ..) array
-    extremes : (x, m, 2) array
-    """
-
-    listed: Array
-    tally: Ints
-    counted: Ints
+    # Values at events, run by run, and the number of values of each run.
+    listed: Array  # shape (a, e)
+    tally: Ints  # shape (a, m)
+    counted: Ints  # shape (c, m)
+    # of shape (m, ..) each
     start: Array
     end: Array
     integrals: Array
-    extremes: Array
+    extremes: Array  # shape (x, m, 2)
 
 
 class BatchOutputs:

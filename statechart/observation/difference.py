@@ -31,22 +31,13 @@ _ALONG, _LEAST = 512, 2
 
 
 class Compared(NamedTuple):
-    """A number of two runs.
+    """A number of two runs."""
 
-    Attributes
-    ----------
-    what : str
-        The quantity, such as `output lift`.
-    coarse, fine : float
-        Its values.
-    off : float
-        Their difference, relative to the scale of the quantity.
-    """
-
-    what: str
+    what: str  # The quantity, such as `output lift`.
+    # Its values.
     coarse: float
     fine: float
-    off: float
+    off: float  # Their difference, relative to the scale of the quantity.
 
     def __str__(self) -> str:
         one, other = f"{self.coarse:.7g}", f"{self.fine:.7g}"
@@ -60,27 +51,13 @@ _NONE = Compared("", 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two runs of one model differ, each number relative to the scale of its kind.
+    """Where two runs of one model differ, each number relative to the scale of its kind."""
 
-    Attributes
-    ----------
-    state : float
-        Of the final state; inf where the runs ended for different reasons.
-    times : float
-        Of the times of the events that both have and of the end, relative to the end.
-    named : mapping of str to float
-        Of every output; of a list, of its length, too.
-    decides : Compared
-        The number with the largest of these differences.
-    diverged : float or None
-        When they first took different modes or ended for different reasons; None if they did
-        not.
-    """
-
-    state: float
-    times: float
-    named: Mapping[str, float]
-    decides: Compared
+    state: float  # Of the final state; inf where the runs ended for different reasons.
+    times: float  # Of the times of the events that both have and of the end, relative to the end.
+    named: Mapping[str, float]  # Of every output; of a list, of its length, too.
+    decides: Compared  # The number with the largest of these differences.
+    # When they first took different modes or ended for different reasons; None if they did not.
     diverged: float | None
 
     @property

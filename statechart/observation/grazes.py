@@ -34,27 +34,13 @@ _LAST = 1.0 / 64.0
 
 
 class Graze(NamedTuple):
-    """Where a guard comes to its boundary, and what is open there.
+    """Where a guard comes to its boundary, and what is open there."""
 
-    Attributes
-    ----------
-    guard : str
-        Its name.
-    t : float
-        When.
-    least : float
-        Its least value there; where it has fired, what it would have been.
-    room : float
-        What it may be off by.
-    fired : bool
-        Whether it has.
-    """
-
-    guard: str
-    t: float
-    least: float
-    room: float
-    fired: bool
+    guard: str  # Its name.
+    t: float  # When.
+    least: float  # Its least value there; where it has fired, what it would have been.
+    room: float  # What it may be off by.
+    fired: bool  # Whether it has.
 
 
 def told(found: Sequence[Graze]) -> tuple[str, ...]:

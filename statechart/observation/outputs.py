@@ -25,24 +25,14 @@ from statechart.observation.zeno_tails import last_resolved
 
 
 class Scales(NamedTuple):
-    """What errors of a run are relative to, and below what its numbers are round-off of zero.
+    """What errors of a run are relative to, and below what its numbers are round-off of zero."""
 
-    Attributes
-    ----------
-    variables : (n,) array or None
-        Of the variables at the end; None where each is relative to its own largest value.
-    outputs : mapping
-        Of outputs, in their form; counts have none.
-    zero_variables : (n,) array or float
-        For the variables.
-    zero_outputs : mapping
-        For the outputs that have a kind.
-    """
-
+    # (n,): of the variables at the end; None where each is relative to its own largest value.
     variables: Array | None = None
+    # Of outputs, in their form; counts have none.
     outputs: Mapping[str, OutputValue] = MappingProxyType({})
-    zero_variables: Array | float = 0.0
-    zero_outputs: Mapping[str, float] = MappingProxyType({})
+    zero_variables: Array | float = 0.0  # (n,): for the variables.
+    zero_outputs: Mapping[str, float] = MappingProxyType({})  # For the outputs that have a kind.
 
 
 NO_SCALES = Scales()

@@ -16,27 +16,13 @@ from statechart.tabular import shortest
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Values along a run, one row a point of hybrid time.
+    """Values along a run, one row a point of hybrid time."""
 
-    Attributes
-    ----------
-    t : (m,) array
-        Time, in order.
-    j : (m,) array of int
-        Number of jumps before the point.
-    mode : (m,) array of int
-        Place in `modes` of the mode that holds.
-    modes : tuple of Key
-        The modes that occur.
-    columns : mapping of str to (m,) array
-        Formula -> values; not a number where it is undefined.
-    """
-
-    t: Array
-    j: NDArray[np.int64]
-    mode: NDArray[np.intp]
-    modes: tuple[Key, ...]
-    columns: Mapping[str, Array]
+    t: Array  # (m,): time, in order.
+    j: NDArray[np.int64]  # (m,): number of jumps before the point.
+    mode: NDArray[np.intp]  # (m,): place in `modes` of the mode that holds.
+    modes: tuple[Key, ...]  # The modes that occur.
+    columns: Mapping[str, Array]  # Formula -> values; not a number where it is undefined.
 
 
 @dataclass(frozen=True, eq=False)

@@ -345,15 +345,9 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """How columns of samples are drawn: broken at jumps, which take no time.
+    """How columns of samples are drawn: broken at jumps, which take no time."""
 
-    Attributes
-    ----------
-    times : (m,) array
-        Of the points drawn, not a number at breaks.
-    """
-
-    times: Array
+    times: Array  # (m,): of the points drawn, not a number at breaks.
     _begins: NDArray[np.intp] | None
     _breaks: NDArray[np.intp]
 

@@ -27,23 +27,13 @@ from statechart.tabular import several, whole
 
 
 class Computation(NamedTuple):
-    """How a run was computed, as far as its trace does not tell.
+    """How a run was computed, as far as its trace does not tell."""
 
-    Attributes
-    ----------
-    error_estimate : float or None
-        Where an accuracy was asked for.
-    timings : mapping of str to float
-        Seconds that parts of the work took.
-    asked : mapping or None
-        The accuracy or budget that was asked for, and its cost.
-    conditions : sequence of float or None
-        Of every event, from `statechart.observation.condition.conditions`; shown where given.
-    """
-
-    error_estimate: float | None = None
-    timings: Mapping[str, float] = MappingProxyType({})
+    error_estimate: float | None = None  # Where an accuracy was asked for.
+    timings: Mapping[str, float] = MappingProxyType({})  # Seconds that parts of the work took.
+    # The accuracy or budget that was asked for, and its cost.
     asked: Mapping[str, Any] | None = None
+    # Of every event, from `statechart.observation.condition.conditions`; shown where given.
     conditions: Sequence[float | None] = ()
 
 

@@ -56,19 +56,13 @@ Once = Callable[[float, bool], tuple[Observer, Trace]]
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of one or several runs.
+    """Cost of one or several runs."""
 
-    Attributes
-    ----------
-    runs, steps, evaluations : int
-        Over all runs; evaluations of the rates are 0 where the engine does not count them.
-    seconds : float
-        Wall time, without that of kernels that were compiled meanwhile, once on a machine.
-    """
-
+    # Over all runs; evaluations of the rates are 0 where the engine does not count them.
     runs: int
     steps: int
     evaluations: int
+    # Wall time, without that of kernels that were compiled meanwhile, once on a machine.
     seconds: float
 
     def __add__(self, other: Cost) -> Cost:
@@ -124,28 +118,18 @@ class AccuracyRequest:
 
 @dataclass(frozen=True, eq=False)
 class RunEstimate:
-    """The best of several runs with its estimated error.
+    """The best of several runs with its estimated error."""
 
-    Attributes
-    ----------
-    observer, trace
-        Of that run.
-    error : float or None
-        Its largest difference from the run at the tolerance before; inf where the two took
-        different modes, None where there was only one.
-    cost : Cost
-        Of all runs.
-    warnings : tuple of str
-        Reasons why the estimate misses the request; empty where it does not.
-    not_judged, decides
-        As of `AccuracyRequest`.
-    """
-
+    # Of that run.
     observer: Observer
     trace: Trace
+    # Its largest difference from the run at the tolerance before; inf where the two took different
+    # modes, None where there was only one.
     error: float | None
-    cost: Cost
+    cost: Cost  # Of all runs.
+    # Reasons why the estimate misses the request; empty where it does not.
     warnings: tuple[str, ...] = ()
+    # As of `AccuracyRequest`.
     not_judged: tuple[str, ...] = ()
     decides: str = ""
 

@@ -39,29 +39,18 @@ class Record(BaseModel, metaclass=Documented):
 
 
 class Errors(Record):
-    """Errors of a run against the reference; None where there is nothing to compare.
+    """Errors of a run against the reference; None where there is nothing to compare."""
 
-    Attributes
-    ----------
-    state, times, outputs : float or None
-        As in `statechart.observation.difference.Difference`; times and outputs None where the modes
-        differ.
-    named : mapping of str to float
-        Of every output, whatever the modes.
-    path : float or None
-        See `statechart.observation.difference.distance`.
-    energy : float or None
-        Largest difference of the energy at the events and the end, relative to its size.
-    violations : mapping of str to float
-        Violation of constraints and cones of friction, whatever the reference.
-    """
-
+    # As in `statechart.observation.difference.Difference`; times and outputs None where the modes
+    # differ.
     state: float | None = None
     times: float | None = None
     outputs: float | None = None
-    named: dict[str, float] = {}
-    path: float | None = None
+    named: dict[str, float] = {}  # Of every output, whatever the modes.
+    path: float | None = None  # See `statechart.observation.difference.distance`.
+    # Largest difference of the energy at the events and the end, relative to its size.
     energy: float | None = None
+    # Violation of constraints and cones of friction, whatever the reference.
     violations: dict[str, float] = {}
 
     @property
@@ -99,54 +88,28 @@ class Errors(Record):
 
 
 class Point(Record):
-    """Errors and costs of the runs at one setting.
+    """Errors and costs of the runs at one setting."""
 
-    Attributes
-    ----------
-    setting : Setting
-        Of the run. A step is run four times, of which three are shorter by up to a twentieth:
-        events fall anywhere between two steps, and the worst of the four counts.
-    outcome : str
-        Why it ended.
-    same_modes : bool
-        Whether it took the modes of the reference, one by one.
-    diverged : float or None
-        When it first did not.
-    parted : float or None
-        When it left the reference for good to the eye; see
-        `statechart.observation.difference.parted`.
-    refused : str
-        Why a run to an accuracy warns that it did not reach it; else empty.
-    warnings : tuple of str
-        Warnings of its runs, each text once.
-    errors : Errors
-        Against the reference.
-    seconds : float
-        Median time of a run that follows others in one process: warm.
-    repeats : int
-        Number of runs that the median is taken of.
-    cold : float or None
-        Time of the first run of a process, see `startup_cost`; None where none could be started.
-    steps, evaluations : int
-        Of the integrator and of the rates; evaluations are 0 where they are not counted.
-    flows : int
-        Number of arcs of the run.
-    """
-
+    # Of the run. A step is run four times, of which three are shorter by up to a twentieth: events
+    # fall anywhere between two steps, and the worst of the four counts.
     setting: Setting
-    outcome: str
-    same_modes: bool
-    diverged: float | None
+    outcome: str  # Why it ended.
+    same_modes: bool  # Whether it took the modes of the reference, one by one.
+    diverged: float | None  # When it first did not.
+    # When it left the reference for good to the eye; see
+    # `statechart.observation.difference.parted`.
     parted: float | None
-    refused: str = ""
-    warnings: tuple[str, ...] = ()
-    errors: Errors
-    seconds: _Time
-    repeats: int
+    refused: str = ""  # Why a run to an accuracy warns that it did not reach it; else empty.
+    warnings: tuple[str, ...] = ()  # Warnings of its runs, each text once.
+    errors: Errors  # Against the reference.
+    seconds: _Time  # Median time of a run that follows others in one process: warm.
+    repeats: int  # Number of runs that the median is taken of.
+    # Time of the first run of a process, see `startup_cost`; None where none could be started.
     cold: _Time | None
+    # Of the integrator and of the rates; evaluations are 0 where they are not counted.
     steps: int
     evaluations: int
-    flows: int
+    flows: int  # Number of arcs of the run.
 
     def cost(self, *, once: bool) -> float:
         """Return the seconds of a run: of the first of a process, or of one that follows others."""
@@ -160,30 +123,16 @@ class Point(Record):
 
 
 class Third(Record):
-    """The third of three runs, neither reference nor check, made where two did not agree.
+    """The third of three runs, neither reference nor check, made where two did not agree."""
 
-    Attributes
-    ----------
-    setting : str
-        Its label.
-    parted : float or None
-        When it left the nearer of the two others for good.
-    errors : Errors
-        Against that.
-    odd : bool
-        Whether the two others agree so much better that it is taken to be wrong.
-    shift : float
-        Relative perturbation of the start of the reference that shows how the motion magnifies
-        round-off: it may be as large as the errors of a run.
-    edge : float or None
-        When the reference left itself by that: then one that left it need not be wrong.
-    """
-
-    setting: str
-    parted: float | None
-    errors: Errors
-    odd: bool
+    setting: str  # Its label.
+    parted: float | None  # When it left the nearer of the two others for good.
+    errors: Errors  # Against that.
+    odd: bool  # Whether the two others agree so much better that it is taken to be wrong.
+    # Relative perturbation of the start of the reference that shows how the motion magnifies
+    # round-off: it may be as large as the errors of a run.
     shift: float
+    # When the reference left itself by that: then one that left it need not be wrong.
     edge: float | None
 
 

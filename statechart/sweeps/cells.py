@@ -64,31 +64,18 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass
 class CellBlock:
-    """Results of some cells, cell by cell.
+    """Results of some cells, cell by cell."""
 
-    Attributes
-    ----------
-    numbers : mapping of str to (n,) array
-        Output -> its value; not a number where there is none.
-    lists : mapping of str to list of (k,) array
-        Output -> its values at each event.
-    outcome, message : (n,) array of str
-        Why each run ended; the message where that is no end that the declaration names.
-    certified : (n,) array
-        Whether every guard of every step was decided.
-    modes : (n,) array
-        Place among `sequences`, texts of sequences of modes; -1 where nothing ran.
-    t_end, seconds, error_estimate : (n,) array
-        When the run ended, the time it took, and its estimated error where that was asked for.
-    """
-
-    numbers: dict[str, Array]
-    lists: dict[str, list[Array]]
+    numbers: dict[str, Array]  # Output -> its value; not a number where there is none.
+    lists: dict[str, list[Array]]  # Output -> its values at each event.
+    # (n,): why each run ended; the message where that is no end that the declaration names.
     outcome: NDArray[np.object_]
     message: NDArray[np.object_]
-    certified: Bools
+    certified: Bools  # (n,): whether every guard of every step was decided.
+    # (n,): place among `sequences`, texts of sequences of modes; -1 where nothing ran.
     modes: Ints32
     sequences: tuple[str, ...]
+    # (n,): when the run ended, the time it took, and its estimated error where that was asked for.
     t_end: Array
     seconds: Array
     error_estimate: Array

@@ -45,28 +45,15 @@ Slices = tuple[slice, ...]
 
 @dataclass(frozen=True)
 class Task:
-    """Task of every cell, as values that travel to any process.
+    """Task of every cell, as values that travel to any process."""
 
-    Attributes
-    ----------
-    model : bytes
-        The declaration, pickled.
-    setting : Setting
-        Engine, and what that is told.
-    until : float or None
-        End of the runs; `stop.time` of the model where None.
-    names, outputs : tuple of str
-        The parameters that are swept, and the outputs that are computed.
-    version : str
-        Of this package: another one may give other bits.
-    """
-
-    model: bytes
-    setting: Setting
-    until: float | None
+    model: bytes  # The declaration, pickled.
+    setting: Setting  # Engine, and what that is told.
+    until: float | None  # End of the runs; `stop.time` of the model where None.
+    # The parameters that are swept, and the outputs that are computed.
     names: tuple[str, ...]
     outputs: tuple[str, ...]
-    version: str
+    version: str  # Of this package: another one may give other bits.
 
     @classmethod
     def of(
