@@ -35,6 +35,7 @@ from contacts.dynamics.gates import (
 )
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
+from contacts.scene.parts import Contact
 from contacts.states import OFF
 from statechart.arrays import Array, Ints
 from statechart.automaton.laws import roles_in
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 # More often than this, what contacts are on and how they move do not come to agree.
 _ROUNDS = 8
+# Gradients are differences over this part of the sizes of coordinates.
+_APART = 1e-6
 
 
 class _Condition(NamedTuple):
@@ -81,6 +84,8 @@ class Conditions:
         Of every contact: name of the margin that falls as its gap opens while it is off, or "".
     nodes : (m, 3) array of int64
         The gates' trees; see `contacts.dynamics.gates.tree`.
+    points : tuple of int
+        Of every contact: the first contact of the same point.
     tape : Tape
         Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
         of each atom; then as many of each contact, of which the first is its gap.
@@ -100,6 +105,10 @@ class Conditions:
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
+        touching = [mechanics.scene.contacts[name] for name in contacts]
+        self.points = tuple(
+            next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
+        )
         self.names = tuple(one.atom.name for one in self._conditions)
         self.back = tuple(one.atom.back for one in self._conditions)
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
@@ -174,6 +183,56 @@ class Conditions:
             abs(value) <= round_off(size, setup.precision)
             for value, _, size, _ in numbers[: len(self._conditions)].tolist()
         )
+
+    def blurred(self, setup: SceneSetup, state: Array, time: float) -> list[float]:
+        """Return, for every contact, how far off a place may be where a gate of its point is zero.
+
+        That is the round-off of the gate over its gradient, in coordinates.
+        """
+        found = [0.0] * self._count
+        count, n = len(self._conditions), len(state) // 2
+        here = self._at(setup, state, time).reshape(-1, PER_CONDITION)[:count]
+        bands = np.array([round_off(size, setup.precision) for size in here[:, 2].tolist()])
+        # What has just fallen lies at the bound of its round-off.
+        places = np.flatnonzero(np.abs(here[:, 0]) <= 2.0 * bands)
+        if not places.size:
+            return found
+        gradients = np.empty((count, n))
+        for i in range(n):
+            moved = state.copy()
+            moved[i] += _APART * max(abs(state[i]), setup.scales.sizes[i])
+            there = self._at(setup, moved, time).reshape(-1, PER_CONDITION)[:count]
+            gradients[:, i] = (there[:, 0] - here[:, 0]) / (moved[i] - state[i])
+        steep = np.linalg.norm(gradients, axis=1)
+        for k in places[steep[places] > 0.0].tolist():
+            point = self.points[self._conditions[k].contact]
+            found[point] = max(found[point], bands[k] / steep[k])
+        return [found[point] for point in self.points]
+
+    def kept_on(
+        self,
+        setup: SceneSetup,
+        state: Array,
+        time: float,
+        verdicts: Sequence[int],
+        contacts: Collection[int],
+        fired: Collection[str],
+    ) -> list[int]:
+        """Return the verdicts if the atoms of contacts hold that are zero within round-off.
+
+        Not those whose margins fell.
+        """
+        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
+        return [
+            HOLDS
+            if one.contact in contacts
+            and one.atom.name not in fired
+            and abs(value) <= round_off(size, setup.precision)
+            else verdict
+            for one, verdict, (value, _, size, _) in zip(
+                self._conditions, verdicts, numbers[: len(verdicts)].tolist(), strict=True
+            )
+        ]
 
     def failing(
         self,
@@ -307,6 +366,10 @@ class Conditions:
             time,
             setup.precision,
         )
+
+
+def _alike(one: Contact, other: Contact) -> bool:
+    return (one.point, one.radius) == (other.point, other.radius)
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

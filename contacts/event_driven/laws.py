@@ -211,7 +211,7 @@ class SceneLaws:
         strike = partial(self._strike, at, setup, snapshot)
         switched = self._switching.switched(at, setup, snapshot, strike)
         if switched:
-            return self._switching.jump(at, snapshot.energy, switched)
+            return self._switching.jump(at, setup, snapshot, switched)
         here = self._landing(at, setup, hidden(snapshot, flow.mode))
         contacts, closed, slow = here.snapshot.contacts, here.closed, here.slow
         if fired == (UNBOUNDED,):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -24,6 +24,14 @@ from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import part
+
+# Contacts within this many tolerances of gaps may meet in a corner.
+_BESIDE = 16.0
+# Of the round-off of a place; what is zero may be on either side.
+_MORE = 2.0
+
+# Where none of the contacts that meet within so many tolerances of gaps is on, it is told.
+_CORNER = 1000.0
 
 Strike = Callable[[Key], tuple[Array, Snapshot] | None]
 """Mode -> the state after an impact of its contacts, and the numbers there; None without one."""
@@ -56,18 +64,21 @@ class Switching:
         mode: Key = (),
     ) -> tuple[str, ...]:
         """Return, for every contact, a condition that fails in a mode; see `Conditions`."""
-        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+        near, slow = self._near(setup, snapshot, state, time), setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
             off = tuple(
-                OFF if fails or (OFF in law.states and not contact.gap >= -near) else "free"
-                for fails, law, contact in zip(
-                    failing, setup.contacts, snapshot.contacts, strict=True
+                OFF if fails or (OFF in law.states and not contact.gap >= -close) else "free"
+                for fails, law, contact, close in zip(
+                    failing, setup.contacts, snapshot.contacts, near, strict=True
                 )
             )
             here = hidden(snapshot, off)
             # What strikes is not held before it has.
-            touching = [c.gap <= near and abs(c.gap_rate) <= slow for c in here.contacts]
+            touching = [
+                c.gap <= close and abs(c.gap_rate) <= slow
+                for c, close in zip(here.contacts, near, strict=True)
+            ]
             try:
                 choice = decide(setup, here, touching, self._paradox, Before())
             except SimulationError:
@@ -75,8 +86,67 @@ class Switching:
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         on = [state != OFF for state in mode[: len(self._names)]]
-        self._verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
+        verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
+        self._verdicts = self._in_corners(setup, snapshot, state, time, verdicts, fired, on)
         return self._conditions.first(self._verdicts)
+
+    def _near(
+        self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
+    ) -> list[float]:
+        """Return up to which gap every contact is closed.
+
+        A place at which a gate is zero is known to the round-off of the gate. So is, then, the gap
+        of what takes over there.
+        """
+        whole = snapshot if snapshot.held is None else snapshot.held.whole
+        blurred = self._conditions.blurred(setup, state, time)
+        return [
+            setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
+            for blur, contact in zip(blurred, whole.contacts, strict=True)
+        ]
+
+    def _in_corners(
+        self,
+        setup: SceneSetup,
+        snapshot: Snapshot,
+        state: Array,
+        time: float,
+        verdicts: list[int],
+        fired: Collection[str],
+        on: Sequence[bool],
+    ) -> list[int]:
+        """Let gates hold that are on their boundary, in a corner where nothing takes over.
+
+        There contacts of one point meet. Edges at an acute angle have no place of their own behind
+        the corner: a point that slides on one of them strikes the other, and passes the ends of
+        both. Elsewhere a contact that is on waits for the other, of which less round-off tells that
+        it is not there yet.
+        """
+        failing = self._conditions.first(verdicts)
+        if not any(failing):
+            return verdicts
+        near, slow = self._near(setup, snapshot, state, time), setup.tolerances["speed"]
+        contacts, points = snapshot.contacts, self._conditions.points
+        every = range(len(points))
+        near = [max(near[j] for j in every if points[j] == points[i]) for i in every]
+        corners: dict[int, list[int]] = {}
+        for i, point in enumerate(points):
+            if abs(contacts[i].gap) <= near[i]:
+                corners.setdefault(point, []).append(i)
+        would = self._conditions.kept_on(setup, state, time, verdicts, every, fired)
+        doubtful = [
+            bool(why) and not then
+            for why, then in zip(failing, self._conditions.first(would), strict=True)
+        ]
+        kept: set[int] = set()
+        for places in corners.values():
+            if len(places) < 2 or not all(failing[i] for i in places):
+                continue
+            leaves = [i for i in places if doubtful[i] and contacts[i].gap_rate <= slow]
+            if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
+                kept.update(leaves)
+            kept.update(i for i in places if doubtful[i] and on and on[i])
+        return self._conditions.kept_on(setup, state, time, verdicts, kept, fired)
 
     def switched(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
@@ -88,6 +158,7 @@ class Switching:
         if any(failing) and self._conditions.on_boundary(setup, at.state, at.clock.high):
             failing = self._struck_too(at, setup, snapshot, failing, strike)
         result: dict[int, str] = {}
+        near = self._near(setup, snapshot, at.state, at.clock.high)
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
             if why and now != OFF:
@@ -98,7 +169,7 @@ class Switching:
                         f"the conditions of contact {self._names[i]!r} hold where its surface has "
                         "no finite value; write one that fails there"
                     )
-                if gap >= -setup.tolerances["gap"]:
+                if gap >= -near[i]:
                     result[i] = why
         return result
 
@@ -115,10 +186,13 @@ class Switching:
         In a narrow valley an impact on one side sends the point to the other, whose contact is
         closed as well: both take part.
         """
-        near, slow, verdicts = setup.tolerances["gap"], setup.tolerances["speed"], self._verdicts
+        slow, verdicts = setup.tolerances["speed"], self._verdicts
+        near = self._near(setup, snapshot, at.state, at.clock.high)
         mode = tuple(
-            OFF if why else "free" if state == OFF and contact.gap >= -near else state
-            for why, state, contact in zip(failing, at.flow.mode, snapshot.contacts, strict=True)
+            OFF if why else "free" if state == OFF and contact.gap >= -close else state
+            for why, state, contact, close in zip(
+                failing, at.flow.mode, snapshot.contacts, near, strict=True
+            )
         )
         found = strike(mode)
         if found is None:
@@ -127,11 +201,13 @@ class Switching:
         then = self.failing(setup, after, state, at.clock.high)
         self._verdicts = verdicts
         return tuple(
-            "" if not later and abs(contact.gap) <= near and contact.gap_rate < -slow else why
-            for why, later, contact in zip(failing, then, after.contacts, strict=True)
+            "" if not later and abs(contact.gap) <= close and contact.gap_rate < -slow else why
+            for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
         )
 
-    def jump(self, at: Instant, energy: float, switched: Mapping[int, str]) -> tuple[Jump, Flow]:
+    def jump(
+        self, at: Instant, setup: SceneSetup, snapshot: Snapshot, switched: Mapping[int, str]
+    ) -> tuple[Jump, Flow]:
         """Take contacts off or back; what the others do then is asked next."""
         flow = at.flow
         mode, roles = list(flow.mode), list(flow.roles)
@@ -151,13 +227,25 @@ class Switching:
                 f"{name}:{flow.mode[place]}": reason,
                 f"{name}:{mode[place]}": "taken",
             },
-            energy=(energy, energy),
+            energy=(snapshot.energy, snapshot.energy),
         )
         following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)
         if not any(role.captured for role in roles):
             # The bounces that were skipped were those of a contact that is off now.
             following = following._replace(remaining=math.inf)
-        return jump, following
+        return jump, following._replace(warning=self._lost(setup, snapshot, flow.mode, tuple(mode)))
+
+    def _lost(self, setup: SceneSetup, snapshot: Snapshot, before: Key, after: Key) -> str:
+        """Return a warning where contacts of a point go off in a corner, and none takes over."""
+        points, room = self._conditions.points, _CORNER * setup.tolerances["gap"]
+        beside = [abs(contact.gap) <= room for contact in snapshot.contacts]
+        for i, point in enumerate(points):
+            corner = [j for j, other in enumerate(points) if other == point and beside[j]]
+            left = before[i] != OFF and i in corner
+            if left and len(corner) > 1 and all(after[j] == OFF for j in corner):
+                names = ", ".join(self._names[j] for j in corner)
+                return f"{names} meet here, and all of them are off: the point may fall between"
+        return ""
 
     def watched(
         self, setup: SceneSetup, state: Array, time: float, made: tuple[Jump | None, Flow]
@@ -237,7 +325,7 @@ def switched(
 
     See `contacts.dynamics.conditions.Conditions.failing`.
     """
-    place, unsure = -1, False
+    place, unsure, leaves, stays, beside = -1, False, False, False, False
     conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, found = np.empty(conditions, np.int64), np.empty(scene.nodes.shape[0], np.int64)
     judge_atoms(values, scene.relative, fired, verdicts)
@@ -258,4 +346,10 @@ def switched(
         unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
         if place < 0 and taken[c] != kept[c]:
             place = c
+        close = abs(gap) <= _BESIDE * scene.gap
+        stays = stays or (close and taken[c] != OFF_CODE)
+        leaves = leaves or (close and taken[c] == OFF_CODE and kept[c] != OFF_CODE)
+        beside = beside or (close and taken[c] == OFF_CODE and kept[c] == OFF_CODE)
+    # A corner where nothing takes over is for the laws.
+    unsure = unsure or (leaves and beside and not stays)
     return -2 if unsure else place

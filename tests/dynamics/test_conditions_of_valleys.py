@@ -94,3 +94,42 @@ def test_by_steps_no_point_falls_through_the_kink(conditions: tuple[str, str]) -
             expected, result = events.run(plastic).trace, steps.run(plastic)
             assert result.trace.final[:2] == pytest.approx(expected.final[:2], abs=50 * step)
             assert not [text for text in result.warnings if "stays off" in text]
+
+
+EDGES = """
+kind: scene
+name: edges
+parameters: {s: 0.4, q: 0.7, x: 0, y: 0, mu: 0.1, e: 0.3, x0: -0.5, h: 0.2, v: 0.3}
+gravity: 9.81
+bodies: {ball: {mass: 1, start: {x: x + x0, y: y + h, dx: v}}}
+surfaces:
+  left: {edge: [[x - 3, y + 3*s], [x, y]]}
+  right: {edge: [[x, y], [x + 3, y + 3*q]]}
+contacts:
+  a: {point: {body: ball}, surface: left, friction: mu, restitution: e}
+  b: {point: {body: ball}, surface: right, friction: mu, restitution: e}
+stop: {time: 3}
+"""
+# The bounces end in the corner; edges at an acute angle, fast, and with unequal round-off.
+INTO_CORNERS = [
+    {"h": 0.4},
+    {"s": 1.84, "q": 1.0, "mu": 0.418, "e": 0.0, "x0": 1e-9, "h": 0.398, "v": 0.0},
+    {"s": 0.634, "q": 1.702, "e": 0.0, "x0": 0.926, "h": 1.59, "v": 0.0},
+    {"s": 1.8, "q": 1.0, "mu": 0.453, "x0": 0.4626, "h": 0.784, "v": 0.0},
+    {"s": 1.4, "q": 0.6, "x": -0.70112, "y": -0.67864, "mu": 0.0, "e": 0.0, "x0": 1e-9, "h": 6e-10},
+    {"s": 0.521, "q": 0.461, "e": 0.301, "x0": 0.514, "h": 0.2926, "v": 0.99357},
+    {"s": 0.7693, "q": 0.1929, "e": 0.668, "x0": 0.5, "h": 0.3309, "v": -0.1152},
+    {"s": 1.7, "q": 0.1, "x": -1.09312, "y": 0.69903, "mu": 0.062, "e": 0.0, "x0": 0.74, "h": 0.46},
+]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_point_rests_where_the_ends_of_two_edges_meet(engine: str) -> None:
+    runner = Runner(read_text(EDGES), engine=engine)
+    for values in INTO_CORNERS:
+        trace = runner.run(values).trace
+        assert trace.outcome is Outcome.HORIZON
+        left, right = values.get("s", 0.4), values.get("q", 0.7)
+        x, y = trace.final[0] - values.get("x", 0.0), trace.final[1] - values.get("y", 0.0)
+        assert y >= max(-left * x, right * x) - 1e-9
+        assert trace.final[2:] == pytest.approx([0.0, 0.0], abs=1e-6)
