@@ -18,7 +18,7 @@ from contacts.impacts.jamming import Jam
 from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Choice
 from contacts.scene.parts import Resolution
-from contacts.states import OPEN
+from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, moving_mode
 from statechart.automaton.trace import Key
@@ -77,7 +77,10 @@ def closed_at_once(
         See `contacts.event_driven.decision.decide`.
     """
     snapshot = hidden(at(state), flow.mode)
+    took_part = [part and now != OFF for part, now in zip(took_part, flow.mode, strict=True)]
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
+    if not rates:
+        return None
     height, near = max(rates) * period / 4.0, setup.tolerances["gap"]
     before = moving_mode(flow.roles)
     shut = [part or now not in OPEN for part, now in zip(took_part, before, strict=True)]
