@@ -10,13 +10,7 @@ T = TypeVar("T")
 
 
 class Bar:
-    """A bar on stderr that is gone once it is closed.
-
-    Parameters
-    ----------
-    total : float
-        What there is to do.
-    """
+    """A bar on stderr that is gone once it is closed."""
 
     def __init__(self, total: float) -> None:
         from rich.console import Console

@@ -101,14 +101,7 @@ class ModelItem(pytest.Item):
 
 
 class NotHeld(Exception):  # noqa: N818 - what happened, as users read it
-    """A property that does not hold.
-
-    Parameters
-    ----------
-    report : CheckReport
-    written : Path
-        A model that reproduces it.
-    """
+    """A property that does not hold."""
 
     def __init__(self, report: CheckReport, written: Path) -> None:
         super().__init__(f"{report.text()}{written} reproduces it: statechart run {written}")

@@ -99,18 +99,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
 
 
 class BodyStepper(Stepper):
-    """Steps colliding bodies; see `Stepper`.
-
-    Parameters
-    ----------
-    declared : Scene
-        Copies as one.
-    mechanics : BodyMechanics
-        Of it.
-    stops : sequence of StopCondition
-    regions : tuple of Region
-        One per body, then one per controller.
-    """
+    """Steps colliding bodies; see `Stepper`."""
 
     def __init__(
         self,

@@ -30,15 +30,7 @@ _KEYS = ("x", "y", "angle", "dx", "dy", "dangle")
 
 
 class Starts:
-    """The starts of the bodies of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
-    parameters : Parameters
-        Its own, and what follows from them.
-    """
+    """The starts of the bodies of a scene."""
 
     def __init__(self, scene: Scene, parameters: Parameters) -> None:
         self._scene = scene
@@ -95,11 +87,6 @@ class Starts:
 
 class BodyMechanics(Mechanics):
     """The symbols of free bodies, of which there may be thousands; equations are not composed.
-
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
 
     Attributes
     ----------

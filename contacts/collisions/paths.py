@@ -28,11 +28,6 @@ class Where(NamedTuple):
 class Paths:
     """The paths of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        As declared. Paths may use what its controllers remember.
-
     Attributes
     ----------
     any : bool

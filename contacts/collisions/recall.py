@@ -15,13 +15,7 @@ from statechart.formulas.writer import compile_tape
 
 
 class Recall:
-    """The variables and clocks of the controllers of a scene, integrated over time.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        Of the scene.
-    """
+    """The variables and clocks of the controllers of a scene, integrated over time."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics

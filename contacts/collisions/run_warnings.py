@@ -30,15 +30,7 @@ class _Found(NamedTuple):
 
 
 class Sinking:
-    """Watches how deep bodies are in each other and in surfaces.
-
-    Parameters
-    ----------
-    names : sequence of str
-    numbers : BodyNumbers
-    start_depth : float
-        How deep bodies start in each other at most.
-    """
+    """Watches how deep bodies are in each other and in surfaces."""
 
     def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
         self._names, self._radii = names, inner_radii(numbers)
@@ -78,14 +70,7 @@ _PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
 
 
 class NoGround:
-    """Looks, in a run, for the first place of each height that has no value.
-
-    Parameters
-    ----------
-    names, surfaces : sequence of str
-        Of the bodies, and of what they touch.
-    numbers : BodyNumbers
-    """
+    """Looks, in a run, for the first place of each height that has no value."""
 
     def __init__(self, names: Sequence[str], surfaces: Sequence[str], numbers: BodyNumbers) -> None:
         self._names, self._surfaces, self._numbers = names, surfaces, numbers

@@ -66,13 +66,6 @@ class _Condition(NamedTuple):
 class Conditions:
     """Judges the conditions of a scene's contacts.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    states : mapping, optional
-        Controller -> its state; those at the start by default.
-
     Attributes
     ----------
     present : bool

@@ -24,13 +24,7 @@ from statechart.formulas.writer import compile_tape
 
 
 class ControllerState:
-    """The variables of a scene's controllers; all of it does nothing where there are none.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    """
+    """The variables of a scene's controllers; all of it does nothing where there are none."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics

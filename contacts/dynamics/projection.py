@@ -42,13 +42,6 @@ class Projection:
 
     No Baumgarte stabilisation: it would enter the forces that the guards read.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    snapshots : SnapshotTape
-        Asked only where something has to be projected.
-
     Attributes
     ----------
     tape : Tape

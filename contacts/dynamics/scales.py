@@ -95,11 +95,6 @@ class ScaleTape:
     springs act, if that is shorter. The acceleration is gravity's, or what the forces give, and
     that of the prescribed motions; speed and force follow.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-
     Attributes
     ----------
     tape : Tape

@@ -41,13 +41,6 @@ LOOK_AHEAD = 64.0
 class SceneNumbers:
     """Evaluates the numbers of a run from its parameters.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    stops : mapping
-        Stop condition -> margin.
-
     Attributes
     ----------
     scene : Scene

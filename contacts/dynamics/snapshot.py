@@ -103,15 +103,7 @@ class Held:
 
 
 class SnapshotTape:
-    """Evaluates snapshots.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    states : mapping, optional
-        Controller -> its state; those at the start by default.
-    """
+    """Evaluates snapshots."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self.size = len(mechanics.q)

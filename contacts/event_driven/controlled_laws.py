@@ -35,17 +35,7 @@ from statechart.charts.guard_watch import Judgement
 
 
 class ControlledLaws:
-    """The laws of a scene with controllers (see `statechart.automaton.laws.Laws`).
-
-    Parameters
-    ----------
-    contacts : SceneLaws
-        Of the contacts, the controllers in their initial states.
-    mechanics : Mechanics
-        The scene's equations.
-    regions : sequence of Region
-        All, those of the controllers last.
-    """
+    """The laws of a scene with controllers (see `statechart.automaton.laws.Laws`)."""
 
     # Controllers are asked at every instant.
     compiled_laws = None

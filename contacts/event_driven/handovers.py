@@ -28,11 +28,6 @@ class Handovers:
     A point that is inside a surface where the conditions of its contact begin to hold may come out
     again, as a foot does that scuffs. It has missed the surface where it goes deeper until they
     fail again, or the run ends.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:

@@ -26,42 +26,21 @@ from statechart.kernels.tapes import tape_values
 
 
 class SceneWatch(NamedTuple):
-    """What the instants of a run take of it (see `contacts.modes.fast_classification.classify`).
+    """What the instants of a run take of it (see `contacts.modes.fast_classification.classify`)."""
 
-    Attributes
-    ----------
-    numbers, conditions : (9,) array of int64
-        Tapes of the scene's numbers, and of the margins of contacts' conditions.
-    nodes : (m, 3) array of int64
-        Trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
-    slots : (2 k + c,) array of int64
-        Places in `Watch.bands` of the margins that fall as conditions cease to hold, of those that
-        do as they begin to, and as gaps of contacts that are off open; -1 for none.
-    sizes : (n + 1,) array
-        Of the state, and of time.
-    relative : float
-        What is so small in parts of its terms is zero.
-    allowed : (c, 5) array of bool
-    cones : (c, 2) array
-    restitution : (c,) array
-    meanings : (c,) array of int64
-        What it means; -1 where the impact is none of a path.
-    near, creep, gap, speed, tie, doubtful, force, acceleration, short : float
-    fast, lowest, capture : float
-        Rebounds slower than the first may stand for those that follow; they do where they rise less
-        than the second, or are slower than the third.
-    """
-
+    # (9,): tapes of the scene's numbers, and of the margins of contacts' conditions.
     numbers: NDArray[np.int64]
     conditions: NDArray[np.int64]
-    nodes: Ints
+    nodes: Ints  # (m, 3): trees of the contacts' conditions; see `contacts.dynamics.gates.tree`.
+    # (2 k + c,): places in `Watch.bands` of the margins that fall as conditions cease to hold, of
+    # those that do as they begin to, and as gaps of contacts that are off open; -1 for none.
     slots: Ints
-    sizes: Array
-    relative: float
-    allowed: Bools
-    cones: Array
-    restitution: Array
-    meanings: Ints
+    sizes: Array  # (n + 1,): of the state, and of time.
+    relative: float  # What is so small in parts of its terms is zero.
+    allowed: Bools  # shape (c, 5)
+    cones: Array  # shape (c, 2)
+    restitution: Array  # shape (c,)
+    meanings: Ints  # (c,): what it means; -1 where the impact is none of a path.
     near: float
     creep: float
     gap: float
@@ -71,6 +50,8 @@ class SceneWatch(NamedTuple):
     force: float
     acceleration: float
     short: float
+    # Rebounds slower than the first may stand for those that follow; they do where they rise less
+    # than the second, or are slower than the third.
     fast: float
     lowest: float
     capture: float

@@ -62,27 +62,13 @@ class Rules(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """Where a flow has come to, brought back onto its constraints, and the scene's numbers there.
+    """Where a flow has come to on its constraints, and the numbers of the scene there."""
 
-    Attributes
-    ----------
-    at : Instant
-        On the constraints.
-    setup : SceneSetup
-        Of the instant.
-    snapshot : Snapshot
-        There.
-    moving : Key
-        The mode that the flow moves in.
-    closed : list of bool
-        Of every contact.
-    """
-
-    at: Instant
-    setup: SceneSetup
-    snapshot: Snapshot
-    moving: Key
-    closed: list[bool]
+    at: Instant  # On the constraints.
+    setup: SceneSetup  # Of the instant.
+    snapshot: Snapshot  # There.
+    moving: Key  # The mode that the flow moves in.
+    closed: list[bool]  # Of every contact.
 
     @property
     def slow(self) -> float:
@@ -97,25 +83,14 @@ class Landing(NamedTuple):
 
 
 class _Struck(NamedTuple):
-    """What an impact does.
+    """What an impact does."""
 
-    Attributes
-    ----------
-    laws : sequence of ContactLaw
-        By which it went.
-    result : Impacts
-        Its impulses.
-    state, snapshot
-        After it.
-    rests : mapping
-        Contact -> how long the bounces last that it stands for.
-    """
-
-    laws: Sequence[ContactLaw]
-    result: Impacts
+    laws: Sequence[ContactLaw]  # By which it went.
+    result: Impacts  # Its impulses.
+    # After it.
     state: Array
     snapshot: Snapshot
-    rests: Mapping[int, float]
+    rests: Mapping[int, float]  # Contact -> how long the bounces last that it stands for.
 
 
 class _Entered(NamedTuple):

@@ -60,15 +60,7 @@ _START_DEPTH = 1e-9
 
 
 class SceneLaws:
-    """The laws of a scene (see `statechart.automaton.laws.Laws`).
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    numbers : SceneNumbers
-        From the values of the parameters to the numbers of a run.
-    """
+    """The laws of a scene (see `statechart.automaton.laws.Laws`)."""
 
     def __init__(self, mechanics: Mechanics, numbers: SceneNumbers) -> None:
         self._mechanics = mechanics

@@ -75,39 +75,25 @@ its constraints, its conditions."""
 
 
 class SceneBatch(NamedTuple):
-    """What all rows of a scene have in common.
+    """What all rows of a scene have in common."""
 
-    Attributes
-    ----------
-    tapes : (7, 9) array of int64
-        Of the instants and of the numbers.
-    rules : Rules
-    places : (c, 3) array of int64, fixed : (c, 3) array
-        Where a contact's cone_n, cone_t, restitution are found among the values; what they are
-        where that is -1.
-    sources : (b,) array of int64
-        Place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
-    allowed, meanings
-        See `SceneWatch`.
-    starts : (c, 6) array of bool
-        Whether a contact may start in the state of that code.
-    gap, speed, force : float
-        Tolerances, in the scene's scales.
-    near, creep, unseen, tie, doubtful, short, ahead : float
-        Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
-    """
-
-    tapes: NDArray[np.int64]
+    tapes: NDArray[np.int64]  # (7, 9): of the instants and of the numbers.
     rules: Rules
+    # (c, 3): where a contact's cone_n, cone_t, restitution are found among the values; what they
+    # are where that is -1.
     places: Ints
     fixed: Array
+    # (b,): place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
     sources: Ints
+    # See `SceneWatch`.
     allowed: Bools
     meanings: Ints
-    starts: Bools
+    starts: Bools  # (c, 6): whether a contact may start in the state of that code.
+    # Tolerances, in the scene's scales.
     gap: float
     speed: float
     force: float
+    # Likewise; see `SceneWatch`, `Watch.room` and `Setup.horizon`.
     near: float
     creep: float
     unseen: float

@@ -38,17 +38,7 @@ Strike = Callable[[Key], tuple[Array, Snapshot] | None]
 
 
 class Switching:
-    """Takes contacts off and back (see `contacts.dynamics.conditions`).
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the contacts.
-    conditions : Conditions
-        Of them.
-    paradox : str
-        What the scene says of states that no mode agrees with.
-    """
+    """Takes contacts off and back (see `contacts.dynamics.conditions`)."""
 
     def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
         self._names, self._conditions, self._paradox = names, conditions, paradox

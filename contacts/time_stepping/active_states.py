@@ -13,13 +13,7 @@ from statechart.automaton.trace import Key
 
 
 class ActiveStates:
-    """The states of regions, by their codes in steps and by the states of controllers.
-
-    Parameters
-    ----------
-    regions : sequence of Region
-        All, those of the controllers last.
-    """
+    """The states of regions, by their codes in steps and by the states of controllers."""
 
     def __init__(self, regions: Sequence[Region]) -> None:
         self._places = {region.name: (place, region) for place, region in enumerate(regions)}

@@ -39,13 +39,7 @@ _AT_END = 1e-6
 
 
 class SteppedTapes(Controllers):
-    """The equations of a scene in the states of its controllers, each compiled when entered.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    """
+    """The equations of a scene in the states of its controllers, each compiled when entered."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         super().__init__(mechanics)

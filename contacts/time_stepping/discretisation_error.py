@@ -84,13 +84,7 @@ class Equations(NamedTuple):
 
 
 class DiscretisationError:
-    """Watches a run.
-
-    Parameters
-    ----------
-    scales : Scales
-        Of the run.
-    """
+    """Watches a run."""
 
     def __init__(self, scales: Scales) -> None:
         n = len(scales.sizes) // 2

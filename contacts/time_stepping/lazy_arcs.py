@@ -170,15 +170,7 @@ class _Polynomials:
 
 
 class ArcMaker:
-    """Makes arcs and jumps; keeps the polynomials of the last steps, as they are read in order.
-
-    Parameters
-    ----------
-    regions : sequence of str
-        Their names.
-    energy : callable or None
-        (states, times) -> energies; not needed for arcs.
-    """
+    """Makes arcs and jumps; keeps the polynomials of the last steps, as they are read in order."""
 
     def __init__(
         self,

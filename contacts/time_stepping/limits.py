@@ -45,15 +45,7 @@ class Swings(NamedTuple):
 
 
 class StepLimits:
-    """Watches how steps follow the forces of a scene.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    forces : sequence of Expr
-        Generalised forces, in the state, parameters and time.
-    """
+    """Watches how steps follow the forces of a scene."""
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
         self._size = len(mechanics.q)

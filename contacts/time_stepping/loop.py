@@ -91,13 +91,7 @@ def made_ready(stepping: Stepping, begun: RunInputs, span: Span) -> SteppedRun:
 
 
 class SteppedRun:
-    """A run by steps, as far as it has come.
-
-    Parameters
-    ----------
-    stepping, begun, recorder, span
-        What is stepped, from where, who notes it, and how far.
-    """
+    """A run by steps, as far as it has come."""
 
     def __init__(
         self, stepping: Stepping, begun: RunInputs, recorder: Recorder, span: Span

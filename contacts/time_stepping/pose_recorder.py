@@ -17,13 +17,7 @@ _BLOCK = 2**22
 
 
 class PoseRecorder:
-    """Collects steps in blocks; each is an arc.
-
-    Parameters
-    ----------
-    coordinates : int
-        How many there are.
-    """
+    """Collects steps in blocks; each is an arc."""
 
     def __init__(self, coordinates: int) -> None:
         self._coordinates = coordinates

@@ -89,16 +89,7 @@ def evenly(places: Ints) -> slice | Ints:
 
 
 class Squeezed:
-    """Tells where something sinks that no impulses keep out.
-
-    Parameters
-    ----------
-    regions : sequence of str
-    step : float
-        As asked for.
-    start_depth : float
-        How deep bodies start in what they touch.
-    """
+    """Tells where something sinks that no impulses keep out."""
 
     def __init__(self, regions: Sequence[str], step: float, start_depth: float) -> None:
         self._regions, self._step, self._start_depth = regions, step, start_depth

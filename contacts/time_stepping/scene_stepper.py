@@ -33,16 +33,7 @@ _TRIAL = 1e-6
 
 
 class SceneStepper(Stepper):
-    """Steps a scene of points against surfaces.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    stops : sequence of StopCondition
-    regions : tuple of Region
-        One per contact, then one per controller.
-    """
+    """Steps a scene of points against surfaces."""
 
     def __init__(
         self,

@@ -38,15 +38,7 @@ class Rows(NamedTuple):
 
 
 class SteppedTape:
-    """What a step needs of a scene, on tape.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    states : mapping
-        Controller -> its state.
-    """
+    """What a step needs of a scene, on tape."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}

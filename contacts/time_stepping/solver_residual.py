@@ -30,10 +30,6 @@ INDETERMINATE = (
 class SolverResidual:
     """Counts contacts and iterations, and the steps whose impulses are not as asked.
 
-    Parameters
-    ----------
-    asked : Impulses
-
     Attributes
     ----------
     residual : float

@@ -19,15 +19,6 @@ from statechart.formulas.tape import Tape
 class StopTapes:
     """The stop conditions of a scene, on tape.
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-    stops : sequence of StopCondition
-    unknowns : sequence of Symbol
-        What they may use that steps solve for.
-    regions : sequence of Region
-        Whose states they may ask for.
-
     Attributes
     ----------
     stops : tuple of StopCondition

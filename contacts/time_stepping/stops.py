@@ -19,15 +19,7 @@ _BISECTIONS = 60
 
 
 class StopConditions:
-    """The conditions that end a run.
-
-    Parameters
-    ----------
-    stepping : Stepping
-        Whose.
-    setup : SceneSetup
-        The run's numbers.
-    """
+    """The conditions that end a run."""
 
     def __init__(self, stepping: Stepping, setup: SceneSetup) -> None:
         self._tapes, self._names, self._values = stepping.stops, stepping.stop_names, setup.values

@@ -13,13 +13,7 @@ _SHORT = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
-    """What is made when it is first read: every mode considered, and why it was taken or not.
-
-    Parameters
-    ----------
-    make : callable
-        Returns it.
-    """
+    """What is made when it is first read: every mode considered, and why it was taken or not."""
 
     def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
         self._make = make
@@ -45,15 +39,6 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 
 class LazySequence(Sequence[T], Generic[T]):
     """What is made when it is looked at, in order.
-
-    Parameters
-    ----------
-    make : callable
-        Makes what stands at a place.
-    count : callable
-        How many there are.
-    kept : bool
-        Whether the first that were looked at are not made again.
 
     Attributes
     ----------

@@ -25,15 +25,7 @@ _ORDERS = 12
 
 
 class MarginDerivatives:
-    """The margins of modes, expanded in time where a mode is entered.
-
-    Parameters
-    ----------
-    variables, parameters : sequence of Symbol
-        What the modes depend on.
-    time : Symbol
-        Time.
-    """
+    """The margins of modes, expanded in time where a mode is entered."""
 
     def __init__(
         self, variables: Sequence[sp.Symbol], parameters: Sequence[sp.Symbol], time: sp.Symbol

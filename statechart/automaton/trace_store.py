@@ -211,17 +211,6 @@ def copied(buffer: TraceBuffer) -> TraceBuffer:
 class TraceStore:
     """Arcs and jumps of a run in blocks, made when they are read.
 
-    Parameters
-    ----------
-    variables : int
-        Of a state.
-    kinds : list of (Key, Roles)
-        The kinds to which blocks refer by number; may grow.
-    buffer : TraceBuffer
-        What follows the blocks, while a run writes it.
-    jump : callable, optional
-        Makes the jump of an event that a loop has written.
-
     Attributes
     ----------
     made : dict

@@ -16,15 +16,7 @@ from statechart.formulas.tape import Tape
 
 
 class Allowance:
-    """Seconds that several runs share.
-
-    Parameters
-    ----------
-    seconds : float
-        How many.
-    clock : callable
-        Tells the time; by default it stands still while kernels are compiled.
-    """
+    """Seconds that several runs share."""
 
     def __init__(self, seconds: float, clock: Callable[[], float] = working_time) -> None:
         self.seconds, self.clock = seconds, clock
@@ -69,13 +61,6 @@ class Limited(Engine):
     """An engine within an allowance of time, looked at before every call for steps.
 
     A mode that is being compiled is not interrupted.
-
-    Parameters
-    ----------
-    engine : Engine
-        What does the work.
-    allowance : Allowance
-        Shared by all that work on one answer.
     """
 
     def __init__(self, engine: Engine, allowance: Allowance) -> None:

@@ -42,14 +42,6 @@ class Converter:
     and multiplied with others, order by order. What is left of a product without such factors is
     computed once, whatever they are.
 
-    Parameters
-    ----------
-    automaton : Automaton
-    definitions : mapping of symbol to expression
-        Of the mode.
-    folds : bool
-        Whether to do so: in doubles, which heyoka's parameters then are rounded to.
-
     Attributes
     ----------
     constants : list of expressions

@@ -30,13 +30,6 @@ _numbers = itertools.count()
 class Step:
     """heyoka's compiled step of one integrator, linked into this process.
 
-    Parameters
-    ----------
-    module : str
-        LLVM module, as text.
-    code : bytes
-        Object code of it.
-
     Attributes
     ----------
     address : int

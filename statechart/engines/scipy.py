@@ -38,17 +38,7 @@ class _Stepper:
 
 
 class SciPy(Engine):
-    """RK45, DOP853, Radau or LSODA.
-
-    Parameters
-    ----------
-    tolerance : float
-        Relative tolerance; the absolute one follows from the size of each variable.
-    method : str
-        One of `METHODS`.
-    max_step : float
-        Longest step in time.
-    """
+    """RK45, DOP853, Radau or LSODA."""
 
     name = "scipy"
 

@@ -88,18 +88,7 @@ class _Stepper:
 
 
 class Taylor(Engine):
-    """Adaptive Taylor integration with dense output of the order of the method.
-
-    Parameters
-    ----------
-    tolerance : float
-        Relative tolerance; the order follows from it (20 at 2.2e-16).
-    extended : bool
-        Integrate every flow in long doubles (see `has_long_double`): slower, for references. What
-        the flow hands on is rounded once: dense output, events and jumps are in doubles.
-    max_step : float
-        Longest step in time.
-    """
+    """Adaptive Taylor integration with dense output of the order of the method."""
 
     name = "taylor"
 

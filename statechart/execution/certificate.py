@@ -46,17 +46,6 @@ class Certificate:
     variational equations, and through events by their saltation matrices (M. A. Aizerman and
     F. R. Gantmakher, Quart. J. Mech. Appl. Math. 11, 1958); what is not known of them, their
     rounding, is taken for independent from step to step.
-
-    Parameters
-    ----------
-    trace : Trace
-        The run as it was made before.
-    setup : Setup
-        Its numbers.
-    laws : Laws
-        Those of its events.
-    engine : Engine
-        What integrates it.
     """
 
     def __init__(self, trace: Trace, setup: Setup, laws: Laws, engine: Engine) -> None:

@@ -72,11 +72,6 @@ class _Worth:
     """Whether it pays to have something compiled: it is, on disk, or it was asked for often.
 
     To look on the disk takes as long as a short run: that is done when twice as much was asked for.
-
-    Parameters
-    ----------
-    compiled : callable
-        Looks.
     """
 
     def __init__(self, compiled: Callable[[], bool]) -> None:
@@ -93,14 +88,6 @@ class _Worth:
 
 class LoopModes:
     """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
-
-    Parameters
-    ----------
-    laws : CompiledLaws
-        Of the laws.
-    engine : Engine
-    automaton : Automaton
-        Whose modes they are.
 
     Attributes
     ----------

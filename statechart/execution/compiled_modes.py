@@ -56,13 +56,7 @@ class TapedMode:
 
 
 class SolvedModes:
-    """The modes of an automaton, each solved and put on tape when it is first asked for.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        What is run; by any number of engines, from any start.
-    """
+    """The modes of an automaton, each solved and put on tape when it is first asked for."""
 
     def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
@@ -141,15 +135,7 @@ class SolvedModes:
 
 
 class CompiledModes:
-    """The modes of an automaton, each compiled for an engine when it is first entered.
-
-    Parameters
-    ----------
-    solved : SolvedModes
-        The modes.
-    engine : Engine
-        What they are run on.
-    """
+    """The modes of an automaton, each compiled for an engine when it is first entered."""
 
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped

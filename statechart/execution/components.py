@@ -32,14 +32,7 @@ _KEPT = 1 << 12
 
 
 class _Part:
-    """The run of a component.
-
-    Parameters
-    ----------
-    component : Component
-    places : Places
-    trace : Trace
-    """
+    """The run of a component."""
 
     def __init__(self, component: Component, places: Places, trace: Trace) -> None:
         self.component, self.places, self.trace = component, places, trace
@@ -88,18 +81,7 @@ class _Part:
 
 
 class MergedRun:
-    """The run of a whole automaton from those of its components.
-
-    Parameters
-    ----------
-    automaton : Automaton
-    setup : Setup
-        Of the whole.
-    parts : list of (Component, Places, Trace)
-        In the order of the components.
-    max_jumps : int
-        The run ends with as many.
-    """
+    """The run of a whole automaton from those of its components."""
 
     def __init__(
         self,

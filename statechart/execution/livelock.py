@@ -27,13 +27,7 @@ where no condition ends them."""
 
 
 class Livelock:
-    """Counts what happens at one instant without end, or within the round-off of its time.
-
-    Parameters
-    ----------
-    scale : float
-        Duration whose round-off is no progress where the time itself is near zero.
-    """
+    """Counts what happens at one instant without end, or within the round-off of its time."""
 
     def __init__(self, scale: float) -> None:
         self._scale = scale if scale < math.inf else 0.0

@@ -15,13 +15,7 @@ _MOVES = 0.2  # seconds between what a bar shows
 
 
 class Progress:
-    """Reports to stderr on runs above about a second: a bar on a terminal, else lines.
-
-    Parameters
-    ----------
-    until : float
-        End of the run.
-    """
+    """Reports to stderr on runs above about a second: a bar on a terminal, else lines."""
 
     def __init__(self, until: float) -> None:
         self._until = until

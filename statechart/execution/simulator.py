@@ -87,17 +87,6 @@ class _Once:
 class Simulator:
     """An automaton on an engine: modes are compiled when first entered and kept between runs.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        What to run.
-    engine : Engine
-        How to integrate.
-    solved : SolvedModes, optional
-        The automaton's modes, where others run it, too: from another start, or on another engine.
-    progress : bool
-        Whether runs above about a second report to stderr.
-
     Attributes
     ----------
     buffer : TraceBuffer
@@ -373,13 +362,6 @@ def _evidence_of_row(batch: Batch) -> dict[str, str]:
 
 class BatchRunner:
     """Runs rows of values of some parameters.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        Whose modes they go through, those that runs of it have entered.
-    names : sequence of str
-        The parameters.
 
     Attributes
     ----------

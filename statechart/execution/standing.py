@@ -23,11 +23,6 @@ class StandingStops:
     Within the rounding of its terms a margin is on its boundary, and the way that it goes in the
     mode decides: one that falls is found by the flow, one that rises is let go, and where it stays
     the relation says whether that counts. Of a relation with *and* a certificate is watched.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        What is run.
     """
 
     def __init__(self, automaton: Automaton) -> None:

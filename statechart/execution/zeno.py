@@ -55,11 +55,6 @@ class Accumulation:
     small that the intervals vanish before it is known needs no sum: the jumps have accumulated
     where the time no longer tells them apart.
 
-    Parameters
-    ----------
-    known : sequence of (str, str)
-        Regions and causes whose series stand first, in this order.
-
     Attributes
     ----------
     series : (s, `WIDTH`) array

@@ -15,14 +15,7 @@ from llvmlite import ir
 
 
 class Aggregate(ir.Value):
-    """A value whose members are known, and that no code puts together yet.
-
-    Parameters
-    ----------
-    base : Value
-        Has the members that are not known.
-    members : dict
-    """
+    """A value whose members are known, and that no code puts together yet."""
 
     def __init__(self, base: Any, members: dict[int, Any]) -> None:
         self.type, self.base, self.members = base.type, base, members
@@ -83,16 +76,7 @@ def _indices(index: int | Sequence[int]) -> list[int]:
 
 
 class Fields:
-    """The members of an array, by numba's names, where numba's own lie in memory.
-
-    Parameters
-    ----------
-    context : BaseContext
-    builder : Builder
-    kind : Array
-    value : Value, optional
-        The array; without one its members are set.
-    """
+    """The members of an array, by numba's names, where numba's own lie in memory."""
 
     def __init__(self, context: Any, builder: Builder, kind: Any, value: Any = None) -> None:
         self._context, self._builder = context, builder

@@ -40,13 +40,6 @@ _MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x,
 class Compiled:
     """A function in the place of what numba makes of it.
 
-    Parameters
-    ----------
-    function : callable
-        As it is written.
-    how : str
-        What makes it, in `statechart.kernels.machine_code`.
-
     Attributes
     ----------
     py_func : callable
@@ -269,15 +262,7 @@ class Late(Inner):
 
 
 class Native(Compiled):
-    """A function of kernels that writes its own code.
-
-    Parameters
-    ----------
-    function : callable
-        Writes it.
-    as_written : callable
-        Does the same in Python.
-    """
+    """A function of kernels that writes its own code."""
 
     def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
         super().__init__(function, "native")

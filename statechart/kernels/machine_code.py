@@ -95,11 +95,6 @@ class _Turn:
     """The one process that compiles a kernel, as far as files can be locked.
 
     Entered before a kernel is loaded or compiled, left after it was kept.
-
-    Parameters
-    ----------
-    path : str
-        The file whose lock it is; it is left there, empty.
     """
 
     def __init__(self, path: str) -> None:

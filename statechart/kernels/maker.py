@@ -23,15 +23,7 @@ _NICENESS = 5
 
 
 class Maker:
-    """Such a process, as the run sees it.
-
-    Parameters
-    ----------
-    kernel : Kernel
-        What takes the steps.
-    arguments : tuple
-        Such as it is called with.
-    """
+    """Such a process, as the run sees it."""
 
     def __init__(self, kernel: kinds.Kernel, arguments: tuple[Any, ...]) -> None:
         self._asked = self._done = 0

@@ -60,15 +60,7 @@ _NOWHERE = np.empty(0)
 
 
 class OutputGroups:
-    """The declared outputs of a model, grouped by what they are computed from.
-
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that makes the runs.
-    names : collection of str, optional
-        The outputs to compute; all by default.
-    """
+    """The declared outputs of a model, grouped by what they are computed from."""
 
     def __init__(self, observer: Observer, names: Collection[str] | None = None) -> None:
         self.observer = observer

@@ -130,13 +130,7 @@ def passed(trace: Trace) -> list[Jump]:
 
 
 class PassedModes:
-    """Modes that the runs of a simulator were in, or passed through in no time.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        What made the runs.
-    """
+    """Modes that the runs of a simulator were in, or passed through in no time."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator

@@ -50,11 +50,6 @@ def include(found: Array, values: Array) -> None:
 class Observer:
     """Evaluates formulas along the traces of a simulator.
 
-    Parameters
-    ----------
-    simulator : Simulator or SteppingSimulator
-        Whose runs are looked at; what is compiled for one run serves all later ones.
-
     Notes
     -----
     A formula over what a mode solves for has no value (not a number) in a mode of zero duration

@@ -20,17 +20,7 @@ from statechart.observation.outputs import OutputAccumulator, Outputs
 
 
 class Observers:
-    """Simulators of an automaton, each with what observes its runs.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        What is run.
-    allowance : Allowance, optional
-        Time that the runs of all of them share.
-    progress : bool
-        Whether runs above about a second report to stderr.
-    """
+    """Simulators of an automaton, each with what observes its runs."""
 
     def __init__(
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False

@@ -32,11 +32,6 @@ class Active:
 class Programs:
     """Makes programs of formulas, and keeps them.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        Over whose observables they are.
-
     Attributes
     ----------
     solved : tuple of sympy.Symbol

@@ -36,13 +36,6 @@ _TOLERANCES: Mapping[Dimension, str] = {
 class RunScales:
     """The scales of one run.
 
-    Parameters
-    ----------
-    observer : Observer
-        Of the simulator that made it.
-    trace : Trace
-        The run.
-
     Attributes
     ----------
     variables : (n,) array

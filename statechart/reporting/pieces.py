@@ -34,11 +34,6 @@ class Pieces:
     ----------
     failed : dict of str to str
         What could not be done, and why.
-
-    Parameters
-    ----------
-    strict : bool
-        Let errors and signals end all of it instead.
     """
 
     def __init__(self, *, strict: bool = False) -> None:

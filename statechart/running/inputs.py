@@ -15,15 +15,7 @@ from statechart.formulas.formula import parse
 
 
 class RunInputs:
-    """Checks the inputs of runs of a model; errors name the place in its document, if it has one.
-
-    Parameters
-    ----------
-    model : Declaration
-        The model.
-    document : Document or None
-        The document that declares it.
-    """
+    """Checks the inputs of runs of a model; errors name their place in its document, if any."""
 
     def __init__(self, model: Declaration, document: Document | None) -> None:
         self.document = document

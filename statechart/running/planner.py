@@ -21,17 +21,6 @@ from statechart.running.step_refinement import FIRST_SHARE, refine
 class RunPlanner:
     """Makes the runs that a plan asks for.
 
-    Parameters
-    ----------
-    model : Declaration
-        The model.
-    observers : Observers
-        Simulators of it at any setting.
-    plan : Plan
-        Setting, first tolerance, and the run of a study, if one is known.
-    allowance : Allowance or None
-        Time that all runs share.
-
     Attributes
     ----------
     first : Setting

@@ -310,13 +310,6 @@ class _Structure:
 class BatchedCells:
     """Runs cells in compiled calls, as far as no instant of them needs more.
 
-    Parameters
-    ----------
-    runner : Runner
-        Runner of single cells.
-    task : Task
-        Request for each cell.
-
     Attributes
     ----------
     through : int

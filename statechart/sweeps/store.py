@@ -123,19 +123,7 @@ def locked(path: Path) -> Iterator[Callable[[], None]]:
 
 
 class Store:
-    """A Zarr group that holds a sweep.
-
-    Parameters
-    ----------
-    plan : Plan
-        The sweep.
-    path : Path or str, optional
-        Folder on disk; in memory by default.
-    resume : bool
-        Whether to go on with the sweep that is there, if one is.
-    check_lock : callable, optional
-        Raises where the folder is no longer locked by this process.
-    """
+    """A Zarr group that holds a sweep."""
 
     def __init__(
         self,
