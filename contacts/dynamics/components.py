@@ -43,7 +43,7 @@ def components(
     if scene.collisions or any(body.copies is not None for body in scene.bodies.values()):
         return ()
     data = scene.model_dump(by_alias=True, exclude_unset=True)
-    if "energy" in json.dumps([data.get("stop"), data.get("forces")], default=str):
+    if "energy" in json.dumps([data.get(key) for key in (*_MOVING, "stop")], default=str):
         return ()
     numbers: dict[int, SceneNumbers] = {}
 

@@ -73,6 +73,9 @@ def split(
     groups = [group for group in groups if group not in idle]
     if len(groups) < 2:
         return []
+    if any(not _mentioned(event, owners) for event in _events(data, "contacts" in data)):
+        # An event without the name of its region is heard from all of them.
+        return []
     words = {*reserved(), *_words_of_regions(data, regions)}
     if words & owners.keys() or any(NEUTRAL.search(text) for text in _texts(data)):
         return []
@@ -136,6 +139,19 @@ def _texts(value: Any) -> Iterator[str]:
 def _mentioned(value: Any, owners: Mapping[str, set[Entity]]) -> set[Entity]:
     names = {name for text in _texts(value) for name in _NAME.findall(text)}
     return set().union(*(owners[name] for name in names if name in owners))
+
+
+def _events(value: Any, everybody: bool) -> Iterator[str]:
+    """Yield the events of `on:`; `zeno` is a state's own unless `everybody` may have it."""
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            for text in _texts(one) if key == "on" else ():
+                events = (event.strip() for event in re.split(r"\bor\b", text))
+                yield from (event for event in events if everybody or event != "zeno")
+            yield from _events(one, everybody)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _events(one, everybody)
 
 
 def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:

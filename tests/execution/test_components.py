@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import statechart
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
+from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
-from statechart.loading.load import load
+from statechart.loading.load import interpret, load
 
 # Two alike particles at heights of their own, a rod that topples, and a puck on a slope: bodies
 # that nothing couples.
@@ -144,3 +146,58 @@ def test_a_start_that_cannot_be_is_told_in_declared_names(tmp_path: Path) -> Non
     automaton = composed(BODIES.replace("y: 0.7", "y: -0.7"), tmp_path)
     with pytest.raises(Exception, match="'a' starts inside its surface"):
         Simulator(automaton, Taylor(1e-12)).run(until=1.0)
+
+
+# A controller of one particle that hears, or reads, what another one does.
+HEARD = """
+kind: scene
+name: heard
+gravity: 9.81
+bodies:
+  p: {mass: 1, start: {y: 0.5}}
+  q: {mass: 2, start: {y: 1, x: 3}}
+surfaces: {floor: {height: 0}}
+contacts:
+  one: {point: {body: p}, surface: floor, friction: 0.3, restitution: 0.5}
+  two: {point: {body: q}, surface: floor, friction: 0.3, restitution: 0.5}
+controls: {push: 0}
+forces: {push: {body: q, force: [push, 0]}}
+regions:
+  listener:
+    initial: idle
+    states: {idle: {}, busy: {sets: {push: 3}}}
+    transitions: [{name: go, from: idle, to: busy, TRIGGER}]
+stop: {time: 0.4}
+"""
+
+
+@pytest.mark.parametrize("trigger", ["on: touchdown", "guard: energy < 24"])
+def test_a_controller_that_hears_or_reads_all_bodies_joins_them(trigger):
+    model = interpret(read_text(HEARD.replace("TRIGGER", trigger)))
+    trace = statechart.run(model).trace
+    # The impact of p at sqrt(2 y/g) takes 3.68 J of 24.525 J.
+    assert [jump.t for jump in trace.jumps if jump.cause == "go"] == pytest.approx(
+        [(1 / 9.81) ** 0.5]
+    )
+
+
+def test_regions_that_hear_a_cause_without_its_region_are_joined():
+    text = """
+kind: chart
+name: heard
+variables: {x: 0, y: 0}
+regions:
+  one:
+    initial: up
+    states: {up: {flows: {x: 1}}, down: {flows: {x: -1}}}
+    transitions: [{name: turn, from: up, to: down, guard: x >= 1}]
+  two:
+    initial: up
+    states: {up: {flows: {y: 1}}, down: {flows: {y: -1}}, off: {}}
+    transitions:
+      - {name: turn, from: up, to: down, guard: y >= 2}
+      - {name: halt, from: up, to: off, on: turn}
+stop: {time: 3}
+"""
+    trace = statechart.run(interpret(read_text(text))).trace
+    assert [(jump.t, jump.cause) for jump in trace.jumps] == [(1.0, "turn"), (1.0, "halt")]
