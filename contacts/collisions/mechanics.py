@@ -1,4 +1,4 @@
-"""What formulas of a scene of colliding bodies are over, and the forces on these."""
+"""Names that formulas of colliding bodies may use, and the forces on the bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which impact is first where several bodies are struck at once, and whether that would matter."""
+"""Order of simultaneous impacts of bodies with shapes, and whether it matters."""
 
 from __future__ import annotations
 

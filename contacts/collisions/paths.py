@@ -1,4 +1,4 @@
-"""Where surfaces, and the places in the world that joints hold points to, are in time."""
+"""Paths in time of surfaces and of the places that joints hold points to."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from statechart.formulas.writer import compile_tape
 
 
 class Where(NamedTuple):
-    """Where what has a path is, at instants."""
+    """Positions of surfaces and joint places at instants."""
 
     frames: Array  # (m, s, 3): of all surfaces that bodies touch.
     places: Array  # (m, j, 2): of all joints; zero where they hold two bodies together.

@@ -1,4 +1,4 @@
-"""What controllers remember along steps: known ahead, as nothing that bodies do changes it."""
+"""Controller variables along steps, integrated ahead: no motion of bodies changes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where steps of bodies work."""
+"""Preallocated workspace of the rigid-body time step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from statechart.arrays import Array, Bools, Ints
 
 
 class Room(NamedTuple):
-    """Where steps work; of it `worst` alone lasts."""
+    """Workspace of a step; only `worst` keeps its content between steps."""
 
     look: Look
     touches: Touches

@@ -38,7 +38,7 @@ _MOVES, _INSTANT = 20, 1e-6
 
 
 class _Touched(NamedTuple):
-    """What bodies touch at a look."""
+    """Contacts of the bodies at the middle of a step."""
 
     levels: Array  # (m,): how deep contacts are.
     # (m,): which last, and which rub.

@@ -47,7 +47,7 @@ class Forces(NamedTuple):
 
 
 class Stiffness(NamedTuple):
-    """What a step of forces does per change, of coordinates whose squared rates are energies."""
+    """Stiffness and damping of a step in coordinates whose squared rates are energies."""
 
     size: int  # Coordinates, n.
     # (k,): what changes by what.

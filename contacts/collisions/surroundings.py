@@ -1,4 +1,4 @@
-"""What acts on bodies along their steps, known ahead: surfaces that move, controllers, forces."""
+"""Prescribed motion of surfaces, controllers and forces along the next steps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SAME = 1e-6
 
 
 class Surroundings:
-    """What acts on the bodies of one run.
+    """Prescribed motion and forces of one run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What acts on bodies from outside in a step: what has a path, and forces as a program."""
+"""Prescribed motion and applied forces of the next steps, as kernels take them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ForceProgram(NamedTuple):
 
 
 class Ahead(NamedTuple):
-    """What acts on bodies in the next steps."""
+    """Prescribed motion and forces in the next steps."""
 
     # Of surfaces, and what joints hold points to in the world, at the midpoints of the steps, of
     # the one before and of the one after.

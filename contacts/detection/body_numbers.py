@@ -47,7 +47,7 @@ class JointNumbers(NamedTuple):
 
 
 class BodyNumbers(NamedTuple):
-    """What does not change in a run of colliding bodies."""
+    """Constants of a run of colliding bodies."""
 
     pieces: PieceNumbers
     sizes: Array  # (b,): how far a body reaches from its centre; 0 of those without a shape.
@@ -62,7 +62,7 @@ class BodyNumbers(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What lasts from step to step."""
+    """Warm start of a step: contacts, impulses and modes of the step before."""
 
     # (c, 2): of the contacts of the step before: pair and feature. There is place for more than
     # take part in a step.

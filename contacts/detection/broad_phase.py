@@ -1,4 +1,4 @@
-"""Which bodies are near each other: a hashed grid, linear in the bodies.
+"""Broad phase: pairs of near bodies by a hashed grid, in time linear in the bodies.
 
 Bodies lie in cells as large as the largest of them; what is much larger than most is looked at
 beside all others. Pairs come in order, so that contacts find theirs of the step before. Pairs of
@@ -27,7 +27,7 @@ _ACROSS = 73856093
 
 
 class Grid(NamedTuple):
-    """Where the search for pairs works."""
+    """Workspace of the broad phase."""
 
     cells: Ints  # (b, 2): cell of every body; of a large one none.
     large: Ints  # shape (b,)

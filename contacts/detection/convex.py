@@ -1,4 +1,4 @@
-"""Where convex bodies touch: discs and polygons in the plane, compiled once.
+"""Contact manifolds of convex bodies: discs and polygons in the plane.
 
 Two polygons are told apart by the edge normal along which they are farthest from each other (the
 separating axis theorem); the edge that faces it is cut to the width of the first, and its ends

@@ -1,4 +1,4 @@
-"""When and how two bodies meet that move in straight lines between two looks of a time step."""
+"""Time of impact of two bodies that move in straight lines between two steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where shapes touch surfaces: lines, plates, circles from both sides, graphs; compiled once.
+"""Contact manifolds of shapes on lines, plates, circles from both sides and graphs.
 
 A surface is looked at in its own frame, which its path or the body that carries it moves.
 """

@@ -1,4 +1,4 @@
-"""Who touches whom in the middle of a step, and which contacts take part in it."""
+"""Contact detection at the middle of a step, and the choice of active contacts."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
 
 
 class Seen(NamedTuple):
-    """What a look has found."""
+    """Result of contact detection."""
 
     contacts: int  # That take part; -1: more than there is place for.
     # The fastest approach of what touches; the deepest that an impact is.
@@ -72,7 +72,7 @@ class Seen(NamedTuple):
 
 
 class _Times(NamedTuple):
-    """When a look is taken."""
+    """Times of contact detection."""
 
     # Length of the step; since the last look. Between looks bodies move in straight lines.
     h: float
@@ -83,7 +83,7 @@ class _Times(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Where a pair touches, and where the search for that works."""
+    """Contact points of a pair, and the workspace of their search."""
 
     # (m, FOUND): see `contacts.detection.convex.between`.
     found: Array

@@ -1,4 +1,4 @@
-"""When contacts with conditions, or on edges that end, go off and come back.
+"""Conditions of contacts (`enabled`, ends of edges): verdicts and margins.
 
 A contact is on while its gate holds, once its gap was open under it. Off, it bears no
 force and its gap is not watched: a foot inside the surface (scuffing) comes back once it is out.

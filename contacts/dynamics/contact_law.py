@@ -1,4 +1,4 @@
-"""What a contact may do in a run, and the edge of its cone of friction."""
+"""Modes of a contact in a run, and the edge of its friction cone."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from statechart.arrays import Array
 
 
 class ContactLaw(NamedTuple):
-    """What a contact may do."""
+    """Modes, friction and restitution of a contact."""
 
     name: str  # Of the contact
     states: tuple[str, ...]  # Its region's states

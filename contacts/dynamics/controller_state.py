@@ -1,4 +1,4 @@
-"""What controllers remember: variables behind those of the motion.
+"""Controller variables, which follow those of the motion in the state.
 
 Forces may depend on them, but nothing that contacts do changes them: the laws of contacts see them
 as they see parameters.

@@ -1,4 +1,4 @@
-"""Where bodies, their points and surfaces are, as expressions of the coordinates."""
+"""Positions of bodies, points and surfaces as expressions of the coordinates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from statechart.formulas.formula import parse
 
 @dataclass(frozen=True, eq=False)
 class ContactGeometry:
-    """Where a contact point is and how it moves."""
+    """Position and motion of a contact point."""
 
     # Its position in the frame of the surface (the world's, unless a body carries the surface)
     point: Vector

@@ -1,4 +1,4 @@
-"""What joints hold and what they leave free: rows, their redundancy, the motions they allow."""
+"""Rows of joints, their redundancy, and the motions that they allow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the equations of a scene take as given: parameters, and what follows from these alone."""
+"""Parameters of the equations of a scene, and quantities that follow from them alone."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _MAGNIFIED = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Closed:
-    """Where the contacts have closed: state (2 n,), energy, the mode that follows, a warning."""
+    """State (2 n,) in which contacts have closed, energy, the following mode, a warning."""
 
     state: Array
     energy: float

@@ -26,7 +26,7 @@ from statechart.kernels.tapes import tape_values
 
 
 class SceneWatch(NamedTuple):
-    """What the instants of a run take of it (see `contacts.modes.fast_classification.classify`)."""
+    """Constants of a run for compiled instants (see `fast_classification.classify`)."""
 
     # (9,): tapes of the scene's numbers, and of the margins of contacts' conditions.
     numbers: NDArray[np.int64]

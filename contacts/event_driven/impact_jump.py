@@ -28,7 +28,7 @@ from statechart.automaton.trace import Jump, Key, Roles
 
 
 class Rules(NamedTuple):
-    """What a scene says of impacts, and its numbers at any state."""
+    """Laws of impact of a scene, and its numbers at any state."""
 
     tape: SnapshotTape
     simultaneous: Simultaneous
@@ -62,7 +62,7 @@ class Rules(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """Where a flow has come to on its constraints, and the numbers of the scene there."""
+    """End of a flow on its constraints, and the numbers of the scene there."""
 
     at: Instant  # On the constraints.
     setup: SceneSetup  # Of the instant.
@@ -83,7 +83,7 @@ class Landing(NamedTuple):
 
 
 class _Struck(NamedTuple):
-    """What an impact does."""
+    """Result of an impact."""
 
     laws: Sequence[ContactLaw]  # By which it went.
     result: Impacts  # Its impulses.

@@ -1,4 +1,4 @@
-"""What happens to a scene between its flows: classification, impacts, Zeno capture."""
+"""Laws of a scene between flows: classification, impacts, Zeno capture."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ its constraints, its conditions."""
 
 
 class SceneBatch(NamedTuple):
-    """What all rows of a scene have in common."""
+    """Constants that all runs of a batch share."""
 
     tapes: NDArray[np.int64]  # (7, 9): of the instants and of the numbers.
     rules: Rules

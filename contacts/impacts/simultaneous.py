@@ -32,7 +32,7 @@ _ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """What the impacts of an instant do."""
+    """Result of the impacts of an instant."""
 
     velocity: Array  # (n,): Rates of the coordinates after them
     impulses: Array  # (c, 2): V and H on the body

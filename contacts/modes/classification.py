@@ -76,7 +76,7 @@ class Choice(NamedTuple):
 
 
 class Before(NamedTuple):
-    """What held before: what goes on, and which forces are there."""
+    """Modes and forces before the instant."""
 
     # The mode that the state comes from: of several that agree the one is taken that moves on as it
     # did. None after an impact, and at the start

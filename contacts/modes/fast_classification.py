@@ -25,7 +25,7 @@ _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 
 
 class ModeRules(NamedTuple):
-    """What decides the modes of a run's contacts.
+    """Inputs of the classification of contacts.
 
     Attributes
     ----------

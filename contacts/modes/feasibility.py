@@ -1,4 +1,4 @@
-"""Which product modes of closed contacts some velocity satisfies, and why the others have none.
+"""Kinematic feasibility of product modes: velocities that satisfy them, or the reason.
 
 A mode is a set of conditions on each contact's normal and tangential velocity, v_n = Jn v and
 v_t = Jt v, so at one configuration it is a linear system: equations, and strict inequalities.

@@ -23,7 +23,7 @@ from statechart.automaton.trace import Key
 
 
 class ForceUncertainty(NamedTuple):
-    """Where contacts come to rest, and what a run may be off by there."""
+    """Uncertainty of friction forces where contacts come to rest."""
 
     at: Callable[[Array, float], Snapshot]  # The scene's numbers at a state, so much later
     setup: SceneSetup  # Of the run

@@ -1,4 +1,4 @@
-"""How contacts share a load that the motion does not tell apart: the smallest forces.
+"""Indeterminate loads: the smallest forces in the friction cones.
 
 Of all forces in the cones that explain a motion, the smallest ``sum V^2 + H^2`` are unique, and of
 a simple form: every contact bears the projection on its cone of ``w = J y``, what equal springs

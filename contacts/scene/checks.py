@@ -1,4 +1,4 @@
-"""What the numbers of a scene must be, finite and physical, and its formulas, smooth."""
+"""Checks that numbers of a scene are finite and physical, and its formulas smooth."""
 
 from __future__ import annotations
 

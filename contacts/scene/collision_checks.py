@@ -1,4 +1,4 @@
-"""What copies of bodies, their shapes and their collisions must be."""
+"""Checks of copies of bodies, shapes and collisions."""
 
 from __future__ import annotations
 

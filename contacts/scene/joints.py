@@ -1,4 +1,4 @@
-"""What acts on bodies besides contacts: forces, and joints that hold them."""
+"""Forces and joints of a scene."""
 
 from __future__ import annotations
 

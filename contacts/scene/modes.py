@@ -99,7 +99,7 @@ def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
 
 
 class Bearing(NamedTuple):
-    """What of a contact's equations to use where contacts share their load."""
+    """Equations of a contact that shares its load."""
 
     # Where it is on its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion determines
     # its force

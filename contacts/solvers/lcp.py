@@ -38,7 +38,7 @@ _RATIOS = (0.6180339887498949, 2.0**0.5, 3.0**0.5, 7.0**0.5)
 
 
 class LcpStatus(enum.Enum):
-    """How the solution of a complementarity problem ended."""
+    """Outcome of the solution of a complementarity problem."""
 
     SOLVED = "solved, and verified by its residual"
     RAY = "no solution found: every attempt ended on a secondary ray"
@@ -48,7 +48,7 @@ class LcpStatus(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class LcpSolution:
-    """What was found."""
+    """Solution of a complementarity problem."""
 
     z: Array  # (n,): the unknowns; of the best candidate unless `status` is SOLVED.
     status: LcpStatus

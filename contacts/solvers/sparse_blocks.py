@@ -23,7 +23,7 @@ _ENTRIES = 16
 
 
 class Pattern(NamedTuple):
-    """Which entries the elimination of bodies fills, each by its place in the order of that."""
+    """Fill-in of the block elimination, by elimination order."""
 
     ends: Ints  # (m, 2): places of the two bodies of each contact; -1 for what nothing moves.
     entries: Ints  # (m,): which entry its two bodies share; -1 for none.

@@ -75,7 +75,7 @@ def velocity_change(
 
 
 class Equations(NamedTuple):
-    """What a scene's steps are made by for now."""
+    """Equations of the present controller states."""
 
     source: SteppedTape
     values: Array  # (p,): of the parameters.

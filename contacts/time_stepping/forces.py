@@ -1,4 +1,4 @@
-"""What contacts bear in a time step: modes, and paradoxes."""
+"""Contact forces, modes and paradoxes of a time step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step of a given length cannot follow: springs that swing fast, forces that change."""
+"""Limits of the step size: stiff springs and forces that change."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FINE = 0.1
 
 
 class Swings(NamedTuple):
-    """How springs swing."""
+    """Oscillations of springs."""
 
     speeds: Array  # (k,): in radians per time.
     shapes: Array  # (n, k): how far each moves the coordinates.

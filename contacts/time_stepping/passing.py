@@ -1,4 +1,4 @@
-"""What passes a surface between two looks of a time step.
+"""Contacts that pass a surface between two steps.
 
 Steps look at gaps at their midpoints, and between two of these every coordinate moves in a straight
 line. A contact that is apart at both ends of such a line and not everywhere on it has been passed

@@ -45,7 +45,7 @@ class Stepped(Protocol):
 
 
 class Control(Protocol):
-    """What acts at the ends of steps."""
+    """Controllers and stops at the ends of steps."""
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps up to the first after which it may act, and whether there is one."""
@@ -64,7 +64,7 @@ class Control(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Stepping:
-    """What a run of a scene is made from."""
+    """Inputs of a run of a scene."""
 
     name: str  # Of the model.
     # Of the variables and the parameters.

@@ -1,4 +1,4 @@
-"""What a step of a scene on tape works with, as values that kernels take."""
+"""Arguments of the compiled step of a scene."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LANDED = 2
 
 
 class SceneNumbers(NamedTuple):
-    """What does not change in a run, until a controller or a condition changes it."""
+    """Constants of a run between changes of controllers and conditions."""
 
     # The program of a tape over the state (2 n + w,), which ends with what controllers remember
     # (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
@@ -59,7 +59,7 @@ class SceneNumbers(NamedTuple):
 
 
 class ContactMemory(NamedTuple):
-    """What lasts of contacts from step to step."""
+    """Contact state that lasts from step to step."""
 
     # (c,): gap at which a contact that lasts is kept: what its landing has left, above 0 only where
     # that of one that faces it is as far below.
@@ -119,7 +119,7 @@ class Tape(NamedTuple):
 
 
 class Met(NamedTuple):
-    """How contacts take part in a step."""
+    """Roles of contacts in a step."""
 
     # (c,): who takes part, who is struck, whose condition ceases to hold while it lasts.
     active: Bools
@@ -153,7 +153,7 @@ class Problem(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What solves it."""
+    """Solution of the contact problem."""
 
     # (4 m,): unknowns; which of them are positive.
     z: Array

@@ -36,7 +36,7 @@ _CODES = {state: code for code, state in STATES.items()}
 
 @dataclass(eq=False)
 class _Memory:
-    """What lasts from step to step: of contacts, their last modes, the least values seen."""
+    """State that lasts from step to step: contacts, last modes, least values."""
 
     contacts: ContactMemory
     codes: Ints

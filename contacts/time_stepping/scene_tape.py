@@ -18,7 +18,7 @@ from statechart.formulas.tape import Tape
 
 
 class Rows(NamedTuple):
-    """What the equations are in one state."""
+    """Equations in one state."""
 
     mass: Array  # shape (n, n)
     # (c, 2 n + CONTACT): jacobian of each, then what `contacts.time_stepping.equations.CONTACT`
@@ -38,7 +38,7 @@ class Rows(NamedTuple):
 
 
 class SteppedTape:
-    """What a step needs of a scene, on tape."""
+    """Tape of the equations that a step evaluates."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         set_: dict[sp.Symbol, sp.Expr] = {}

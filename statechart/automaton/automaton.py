@@ -200,7 +200,7 @@ class Component:
 
 
 class Places:
-    """Where regions, variables and parameters of a component stand in the whole.
+    """Places of a component's regions, variables and parameters in the whole.
 
     Attributes
     ----------

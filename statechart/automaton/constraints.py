@@ -1,4 +1,4 @@
-"""What a flow's state must satisfy besides its differential equation."""
+"""Algebraic constraints of a flow."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ _SHORT = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
-    """What is made when it is first read: every mode considered, and why it was taken or not."""
+    """Mapping made when it is first read."""
 
     def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
         self._make = make
@@ -38,7 +38,7 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 
 
 class LazySequence(Sequence[T], Generic[T]):
-    """What is made when it is looked at, in order.
+    """Sequence whose items are made when they are read.
 
     Attributes
     ----------

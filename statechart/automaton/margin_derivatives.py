@@ -1,4 +1,4 @@
-"""Which way a margin goes on from an instant, by the first of its derivatives that is not zero."""
+"""Sign of a margin after an instant, by its first derivative that is not zero."""
 
 from __future__ import annotations
 

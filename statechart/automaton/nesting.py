@@ -1,4 +1,4 @@
-"""What a declaration says of states in states that flat states and edges no longer show."""
+"""Declared nesting of states that the flattened region does not show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an automaton is composed of: regions, their states and edges, margins, loads."""
+"""Parts of an automaton: regions, states and edges, margins, loads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What steps a model through time: how it is asked for a run, and how well it is to solve."""
+"""Interface of time steppers: requests for a run and tolerances of impulses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run leaves behind: arcs and jumps on hybrid time (t, j)."""
+"""Trace of a run: arcs and jumps on hybrid time (t, j)."""
 
 from __future__ import annotations
 

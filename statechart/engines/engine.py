@@ -27,7 +27,7 @@ NEAR = 0.05
 
 
 class Begin(Enum):
-    """How a call for steps follows from the last one."""
+    """Continuation of a call for steps."""
 
     NEW = "another flow, or another run"
     MOVED = "the same flow, its state projected since"
@@ -47,7 +47,7 @@ class FlowWatch(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """What a call for steps made; the steps stand in the path."""
+    """Result of a call for steps; the steps stand in the path."""
 
     finished: bool  # Whether the last one ends where they had to.
     # Where the last chunk of steps begins; in those before is no event, and they end on the flow's
@@ -61,7 +61,7 @@ class Steps(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """How an engine integrates."""
+    """Tolerances and step limits of an engine."""
 
     # See `Engine`, and the longest step in time.
     tolerance: float
@@ -71,7 +71,7 @@ class Pace(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """Where compiled loops enter a mode's step."""
+    """Entry of compiled loops into a mode's step."""
 
     address: int  # See `statechart.engines.heyoka_step.Step`.
     fixed: Tape  # What it takes of the automaton's parameters, behind the time.

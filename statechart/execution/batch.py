@@ -22,7 +22,7 @@ ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
 
 
 class BatchResult(NamedTuple):
-    """What rows gave beside their arcs and events, which stand in a block."""
+    """Results of a batch besides arcs and events, which stand in a block."""
 
     # (m, 4): how it ended, why the loop did, the margin that fell, the kind of the first mode.
     ends: Ints

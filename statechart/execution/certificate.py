@@ -1,4 +1,4 @@
-"""What is proved of the motion: every step's error enclosed, and what all of them add up to."""
+"""Certificate of the motion: enclosed defects of the steps and the global error estimate."""
 
 from __future__ import annotations
 

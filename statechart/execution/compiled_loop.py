@@ -41,7 +41,7 @@ LOOK_AHEAD = 16.0
 
 
 class LoopResult(NamedTuple):
-    """What a loop has made of a run."""
+    """Result of a compiled loop."""
 
     kinds: tuple[Kind, ...]  # Of the modes.
     # Why it ended, and the margin that fell, or the series that accumulates.
@@ -55,7 +55,7 @@ class LoopResult(NamedTuple):
 
 
 class LoopStart(NamedTuple):
-    """How far a loop has taken a run from its start."""
+    """Start of a run by the compiled loop."""
 
     kind: Kind  # (Key, Roles): of the first mode.
     made: LoopResult
@@ -245,7 +245,7 @@ class BatchCall(Protocol):
 
 
 class Loop(NamedTuple):
-    """What compiled loops run through."""
+    """Modes and buffers of a compiled loop."""
 
     program: Program
     tapes: NDArray[np.int64]  # (t, 9): the laws' own.

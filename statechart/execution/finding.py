@@ -1,4 +1,4 @@
-"""What a search found, judged: noise of the integrator, an event, or nothing that can be told."""
+"""Judgement of a located event: integrator noise, an event, or undecided."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a state is off the constraints of a flow."""
+"""Distance of a state from the constraints of a flow."""
 
 from __future__ import annotations
 

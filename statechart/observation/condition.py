@@ -1,4 +1,4 @@
-"""How much an error of the state is magnified into the time of an event: grazing, in a number."""
+"""Condition number of event times: state error to time error."""
 
 from __future__ import annotations
 

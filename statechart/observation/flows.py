@@ -1,4 +1,4 @@
-"""Which equations hold at an instant of a run, and what steps have solved for there."""
+"""Equations that hold at an instant of a run, and the solution of steps there."""
 
 from __future__ import annotations
 

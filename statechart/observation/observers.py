@@ -1,4 +1,4 @@
-"""What runs an automaton at any setting and looks at its runs, made once for each and kept."""
+"""Observers of an automaton, one for each setting."""
 
 from __future__ import annotations
 
