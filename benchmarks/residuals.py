@@ -35,7 +35,7 @@ from many_bodies import (
     starts,
 )
 
-from contacts.collisions.bodies import SteppedHeap
+from contacts.rigid_bodies.bodies import SteppedHeap
 from statechart.arrays import Array
 from statechart.running.runner import Runner
 

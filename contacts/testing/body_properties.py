@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from contacts.collisions.body_step import LEAST
-from contacts.collisions.outlines import body_numbers
-from contacts.collisions.paths import Paths
-from contacts.detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
+from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
+from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
+from contacts.rigid_bodies.body_step import LEAST
+from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.paths import Paths
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import Array

@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 
-from contacts.collisions.body_step import step_bodies
+from contacts.rigid_bodies.body_step import step_bodies
 from contacts.time_stepping.scene_step import step_scene
 from statechart import Runner
 from statechart.automaton.trace import Outcome

@@ -97,7 +97,7 @@ def test_every_kernel_has_one_signature():
         "statechart.kernels.boxes.enclose",
         "contacts.modes.fast_classification.classify",
         "contacts.time_stepping.scene_step.step_scene",
-        "contacts.collisions.body_step.step_bodies",
+        "contacts.rigid_bodies.body_step.step_bodies",
     } <= compiled.keys()
     several = {name: signatures for name, signatures in compiled.items() if len(signatures) > 1}
     assert not several

@@ -1,0 +1,111 @@
+"""Colliding bodies, and what is remembered of their contacts, as arrays of a compiled step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.surfaces import SurfaceNumbers
+from statechart.arrays import Array, Ints
+
+MEMORY = 9
+"""What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
+nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
+its normal; slip that the impulses may have missed."""
+
+BOTH, ALONG_X, ALONG_Y = range(3)
+"""What a joint holds."""
+
+# Contacts that there is place for at first.
+_PER_PIECE = 8
+
+
+class PieceNumbers(NamedTuple):
+    """The convex pieces that bodies are made of, in the order of these."""
+
+    # Whose they are, and where those of a body begin.
+    bodies: Ints  # shape (p,)
+    begins: Ints  # shape (b + 1,)
+    # Corners in the frames of their bodies, and where those of a piece begin; none of discs.
+    vertices: Array  # shape (v, 2)
+    firsts: Ints  # shape (p + 1,)
+    middles: Array  # (p, 2): centres of discs, and places in polygons, in those frames.
+    # (p,): of discs; how far a piece reaches from its middle at most, and at least.
+    radii: Array
+    sizes: Array
+    cores: Array
+    spans: Array  # (p,): how far it reaches from the centre of its body.
+
+
+class JointNumbers(NamedTuple):
+    """The joints of a scene."""
+
+    bodies: Ints  # (j, 2): of the point, and of what it is held to; -1: a place in the world.
+    at: Array  # (j, 2, 2): the points in the frames of these bodies.
+    holds: Ints  # shape (j,)
+
+
+class BodyNumbers(NamedTuple):
+    """Constants of a run of colliding bodies."""
+
+    pieces: PieceNumbers
+    sizes: Array  # (b,): how far a body reaches from its centre; 0 of those without a shape.
+    inverse: Array  # (b, 3): 1/mass, 1/mass, 1/moment of inertia.
+    gravity: Array  # shape (2,)
+    surfaces: SurfaceNumbers
+    kinds: Ints  # (b,): what bodies are copies of.
+    # (k, k + s): which law kinds of bodies touch each other and surfaces by; -1: they do not.
+    laws: Ints
+    materials: Array  # (m, 3): laws: edge of the cone (2), restitution.
+    joints: JointNumbers
+
+
+class Memory(NamedTuple):
+    """Warm start of a step: contacts, impulses and modes of the step before."""
+
+    # (c, 2): of the contacts of the step before: pair and feature. There is place for more than
+    # take part in a step.
+    keys: Ints
+    contacts: Array  # (c, MEMORY): see `MEMORY`.
+    many: Ints  # (1,): how many they are.
+    # (3,): length of the step before; the fastest approach so far, and the longest in a step, of
+    # which half is how deep bodies may be kept.
+    past: Array
+    # (b, 2): mode of every body in the last step, and 1 where it is read from accelerations; see
+    # `contacts.rigid_bodies.body_modes`.
+    shown: Ints
+    # (b, 6): the largest gap at which a body landed, since it settles; the normal there, what lies
+    # at the gap zero along it, and the corner in the frame of the body.
+    landed: Array
+
+    @classmethod
+    def room(cls, numbers: BodyNumbers) -> Memory:
+        """Return that of bodies that have not touched yet."""
+        most = _PER_PIECE * max(len(numbers.pieces.sizes), len(numbers.sizes)) + 1
+        return cls(
+            np.zeros((most, 2), dtype=np.int64),
+            np.zeros((most, MEMORY)),
+            np.zeros(1, dtype=np.int64),
+            np.zeros(3),
+            np.zeros((len(numbers.sizes), 2), dtype=np.int64),
+            np.zeros((len(numbers.sizes), 6)),
+        )
+
+    def copy(self) -> Memory:
+        """Return it as it is now."""
+        return Memory._make(rows.copy() for rows in self)
+
+    def as_large(self, other: Memory) -> Memory:
+        """Return it with place for as many contacts as another."""
+        found = self
+        while len(found.keys) < len(other.keys):
+            found = found.larger()
+        return found
+
+    def larger(self) -> Memory:
+        """Return it with place for twice as many contacts."""
+        return self._replace(
+            keys=np.concatenate([self.keys, np.zeros_like(self.keys)]),
+            contacts=np.concatenate([self.contacts, np.zeros_like(self.contacts)]),
+        )

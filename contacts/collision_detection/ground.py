@@ -1,0 +1,184 @@
+"""Surfaces in the middle of a step, which may move, and what of a body is near them."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.convex import FOUND, norm, place
+from contacts.collision_detection.look import Look
+from contacts.collision_detection.surfaces import (
+    HOLLOW,
+    ROUND,
+    SurfaceNumbers,
+    against_surface,
+    carried,
+    crossed,
+    distance,
+    seen_from,
+)
+from contacts.collision_detection.touches import Touches
+from statechart.arrays import Array, Ints
+from statechart.kernels.jit import late, part
+
+POINTS = 16
+"""Points of contact that a pair can have: a polygon on a surface has as many as corners."""
+
+# What moves or turns by less than this part of a piece's inner circle passes nothing with it; else
+# it is looked at that often on the way, but no more often than so many times.
+_STRIDE, _LOOKS = 0.5, 64
+# What is no deeper on the way, in parts of that circle, has grazed.
+_GRAZED = 0.1
+
+
+class Ground(NamedTuple):
+    """The surfaces in the middle of a step."""
+
+    # (3, s, 3): their frames at the look before, at this one and at the next; of no use where none
+    # moves.
+    paths: Array
+    # (int, array): of the program of heights; see `statechart.kernels.tapes.filled`.
+    registers: tuple[int, Array]
+    frames: Array  # (3, 3): is overwritten.
+    still: Array  # (3, 3): zero.
+
+
+@part
+def _swung(ground: Ground, s: int, carrier: int, look: Look, h: float) -> None:
+    """Write the frames (3, 3) of a surface that moves."""
+    for at in range(3):
+        for d in range(3):
+            if carrier >= 0:
+                moved = (at - 1) * h * look.old[carrier, d]
+                ground.frames[at, d] = look.places[carrier, d] + moved
+            else:
+                ground.frames[at, d] = ground.paths[at, s, d]
+
+
+@part
+def pose_of(numbers: BodyNumbers, ground: Ground, look: Look, s: int) -> Array:
+    """Return the frame (3,) of a surface at this look."""
+    if numbers.surfaces.carriers[s] >= 0:
+        return look.places[numbers.surfaces.carriers[s]]
+    return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
+
+
+@part
+def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
+    """Return where the point of a surface that now is at x, y is at a look."""
+    u, v = seen_from(frames[1], x, y)
+    return carried(frames[look], u, v)
+
+
+@part
+def is_far(
+    surfaces: SurfaceNumbers, ground: Ground, look: Look, p: int, s: int, size: float
+) -> bool:
+    """Whether a piece is out of the reach of a surface that stands still."""
+    if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
+        return False
+    x, y = look.centres[p, 0], look.centres[p, 1]
+    return distance(surfaces, s, ground.still[1], x, y) > size + look.reach[p]
+
+
+@part
+def on_surface(
+    numbers: BodyNumbers, ground: Ground, look: Look, p: int, s: int, h: float, found: Array,
+    features: Ints,
+) -> tuple[int, float]:  # fmt: skip
+    """Find the points of a piece near a surface; return their number, and `crossed`."""
+    surfaces, x, y = numbers.surfaces, look.centres[p, 0], look.centres[p, 1]
+    pieces, carrier, within = numbers.pieces, surfaces.carriers[s], look.reach[p]
+    moves = carrier >= 0 or surfaces.moves[s]
+    frames = ground.frames if moves else ground.still
+    if moves:
+        _swung(ground, s, carrier, look, h)
+        u, v = _moved(frames, x, y, 2)
+        within += 2.0 * norm(u - x, v - y)
+    if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
+        return 0, 0.0
+    before = seen_from(frames[0], x - h * look.drifts[p, 0], y - h * look.drifts[p, 1])
+    after = seen_from(frames[1], x, y)
+    passed = crossed(surfaces, s, before, after, pieces.cores[p])
+    first, end = pieces.firsts[p], pieces.firsts[p + 1]
+    points = against_surface(
+        surfaces, s, frames[1], ground.registers, look.world[first:end], look.centres[p],
+        pieces.radii[p], within, found, features,
+    )  # fmt: skip
+    turned = h * look.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
+    way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
+    if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
+        clear = True
+        for at in range(points):
+            clear = clear and found[at, 4] >= 0.0
+        if clear:
+            looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _LOOKS))
+            passed = _passed_over(numbers, ground, look, (p, s), h, frames, looks)
+    return points, passed
+
+
+@late
+def _passed_over(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], h: float,
+    frames: Array, looks: int,
+) -> float:  # fmt: skip
+    """Return the part of a step for which a piece was in a surface that it is clear of now.
+
+    Its corners and rims, not its middle alone, on the way from the look before: it and the surface
+    move straight and turn evenly. What was in the surface where the way begins leaves it.
+    """
+    (p, s), pieces = pair, numbers.pieces
+    b, first, end = pieces.bodies[p], pieces.firsts[p], pieces.firsts[p + 1]
+    found, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
+    frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
+    for i in range(looks):
+        back = 1.0 - i / looks
+        x, y, angle = look.places[b] - back * h * look.old[b]
+        for d in range(3):
+            frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
+        points = against_surface(
+            numbers.surfaces, s, frame, ground.registers,
+            place(pieces.vertices[first:end], x, y, angle),
+            place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p], within, found,
+            features,
+        )  # fmt: skip
+        deepest = 0.0
+        for at in range(points):
+            deepest = min(deepest, found[at, 4])
+        was_clear = was_clear or deepest == 0.0
+        if was_clear and deepest < -_GRAZED * pieces.cores[p]:
+            inside += 1
+    return inside / looks
+
+
+@part
+def carried_along(
+    ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
+    touches: Touches,
+) -> float:  # fmt: skip
+    """Take the motion of a surface from a contact's velocities; return its pull.
+
+    It moves from look to look, as the bodies do. A circle nears only as its centre does, and slips
+    along its rim.
+    """
+    nx, ny, x, y = found[0], found[1], found[2], found[3]
+    before, free, frames = touches.before, touches.free, ground.frames
+    a, b = x, y
+    if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:
+        a, b = carried(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
+    arm = nx * (x - a) + ny * (y - b)
+    for look in (0, 2):
+        way, turned = (look - 1.0) / h, frames[look, 2] - frames[1, 2]
+        u, v = _moved(frames, a, b, look)
+        nearing = way * (nx * (u - a) + ny * (v - b))
+        along = way * (ny * (u - a) - nx * (v - b) - turned * arm)
+        if look == 0:
+            before[m, 0] -= nearing
+            before[m, 1] -= along
+        else:
+            free[m, 0] -= nearing
+            free[m, 1] -= along
+    return norm(free[m, 0] - before[m, 0], free[m, 1] - before[m, 1])

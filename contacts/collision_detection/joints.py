@@ -1,0 +1,175 @@
+"""Joints of bodies with shapes, to each other and to places in the world, as rows of a step.
+
+A joint holds at the midpoints of steps: the velocities after a step take its two points onto each
+other at the next look, their turning counted in. Nothing is pushed back afterwards, so that nothing
+drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti and Berendsen 1977).
+"""
+
+from __future__ import annotations
+
+import math
+
+from contacts.collision_detection.body_numbers import (
+    ALONG_Y,
+    BOTH,
+    BodyNumbers,
+    JointNumbers,
+    Memory,
+)
+from contacts.collision_detection.look import Look
+from contacts.collision_detection.surfaces import carried
+from contacts.collision_detection.touches import Touches, recalled
+from contacts.solvers.contact_rows import GUIDED, HELD
+from statechart.arrays import Array
+from statechart.kernels.jit import late, part
+
+# Of where the ends of a joint are: what that is known to.
+_ROUNDING = 2.0**-50
+# A step is shorter than the one before where it is so beyond rounding.
+_SHORTER = 1.0 - 1e-9
+
+
+@part
+def _bent(x: float, y: float, across: bool, turn: float) -> float:
+    """Return how far the end of an arm goes in a step beyond what the rate of its turning says."""
+    c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
+    return s * x + c * y if across else c * x - s * y
+
+
+@part
+def _joint_rows(
+    joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
+    past: float, rows: Array, before: Array, free: Array, wanted: Array, closing: Array,
+) -> float:  # fmt: skip
+    """Write the rows of a joint; return by how much the path of its place bends in a step.
+
+    Parameters
+    ----------
+    joints, j
+    places, old, loose : (b, 3)
+        Where bodies are at this look, their rates before it, and after it without impulses.
+    paths : (3, j, 2)
+        Where the places of all joints in the world were at the last look, are, and are next.
+    h, past : float
+        Lengths of this step and of the one before.
+    rows : (2, 6)
+        Velocities per unit rates of the two bodies; to be filled, as is what follows.
+    before, free : (2,)
+        Velocities relative to the path, before the step and after it without impulses.
+    wanted : (2,)
+        What these may not differ from, negated.
+    closing : (2, 2)
+        How far it may be open at the next look, and by how much less with time; in place.
+    """
+    for d in range(2):
+        before[d] = free[d] = wanted[d] = 0.0
+        apart = size = 0.0
+        for k in range(6):
+            rows[d, k] = 0.0
+        if d == 1 and joints.holds[j] != BOTH:
+            continue
+        across = joints.holds[j] == ALONG_Y or d == 1
+        ux, uy = (0.0, 1.0) if across else (1.0, 0.0)
+        for side in range(2):
+            b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
+            if b < 0:
+                axis = 1 if across else 0
+                now = paths[1, j, axis]
+                before[d] -= (now - paths[0, j, axis]) / h
+                free[d] -= (paths[2, j, axis] - now) / h
+                apart, size = apart - now, size + abs(now)
+                continue
+            x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+            rx, ry = x - places[b, 0], y - places[b, 1]
+            at = 3 * side
+            rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
+            rows[d, at + 2] = sign * (rx * uy - ry * ux)
+            for k in range(3):
+                before[d] += rows[d, at + k] * old[b, k]
+                free[d] += rows[d, at + k] * loose[b, k]
+            wanted[d] += sign * _bent(rx, ry, across, h * old[b, 2]) / h
+            apart += sign * (ux * x + uy * y)
+            size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
+        # Joints that others imply cannot close what rounding opens.
+        if not abs(apart) > _ROUNDING * size:
+            closing[0, d] = 0.0
+            continue
+        # Between looks arms are open by what they bend, as they are where a step is taken in parts:
+        # closed in the first of these, that would throw what they bear.
+        if h < _SHORTER * past:
+            closing[0, d], closing[1, d] = apart, apart / past
+        closed = h * closing[1, d]
+        closing[0, d] = closing[0, d] - closed if abs(closing[0, d]) > abs(closed) else 0.0
+        wanted[d] += (apart - closing[0, d]) / h
+    bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
+    bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
+    return math.hypot(bend_x, bend_y) / h
+
+
+@late
+def joined(
+    numbers: BodyNumbers, places: Array, memory: Memory, look: Look, h: float, count: int,
+    touches: Touches,
+) -> int:  # fmt: skip
+    """Append the joints to the contacts of a step; return how many there are in all.
+
+    Parameters
+    ----------
+    numbers, memory, look, h, touches
+        See `contacts.collision_detection.touching`.
+    places : (3, j, 2)
+        Where what they hold points to is at this look, the one before and the next.
+    count : int
+        Contacts.
+    """
+    joints, pieces = numbers.joints, len(numbers.pieces.sizes)
+    first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
+    past = memory.past[0]
+    for j in range(len(joints.holds)):
+        b = joints.bodies[j, 0]
+        touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
+        touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
+        touches.materials[m, 1] = touches.materials[m, 2] = 0.0
+        touches.hit[m] = False
+        while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
+            at_old += 1
+        _, _, place = recalled(memory, at_old, first + j, 0, h, m, touches)
+        for d in range(2):
+            touches.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
+            touches.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
+        bent = _joint_rows(
+            joints, j, look.places, look.old, look.loose, places, h, past, touches.rows[m],
+            touches.before[m], touches.free[m], touches.wanted[m], touches.closing[m],
+        )  # fmt: skip
+        look.pull[b] += bent
+        touches.keys[m, 0], touches.keys[m, 1] = first + j, 0
+        touches.memory[m, 0] = touches.memory[m, 1] = 0.0
+        m += 1
+    return m
+
+
+@part
+def bent_on(
+    joints: JointNumbers, j: int, d: int, places: Array, side: int, turn: float, than: float
+) -> tuple[float, float]:
+    """Return how much farther the end of a joint's arm goes along its row d in a step.
+
+    Where its body turns by `turn` in that and not by `than`, beyond what the rate says; as the row
+    counts it. And how far it goes round.
+    """
+    b = joints.bodies[j, side]
+    x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+    rx, ry = x - places[b, 0], y - places[b, 1]
+    across = d == 1 or joints.holds[j] == ALONG_Y
+    further = _bent(rx, ry, across, turn) - _bent(rx, ry, across, than)
+    return (1.0 - 2.0 * side) * further, math.hypot(rx, ry) * abs(turn)
+
+
+@part
+def held(joints: JointNumbers, one: int, other: int) -> bool:
+    """Whether a joint holds two bodies together."""
+    for j in range(len(joints.holds)):
+        a, b = joints.bodies[j]
+        if (a == one and b == other) or (a == other and b == one):
+            return True
+    return False

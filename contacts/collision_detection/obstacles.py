@@ -1,0 +1,246 @@
+"""Obstacles around a point of contact: pieces of bodies and surfaces, as convex sets in the world.
+
+An obstacle is a polygon, a disc, a half-plane or a sheet (an edge without thickness). A curve that
+is neither is its tangent half-plane at the point.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.convex import norm
+from contacts.collision_detection.ground import Ground, pose_of
+from contacts.collision_detection.joints import held
+from contacts.collision_detection.look import Look
+from contacts.collision_detection.surfaces import PLATE, ROUND, carried, seen_from, tangent_at
+from statechart.arrays import Array
+from statechart.kernels.jit import part
+
+POLYGON, DISC, HALF, SHEET = range(4)
+"""Sorts of obstacles."""
+
+FLUSH = 1e-6
+"""Obstacles this close, relative to the smaller one, are flush; normals of less than this angle are
+one."""
+
+RAYS = 32
+"""Boundary rays that a point can have."""
+
+
+class Obstacle(NamedTuple):
+    """A convex set."""
+
+    sort: int
+    # (k, 2): of a polygon, counter-clockwise; two on the boundary of a half-plane, which has its
+    # solid on the left; the ends of a sheet.
+    corners: Array
+    centre: Array  # shape (2,)
+    radius: float  # Of a disc.
+    size: float  # How far it reaches from its middle; infinite of a half-plane.
+
+
+@part
+def obstacle(
+    numbers: BodyNumbers, ground: Ground, look: Look, q: int, x: float, y: float
+) -> Obstacle:
+    """Return a piece, or a surface (these stand behind all pieces), as an obstacle near a point."""
+    pieces, surfaces = numbers.pieces, numbers.surfaces
+    if q < len(pieces.sizes):
+        corners = look.world[pieces.firsts[q] : pieces.firsts[q + 1]]
+        sort = DISC if pieces.radii[q] > 0.0 else POLYGON
+        return Obstacle(sort, corners, look.centres[q], pieces.radii[q], pieces.sizes[q])
+    s = q - len(pieces.sizes)
+    pose, two, centre = pose_of(numbers, ground, look, s), np.zeros((2, 2)), np.zeros(2)
+    a, b, c, d = surfaces.numbers[s]
+    if surfaces.kinds[s] == PLATE:
+        two[0, 0], two[0, 1] = carried(pose, a, b)
+        two[1, 0], two[1, 1] = carried(pose, c, d)
+        centre[0], centre[1] = 0.5 * (two[0, 0] + two[1, 0]), 0.5 * (two[0, 1] + two[1, 1])
+        return Obstacle(SHEET, two, centre, 0.0, 0.5 * norm(c - a, d - b))
+    if surfaces.kinds[s] == ROUND:
+        centre[0], centre[1] = carried(pose, a, b)
+        return Obstacle(DISC, two[:0], centre, c, c)
+    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground.registers, x, y)
+    two[1, 0], two[1, 1] = two[0, 0] - ny, two[0, 1] + nx
+    return Obstacle(HALF, two, centre, 0.0, math.inf)
+
+
+@part
+def edges(one: Obstacle) -> int:
+    """Return how many edges an obstacle has: a sheet has one on each side."""
+    return 1 if one.sort == HALF else len(one.corners)
+
+
+@part
+def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
+    """Return the begin of an edge, its direction, and its length."""
+    j = i + 1 if i + 1 < len(one.corners) else 0
+    x, y = one.corners[i, 0], one.corners[i, 1]
+    ex, ey = one.corners[j, 0] - x, one.corners[j, 1] - y
+    length = norm(ex, ey)
+    return x, y, ex / length, ey / length, (math.inf if one.sort == HALF else length)
+
+
+@part
+def distance_to(one: Obstacle, x: float, y: float) -> float:
+    """Return how far a point is outside of an obstacle, along its normals; below zero in it."""
+    if one.sort == DISC:
+        return norm(x - one.centre[0], y - one.centre[1]) - one.radius
+    most = -math.inf
+    for i in range(edges(one)):
+        ax, ay, ux, uy, length = edge_of(one, i)
+        beside = uy * (x - ax) - ux * (y - ay)
+        if one.sort == SHEET:
+            along = ux * (x - ax) + uy * (y - ay)
+            beside = norm(beside, max(0.0, -along, along - length))
+        most = max(most, beside)
+    return most
+
+
+@part
+def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count: int) -> int:
+    """Append the rays of an obstacle's boundary from a point on it; return how many there are.
+
+    A ray is a direction and how far the boundary goes on in it.
+    """
+    if one.sort == DISC:
+        ux, uy = (x - one.centre[0]) / one.radius, (y - one.centre[1]) / one.radius
+        for way in (-1.0, 1.0):
+            if count < RAYS:
+                rays[count, 0], rays[count, 1] = -way * uy, way * ux
+                rays[count, 2] = one.radius
+                count += 1
+        return count
+    for i in range(1 if one.sort == SHEET else edges(one)):
+        ax, ay, ux, uy, length = edge_of(one, i)
+        along, beside = ux * (x - ax) + uy * (y - ay), uy * (x - ax) - ux * (y - ay)
+        endless = one.sort == HALF
+        if abs(beside) > near or not (endless or -near <= along <= length + near):
+            continue
+        if along < length - near and count < RAYS:
+            rays[count, 0], rays[count, 1], rays[count, 2] = ux, uy, length - along
+            count += 1
+        if (along > near or endless) and count < RAYS:
+            rays[count, 0], rays[count, 1] = -ux, -uy
+            rays[count, 2] = math.inf if endless else along
+            count += 1
+    return count
+
+
+@part
+def between_normals(
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
+) -> bool:
+    """Return whether a direction is in the normal cone of a piece at a point of its boundary."""
+    (x, y), (nx, ny) = place, outward
+    if one.sort == DISC:
+        ux, uy = x - one.centre[0], y - one.centre[1]
+        return abs(ux * ny - uy * nx) <= FLUSH * one.radius and ux * nx + uy * ny > 0.0
+    near, many = FLUSH * one.size, 0
+    ax = ay = bx = by = 0.0
+    for i in range(edges(one)):
+        cx, cy, ex, ey, _ = edge_of(one, i)
+        if abs(ey * (x - cx) - ex * (y - cy)) <= near:
+            if many == 0:
+                ax, ay = ey, -ex
+            bx, by = ey, -ex
+            many += 1
+    # The first of the two in a counter-clockwise sense; they turn by less than a half.
+    if ax * by - ay * bx < 0.0:
+        ax, ay, bx, by = bx, by, ax, ay
+    ahead = (ax + bx) * nx + (ay + by) * ny > 0.0
+    return many > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
+
+
+@part
+def chord(
+    one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
+) -> tuple[float, float]:
+    """Return between which lengths a line from x, y along a unit vector is in a solid obstacle."""
+    low, high = -math.inf, math.inf
+    if one.sort == SHEET:
+        return high, low
+    if one.sort == DISC:
+        dx, dy = x - one.centre[0], y - one.centre[1]
+        half = dx * ux + dy * uy
+        inside = half * half - (dx * dx + dy * dy - one.radius * one.radius)
+        root = math.sqrt(max(inside, 0.0))
+        return (-half - root, -half + root) if inside > 0.0 else (math.inf, -math.inf)
+    for i in range(edges(one)):
+        ax, ay, ex, ey, _ = edge_of(one, i)
+        beside, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
+        if abs(rate) <= FLUSH:
+            if beside > near:
+                return math.inf, -math.inf
+        elif rate > 0.0:
+            high = min(high, -beside / rate)
+        else:
+            low = max(low, -beside / rate)
+    return low, high
+
+
+@part
+def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
+    """Return whether an obstacle has a face on the same line that faces the same way.
+
+    It covers nothing of what it makes one face with.
+    """
+    for i in range(edges(one) if one.sort != DISC else 0):
+        ax, ay, ex, ey, _ = edge_of(one, i)
+        beside = abs(uy * (ax - x) - ux * (ay - y))
+        if beside <= near and abs(ux * ey - uy * ex) <= FLUSH and ux * ex + uy * ey > 0.0:
+            return True
+    return False
+
+
+@part
+def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
+    """Return whether two pieces, or a piece and a surface, touch each other by a law."""
+    count = len(numbers.pieces.sizes)
+    if one >= count:
+        one, other = other, one
+    if one >= count:
+        return False
+    b, kinds = numbers.pieces.bodies[one], numbers.kinds
+    if other >= count:
+        s = other - count
+        carrier = numbers.surfaces.carriers[s]
+        return carrier != b and numbers.laws[kinds[b], len(numbers.laws) + s] >= 0
+    c = numbers.pieces.bodies[other]
+    return b != c and not held(numbers.joints, b, c) and numbers.laws[kinds[b], kinds[c]] >= 0
+
+
+@part
+def _velocity(
+    numbers: BodyNumbers, ground: Ground, look: Look, q: int, x: float, y: float, h: float
+) -> tuple[float, float, float]:
+    """Return the velocity of the point of a piece or surface that is at x, y, and its turning."""
+    count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
+    b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
+    if b >= 0:
+        turning = look.old[b, 2]
+        u, v = x - look.places[b, 0], y - look.places[b, 1]
+        return look.old[b, 0] - turning * v, look.old[b, 1] + turning * u, turning
+    if not surfaces.moves[q - count]:
+        return 0.0, 0.0, 0.0
+    now, then = ground.paths[1, q - count], ground.paths[2, q - count]
+    u, v = seen_from(now, x, y)
+    u, v = carried(then, u, v)
+    return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
+
+
+@part
+def rest_together(
+    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], x: float, y: float,
+    h: float, near: float,
+) -> bool:  # fmt: skip
+    """Return whether two obstacles move at x, y by less than `near` in a step, relatively."""
+    u, v, turning = _velocity(numbers, ground, look, pair[0], x, y, h)
+    other_u, other_v, other_turning = _velocity(numbers, ground, look, pair[1], x, y, h)
+    along, across = u - other_u, v - other_v
+    turned = near / FLUSH * (turning - other_turning)
+    return h * h * (along * along + across * across + turned * turned) <= near * near

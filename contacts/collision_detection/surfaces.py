@@ -1,0 +1,364 @@
+"""Contact manifolds of shapes on lines, plates, circles from both sides and graphs.
+
+A surface is looked at in its own frame, which its path or the body that carries it moves.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.convex import between, norm, write
+from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.kernels.jit import late, part
+from statechart.kernels.tapes import run_tape
+
+LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
+"""Kinds of surfaces: the edge of a half-plane, a straight piece without thickness, a disc, what is
+around a disc, what is below a function."""
+
+# Pieces in which the nearest points of a graph are looked for, and steps to each.
+_PIECES, _STEPS = 16, 40
+# A crest this close to the end of an edge, relative to its length, is the corner there.
+_SAME = 1e-3
+
+
+class SurfaceNumbers(NamedTuple):
+    """The surfaces that bodies collide with."""
+
+    kinds: Ints  # shape (s,)
+    # (s, 4): A point and the unit normal out of the solid of lines, the ends of plates, centre and
+    # radius of circles.
+    numbers: Array
+    carriers: Ints  # (s,): bodies that carry them; -1: none.
+    moves: Bools  # (s,): which of them have paths.
+    # (s,): where a height, its slope and its curvature are among the outputs of the program.
+    graphs: Ints
+    # The program (see `statechart.formulas.tape.Tape`), and the parameters that it reads.
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    values: Array
+
+
+@part
+def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) -> float:
+    """Return how far a point is from a surface at least: below zero in the solid."""
+    kind = surfaces.kinds[s]
+    if kind == GRAPH:
+        return -math.inf
+    x, y = seen_from(pose, x, y)
+    a, b, c, d = surfaces.numbers[s]
+    if kind == LINE:
+        return c * (x - a) + d * (y - b)
+    if kind == PLATE:
+        along = ((x - a) * (c - a) + (y - b) * (d - b)) / ((c - a) ** 2 + (d - b) ** 2)
+        along = min(max(along, 0.0), 1.0)
+        return norm(x - a - along * (c - a), y - b - along * (d - b))
+    away = norm(x - a, y - b) - c
+    return away if kind == ROUND else -away
+
+
+@part
+def seen_from(pose: Array, x: float, y: float) -> tuple[float, float]:
+    """Return a point of the world in a frame (x, y, angle)."""
+    dx, dy = x - pose[0], y - pose[1]
+    if pose[2] == 0.0:
+        return dx, dy
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return c * dx + s * dy, c * dy - s * dx
+
+
+@part
+def carried(pose: Array, x: float, y: float) -> tuple[float, float]:
+    """Return a point of a frame (x, y, angle) in the world."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return pose[0] + c * x - s * y, pose[1] + s * x + c * y
+
+
+@part
+def crossed(
+    surfaces: SurfaceNumbers, s: int, before: tuple[float, float], after: tuple[float, float],
+    core: float,
+) -> float:  # fmt: skip
+    """Return the part of a step for which a body was in a surface that it has passed; else 0.
+
+    Parameters
+    ----------
+    surfaces, s
+    before, after : (float, float)
+        Its centre in the surface's frame, a step ago and now.
+    core : float
+        How far it reaches at least.
+    """
+    kind = surfaces.kinds[s]
+    a, b, c, d = surfaces.numbers[s]
+    u, v = after[0] - before[0], after[1] - before[1]
+    if kind == PLATE:
+        length = norm(c - a, d - b)
+        nx, ny = (b - d) / length, (c - a) / length
+        begin = nx * (before[0] - a) + ny * (before[1] - b)
+        end = nx * (after[0] - a) + ny * (after[1] - b)
+        if not begin * end < 0.0:
+            return 0.0
+        at = begin / (begin - end)
+        along = ((before[0] + at * u - a) * (c - a) + (before[1] + at * v - b) * (d - b)) / length
+        return min(1.0, 2.0 * core / abs(begin - end)) if 0.0 <= along <= length else 0.0
+    if kind == ROUND:
+        x, y, reach = after[0] - a, after[1] - b, 0.9 * (c + core)
+        # |r + w t|^2 = reach^2, t = 0 now
+        square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - reach * reach
+        inside = half * half - square * rest
+        if inside > 0.0:
+            root = math.sqrt(inside)
+            begin, end = (-half - root) / square, (-half + root) / square
+            if begin > -1.0 and begin + end < 0.0:
+                return end - begin
+    return 0.0
+
+
+@part
+def against_surface(
+    surfaces: SurfaceNumbers,
+    s: int,
+    pose: Array,
+    registers: tuple[int, Array],
+    body: Array,
+    centre: Array,
+    radius: float,
+    within: float,
+    found: Array,
+    features: Ints,
+) -> int:
+    """Find the points of a body near a surface; return their number.
+
+    Parameters
+    ----------
+    surfaces : SurfaceNumbers
+    s : int
+        Which of them.
+    pose : (3,)
+        Its frame.
+    registers : (int, array)
+        Of the program; see `statechart.kernels.tapes.filled`.
+    body : (k, 2)
+        Vertices in the world; none of a disc.
+    centre : (2,)
+    radius : float
+        Of a disc.
+    within : float
+        Gaps up to this are found.
+    found : (m, FOUND), features : (m,) array of int
+        To be filled.
+    """
+    moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
+    middle, corners = centre, body
+    if moved:
+        middle, corners = np.empty(2), np.empty_like(body)
+        middle[0], middle[1] = seen_from(pose, centre[0], centre[1])
+        for i in range(len(body)):
+            corners[i, 0], corners[i, 1] = seen_from(pose, body[i, 0], body[i, 1])
+    kind = surfaces.kinds[s]
+    a, b, c, d = surfaces.numbers[s]
+    if kind in (PLATE, ROUND):
+        ends, no_corners = np.empty((2, 2)), np.empty((0, 2))
+        ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = a, b, c, d
+        about = np.empty(2)
+        about[0], about[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
+        if kind == ROUND:
+            count = between(corners, middle, radius, no_corners, about, c, within, found, features)
+        else:
+            # The plate is first: where a body's corner is beside a plate's end, in a valley, its
+            # face is as near to that end as the plate's to the corner, which is what touches.
+            count = between(ends, about, 0.0, corners, middle, radius, within, found, features)
+            for i in range(count):
+                found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
+    elif kind == GRAPH:
+        if len(body) == 0:
+            count = _disc_on_graph(surfaces, s, registers, middle, radius, within, found)
+            for i in range(count):
+                features[i] = i
+        else:
+            count = _polygon_on_graph(surfaces, s, registers, corners, within, found, features)
+    else:
+        count = 0
+        for i in range(max(len(body), 1)):
+            x, y = (middle[0], middle[1]) if len(body) == 0 else (corners[i, 0], corners[i, 1])
+            if kind == LINE:
+                nx, ny, away = c, d, c * (x - a) + d * (y - b)
+            else:
+                far = norm(x - a, y - b)
+                if far == 0.0:
+                    continue
+                nx, ny, away = (a - x) / far, (b - y) / far, c - far
+            if away - radius <= within and count < len(found):
+                # Of a disc the point is on its rim, of a corner it is that.
+                write(found[count], nx, ny, x - radius * nx, y - radius * ny, away - radius)
+                features[count] = i
+                count += 1
+    if moved:
+        for i in range(count):
+            x, y = carried(pose, found[i, 2], found[i, 3])
+            nx, ny = carried(pose, found[i, 0], found[i, 1])
+            write(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
+    return count
+
+
+@part
+def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int) -> int:
+    """Evaluate a graph at the first columns of the registers; return its place in the outputs."""
+    base, numbers = registers
+    run_tape(surfaces.code, 0, len(surfaces.code), base, numbers, count)
+    return surfaces.graphs[s]
+
+
+@late
+def tangent_at(
+    surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
+) -> tuple[float, float, float, float]:
+    """Return a point of the boundary of a surface that is no plate, near x, y, and its normal."""
+    u, v = seen_from(pose, x, y)
+    a, b, c, d = surfaces.numbers[s]
+    kind = surfaces.kinds[s]
+    if kind == GRAPH:
+        numbers, outputs = registers[1], surfaces.outputs
+        numbers[0, 0] = u
+        at = _at(surfaces, s, registers, 1)
+        height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
+        unit = 1.0 / math.sqrt(1.0 + slope * slope)
+        a, b, c, d = u, height, -slope * unit, unit
+    elif kind != LINE:
+        away, side = norm(u - a, v - b), 1.0 if kind == ROUND else -1.0
+        nx, ny = ((u - a) / away, (v - b) / away) if away > 0.0 else (0.0, 1.0)
+        a, b, c, d = a + c * nx, b + c * ny, side * nx, side * ny
+    x, y = carried(pose, a, b)
+    nx, ny = carried(pose, c, d)
+    return x, y, nx - pose[0], ny - pose[1]
+
+
+@part
+def _beside_disc(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float, middle: Array
+) -> tuple[float, float, float, float]:
+    """Return height and slope at x, half the rate of the squared distance, and its rate."""
+    numbers, outputs = registers[1], surfaces.outputs
+    numbers[0, 0] = x
+    at = _at(surfaces, s, registers, 1)
+    height, slope = numbers[outputs[at], 0], numbers[outputs[at + 1], 0]
+    bend, above = numbers[outputs[at + 2], 0], height - middle[1]
+    return height, slope, x - middle[0] + above * slope, 1.0 + slope * slope + above * bend
+
+
+@part
+def _between_steps(low: float, high: float, x: float, rate: float, steeper: float) -> float:
+    """Return Newton's next x, or the middle of a bracket where that leaves it."""
+    following = x - rate / steeper if steeper > 0.0 else math.inf
+    return following if low < following < high else 0.5 * (low + high)
+
+
+@late
+def _disc_on_graph(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
+    within: float, found: Array,
+) -> int:  # fmt: skip
+    """Find the points of a graph that are nearest to a disc: local minima of the distance."""
+    numbers = registers[1]
+    reach, away = radius + within, np.empty(_PIECES + 1)
+    for j in range(_PIECES + 1):
+        numbers[0, j] = middle[0] + reach * (2.0 * j / _PIECES - 1.0)
+    at = _at(surfaces, s, registers, _PIECES + 1)
+    for j in range(_PIECES + 1):
+        x, y = reach * (2.0 * j / _PIECES - 1.0), numbers[surfaces.outputs[at], j] - middle[1]
+        away[j] = x * x + y * y
+    count = 0
+    for j in range(1, _PIECES):
+        if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
+            continue
+        low = middle[0] + reach * (2.0 * (j - 1) / _PIECES - 1.0)
+        high = middle[0] + reach * (2.0 * (j + 1) / _PIECES - 1.0)
+        x = 0.5 * (low + high)
+        for _ in range(_STEPS):
+            _, _, rate, steeper = _beside_disc(surfaces, s, registers, x, middle)
+            if rate > 0.0:
+                high = x
+            else:
+                low = x
+            following = _between_steps(low, high, x, rate, steeper)
+            done = abs(following - x) <= 1e-15 * reach
+            x = following
+            if done:
+                break
+        height, slope, _, _ = _beside_disc(surfaces, s, registers, x, middle)
+        unit = 1.0 / math.sqrt(1.0 + slope * slope)
+        gap = unit * (middle[1] - height - slope * (middle[0] - x)) - radius
+        if gap <= within:
+            write(found[count], -slope * unit, unit, x, height, gap)
+            count += 1
+    return count
+
+
+@late
+def _polygon_on_graph(
+    surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], corners: Array, within: float,
+    found: Array, features: Ints,
+) -> int:  # fmt: skip
+    """Find the corners that are near a graph, and its crests that are near edges."""
+    numbers, outputs = registers[1], surfaces.outputs
+    for i in range(len(corners)):
+        numbers[0, i] = corners[i, 0]
+    at = _at(surfaces, s, registers, len(corners))
+    count = 0
+    for i in range(len(corners)):
+        slope = numbers[outputs[at + 1], i]
+        unit = 1.0 / math.sqrt(1.0 + slope * slope)
+        gap = unit * (corners[i, 1] - numbers[outputs[at], i])
+        if gap <= within and count < len(found):
+            write(found[count], -slope * unit, unit, corners[i, 0], corners[i, 1], gap)
+            features[count] = i
+            count += 1
+    for i in range(len(corners)):
+        x, y = corners[i]
+        ex, ey = corners[(i + 1) % len(corners), 0] - x, corners[(i + 1) % len(corners), 1] - y
+        # Of counter-clockwise corners the lower edges go to the right.
+        if not ex > 0.0:
+            continue
+        length = norm(ex, ey)
+        nx, ny = ey / length, -ex / length
+        away = np.empty(_PIECES + 1)
+        for j in range(_PIECES + 1):
+            numbers[0, j] = x + ex * j / _PIECES
+        at = _at(surfaces, s, registers, _PIECES + 1)
+        for j in range(_PIECES + 1):
+            away[j] = nx * (ex * j / _PIECES) + ny * (numbers[outputs[at], j] - y)
+        crests = 0
+        for j in range(1, _PIECES):
+            if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
+                continue
+            low, high = x + ex * (j - 1) / _PIECES, x + ex * (j + 1) / _PIECES
+            place = 0.5 * (low + high)
+            for _ in range(_STEPS):
+                numbers[0, 0] = place
+                at = _at(surfaces, s, registers, 1)
+                rate = nx + ny * numbers[outputs[at + 1], 0]
+                if rate > 0.0:
+                    high = place
+                else:
+                    low = place
+                following = _between_steps(low, high, place, rate, ny * numbers[outputs[at + 2], 0])
+                done = abs(following - place) <= 1e-15 * length
+                place = following
+                if done:
+                    break
+            numbers[0, 0] = place
+            at = _at(surfaces, s, registers, 1)
+            height = numbers[outputs[at], 0]
+            gap = nx * (place - x) + ny * (height - y)
+            beside = min(place - x, x + ex - place)
+            if gap <= within and beside > _SAME * length:
+                write(found[count], -nx, -ny, place, height, gap)
+                features[count] = len(corners) + _PIECES * i + crests
+                count += 1
+                crests += 1
+    return count

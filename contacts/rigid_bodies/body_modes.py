@@ -1,0 +1,266 @@
+"""Modes of bodies with shapes where they change, from the complementarity problem of accelerations.
+
+The method is that of `contacts.time_stepping.settling`, for bodies that touch straight surfaces at
+rest and nothing else. The acceleration of the gap at a corner is ``J M^-1 f - w^2 r n``, with the
+arm r from the centre of mass to the corner, or to the centre of the disc that rolls. All other
+bodies have the modes of their impulses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.surfaces import LINE, PLATE
+from contacts.collision_detection.touches import Touches, velocity
+from contacts.rigid_bodies.room import Room
+from contacts.solvers.contact_lcp_kernels import UNKNOWNS
+from contacts.states import FREE, PIN, SLIDE
+from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.settling import (
+    ALIKE,
+    LEFT,
+    clear_alike,
+    end_slips,
+    mode_of,
+    solve_accelerations,
+)
+from statechart.arrays import Array, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import beside, part
+
+# A normal this near to that of a plate is that of its face, not of its end.
+_PARALLEL = 1e-9
+
+HOVERS = 2
+"""In the place of 1 in `Memory.shown`: the body falls over the gap at which it landed."""
+
+
+@part
+def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
+    """Let bodies settle whose mode changes in step k; return whether there are."""
+    found = False
+    for b in range(len(memory.shown)):
+        code = chunk.modes[k, b] = chunk.codes[k, b]
+        if memory.shown[b, 0] != code or chunk.struck[k, b]:
+            memory.shown[b, 1] = 1
+        found = found or memory.shown[b, 1] != 0
+    return found
+
+
+@part
+def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
+    """Return the piece and the surface of a contact with this key."""
+    count = len(numbers.pieces.sizes)
+    others = count + len(numbers.surfaces.kinds)
+    return key // others, key % others - count
+
+
+@part
+def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
+    """Return whether a contact is that of a corner or a disc on a straight surface at rest."""
+    _, s = _piece_on_surface(numbers, key)
+    surfaces = numbers.surfaces
+    if s < 0 or surfaces.carriers[s] >= 0 or surfaces.moves[s]:
+        return False
+    if surfaces.kinds[s] != PLATE:
+        return surfaces.kinds[s] == LINE
+    x, y = (
+        surfaces.numbers[s, 2] - surfaces.numbers[s, 0],
+        surfaces.numbers[s, 3] - surfaces.numbers[s, 1],
+    )
+    return abs(normal[0] * x + normal[1] * y) <= _PARALLEL * (abs(x) + abs(y))
+
+
+@part
+def _count_contacts(numbers: BodyNumbers, touches: Touches, count: int, counts: Ints) -> None:
+    """Write how many contacts bodies (b,) have; -1: some that are not read from accelerations."""
+    for b in range(len(counts)):
+        counts[b] = 0
+    for j in range(len(numbers.joints.holds)):
+        for side in range(2):
+            if numbers.joints.bodies[j, side] >= 0:
+                counts[numbers.joints.bodies[j, side]] = -1
+    for i in range(count):
+        b, other = touches.bodies[i]
+        alone = other < 0 and _is_straight(numbers, touches.keys[i, 0], touches.rows[i, 0])
+        if other >= 0:
+            counts[other] = -1
+        if not alone:
+            counts[b] = -1
+        elif counts[b] >= 0:
+            counts[b] += 1
+
+
+@part
+def _write_accelerations(
+    numbers: BodyNumbers, touches: Touches, i: int, turning: float, h: float, found: Array,
+    sizes: Array,
+) -> None:  # fmt: skip
+    """Write the accelerations (2,) of contact i without forces of contacts, and their sizes."""
+    p, _ = _piece_on_surface(numbers, touches.keys[i, 0])
+    rows = touches.rows[i]
+    for d in range(2):
+        arm = numbers.pieces.radii[p] - rows[1, 2] if d == 0 else rows[0, 2]
+        forced, bias = (touches.free[i, d] - touches.before[i, d]) / h, -(turning**2) * arm
+        found[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
+
+
+@part
+def _remember_landing(
+    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, i: int, size: float, h: float
+) -> None:
+    """Remember how far from a surface contact i lands, where its body has landed no farther off."""
+    touches, b = room.touches, room.touches.bodies[i, 0]
+    above = touches.memory[i, 3]
+    stops = velocity(touches.bodies, touches.rows, rates, i, 0) <= LEFT * h * size
+    landed = memory.landed[b]
+    if not (touches.hit[i] and stops and above > landed[0]):
+        return
+    p, _ = _piece_on_surface(numbers, touches.keys[i, 0])
+    (nx, ny), x, y = touches.rows[i, 0, :2], room.look.places[b, 0], room.look.places[b, 1]
+    along, across = numbers.pieces.radii[p] - touches.rows[i, 1, 2], touches.rows[i, 0, 2]
+    u, v = along * nx + across * ny, along * ny - across * nx
+    c, s = math.cos(room.look.places[b, 2]), math.sin(room.look.places[b, 2])
+    landed[0], landed[1], landed[2], landed[3] = above, nx, ny, nx * (x + u) + ny * (y + v) - above
+    landed[4], landed[5] = c * u + s * v, c * v - s * u
+
+
+@part
+def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float, alone: bool) -> bool:
+    """Return whether a corner falls over no more than the gap at which it landed.
+
+    What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
+    """
+    above, nx, ny, zero, u, v = memory.landed[b]
+    look, turning = room.look, rates[b, 2]
+    x, y = look.places[b, 0], look.places[b, 1]
+    c, s = math.cos(look.places[b, 2]), math.sin(look.places[b, 2])
+    u, v = c * u - s * v, s * u + c * v
+    along, across = nx * u + ny * v, ny * u - nx * v
+    rate = nx * rates[b, 0] + ny * rates[b, 1] + turning * across
+    forced = nx * (look.loose[b, 0] - look.old[b, 0]) + ny * (look.loose[b, 1] - look.old[b, 1])
+    forced = (forced + across * (look.loose[b, 2] - look.old[b, 2])) / h
+    bias = -(turning**2) * along
+    left = LEFT * h * (abs(forced) + abs(bias))
+    gap = nx * (x + u) + ny * (y + v) - zero
+    falls = above > 0.0 and forced + bias <= 0.0 and rate <= left
+    near = LEFT * h * left
+    return falls and gap <= above + near and (alone or gap > near)
+
+
+@beside
+def settle_bodies(
+    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, count: int, k: int,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Write the modes of settling bodies in step k.
+
+    Parameters
+    ----------
+    numbers : BodyNumbers
+    memory : Memory
+        Of this step. Changed in place.
+    room : Room
+        Its `local` is overwritten.
+    rates : (b, 3)
+        After the step.
+    count : int
+        Contacts.
+    k : int
+    chunk : Chunk
+        Its step k is changed in place.
+    """
+    counts = room.local
+    _count_contacts(numbers, room.touches, count, counts)
+    for b in range(len(counts)):
+        if memory.shown[b, 1] == 0:
+            continue
+        memory.shown[b, 1] = 1
+        if counts[b] < 0:
+            continue
+        mode = FREE
+        if counts[b] > 0:
+            mode = _body_mode(numbers, memory, room, rates, count, b, counts[b], k, chunk)
+        lands = memory.shown[b, 0] != FREE and not chunk.struck[k, b]
+        if lands and _hovers(memory, room, rates, b, chunk.h, mode == FREE):
+            mode, memory.shown[b, 1] = memory.shown[b, 0], HOVERS
+        chunk.modes[k, b] = mode
+
+
+@part
+def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
+    """End the settling of bodies whose impulses in step k agree with the modes shown."""
+    for b in range(len(memory.shown)):
+        mode = memory.shown[b, 0] = chunk.modes[k, b]
+        hovers = memory.shown[b, 1] == HOVERS
+        if mode == chunk.codes[k, b] and not chunk.struck[k, b] and not hovers:
+            memory.shown[b, 1] = 0
+            memory.landed[b, 0] = 0.0
+
+
+@part
+def _body_mode(
+    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, count: int, b: int, most: int,
+    k: int, chunk: Chunk,
+) -> int:  # fmt: skip
+    """Return the mode of body b, which has `most` contacts."""
+    touches, h, shown, m = room.touches, chunk.h, memory.shown[b, 0], 0
+    which = np.empty(most, np.int64)
+    free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
+    cones, slips, slides = np.zeros((most, 2)), np.zeros(most), np.zeros(most)
+    guess = np.zeros(UNKNOWNS * most, np.bool_)
+    for i in range(count):
+        if touches.bodies[i, 0] != b:
+            continue
+        presses = room.pressed[i, 0] > 0.0
+        _write_accelerations(numbers, touches, i, rates[b, 2], h, free[m], sizes[m])
+        rate, left = velocity(touches.bodies, touches.rows, rates, i, 0), LEFT * h * sizes[m, 0]
+        above = 0.0 if touches.hit[i] else touches.memory[i, 3]
+        near = above <= LEFT * h * left and rate <= left
+        if presses:
+            _remember_landing(numbers, memory, room, rates, i, sizes[m, 0], h)
+        if not (near and (presses or (shown != FREE and not touches.hit[i]))):
+            continue
+        which[m], guess[UNKNOWNS * m] = i, presses
+        put(touches.materials[i, :2], cones[m])
+        slip = velocity(touches.bodies, touches.rows, rates, i, 1) + touches.wanted[i, 1]
+        slips[m] = slip
+        if abs(slip) > room.known[i] and cones[m, 1] > 0.0:
+            mu = cones[m, 1] / cones[m, 0]
+            left = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
+            goes_on = shown == SLIDE and slip * touches.before[i, 1] > 0.0
+            if shown == FREE or goes_on or abs(slip) > left:
+                slides[m] = 1.0 if slip > 0.0 else -1.0
+        m += 1
+    if m == 0:
+        return FREE
+    delassus = np.zeros((2 * m, 2 * m))
+    for a in range(m):
+        for d in range(2):
+            for c in range(m):
+                for e in range(2):
+                    for j in range(3):
+                        row = touches.rows[which[a], d, j] * numbers.inverse[b, j]
+                        delassus[2 * a + d, 2 * c + e] += row * touches.rows[which[c], e, j]
+    per_speed = ALIKE * h / max(memory.past[1], h * sizes[:m].max())
+    sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
+    problem = delassus, free[:m], cones[:m]
+    terms, forced, directions = sizes[:m], found[:m], slides[:m]
+    support = guess[: UNKNOWNS * m]
+    solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
+    if solved and end_slips(slips[:m], forced, against, terms, h, directions):
+        solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
+    if not solved:
+        return chunk.codes[k, b]
+    mode = FREE
+    for a in range(m):
+        clear_alike(forced[a], sums[a], per_speed)
+        one = mode_of(found[a], slips[a], slides[a] == 0.0, cones[a], False)
+        if one == PIN:
+            return PIN
+        if one != FREE:
+            mode = SLIDE
+    return mode

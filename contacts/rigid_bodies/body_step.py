@@ -1,0 +1,374 @@
+"""Time steps of many free bodies that collide, compiled once: block by block, island by island.
+
+The scheme is that of `contacts.time_stepping.scene_step`. The mass matrix is diagonal; bodies that
+touch each other form islands, each with a contact problem of its own, whose impulses are the best
+that `contacts.solvers.island_impulses` finds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.collision_detection.applied import Ahead
+from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collision_detection.ground import Ground
+from contacts.collision_detection.joints import joined
+from contacts.collision_detection.look import fastest_turn, look_at, pushed
+from contacts.collision_detection.touches import Touches, velocity
+from contacts.collision_detection.touching import Seen, touching
+from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
+from contacts.rigid_bodies.island_step import solved
+from contacts.rigid_bodies.islands import push
+from contacts.rigid_bodies.order import PLASTIC
+from contacts.rigid_bodies.room import Room
+from contacts.states import FREE, PIN, SLIDE
+from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
+from statechart.arrays import Array
+from statechart.kernels.copies import put, put_rows
+from statechart.kernels.jit import beside, late, part, stepwise
+from statechart.kernels.tapes import BLOCK, filled
+
+# Impacts are no later after the middle of a step than this part of it: something is after them.
+_LATEST = 0.5 - BESIDE
+# In a step in which no body goes so far, in parts of the smallest one's size, none passes another
+# or is deep in it.
+_FAR = 0.1
+LEAST = 1e-9
+"""Impulses are known to this part of the largest on a body, whatever is allowed."""
+
+
+@beside
+def _kept(
+    numbers: BodyNumbers, memory: Memory, room: Room, seen: Seen, allowed: float, rates: Array,
+    k: int, chunk: Chunk,
+) -> None:  # fmt: skip
+    """Remember a step's contacts, and write how bodies touch."""
+    touches, pressed = room.touches, room.pressed
+    fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * chunk.h
+    for b in range(len(numbers.sizes)):
+        chunk.gaps[k, b] = room.look.gaps[b]
+        chunk.struck[k, b] = False
+        chunk.codes[k, b] = FREE
+        room.borne[b] = 0.0
+        chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
+    chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
+    chunk.passed[k] = seen.passed
+    memory.many[0] = seen.contacts
+    memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
+    memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
+    for i in range(seen.contacts):
+        for side in range(2):
+            b = touches.bodies[i, side]
+            if b >= 0 and not room.bounces[i]:
+                room.borne[b] = max(room.borne[b], pressed[i, 0])
+    least = max(allowed, LEAST)
+    for i in range(seen.contacts):
+        pn, pt = pressed[i]
+        lasts = pn > 0.0 and not room.bounces[i]
+        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
+        closed = 0.0 if touches.hit[i] else -1.0
+        memory.contacts[i, 0] = touches.memory[i, 0]
+        memory.contacts[i, 1] = 1.0 if lasts else closed
+        memory.contacts[i, 2], memory.contacts[i, 3] = touches.pushes[i]
+        for d in range(2):
+            pushed_by = velocity(touches.bodies, touches.rows, rates, i, d)
+            pushed_by -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
+            memory.contacts[i, 4 + d] = touches.free[i, d] + pushed_by
+            memory.contacts[i, 6 + d] = touches.rows[i, 0, d]
+        if lasts and not touches.hit[i]:
+            chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
+        slip = memory.contacts[i, 5] + touches.wanted[i, 1]
+        none = max(room.known[i], touches.memory[i, 2], allowed * fall)
+        memory.contacts[i, 8] = room.known[i]
+        sticks = touches.materials[i, 1] > 0.0 and abs(slip) <= none
+        for side in range(2):
+            b = touches.bodies[i, side]
+            if b < 0:
+                continue
+            if touches.hit[i] and pn > 0.0:
+                chunk.struck[k, b] = True
+                chunk.impulses[k, b, 0] += pn
+                chunk.impulses[k, b, 1] += pt if side == 0 else -pt
+            # What bears less of what presses or pulls a body most is rounding: it touches not.
+            pulled = room.look.pull[b] / numbers.inverse[b, 0]
+            bears = lasts and pn > max(least * room.borne[b], LEAST * pulled)
+            if bears and sticks:
+                chunk.codes[k, b] = PIN
+            elif bears and chunk.codes[k, b] == FREE:
+                chunk.codes[k, b] = SLIDE
+
+
+@part
+def _may_land(touches: Touches, law: int, count: int) -> bool:
+    """Whether all that is struck in a step may land, after the middle of the step."""
+    found = False
+    for i in range(count):
+        if touches.hit[i]:
+            if touches.memory[i, 1] <= 0.0 or (touches.materials[i, 2] > 0.0 and law != PLASTIC):
+                return False
+            found = True
+    return found
+
+
+@part
+def _without_impacts(
+    numbers: BodyNumbers, touches: Touches, loose: Array, count: int, early: Array
+) -> None:
+    """Write rates as forces alone make them, of which those of contacts are as in the step before.
+
+    To solve for them took a quarter of a run whose bodies land all the time.
+    """
+    put_rows(loose, early)
+    for i in range(count):
+        for d in range(2):
+            if not touches.hit[i] and touches.pushes[i, d] != 0.0:
+                push(
+                    touches.bodies, touches.rows, numbers.inverse, early, i, d, touches.pushes[i, d]
+                )
+
+
+@part
+def _landing(room: Room, rates: Array, early: Array, h: float, fall: float, count: int) -> float:
+    """Return how long after the middle of a step the first of what lands in it touches.
+
+    Forces alone would make rates `early`. Impulses that act later keep the bound of the energy
+    (`contacts.time_stepping.loop`). Earlier ones, of what is inside, do not, and would move what is
+    struck on farther than was looked at.
+    """
+    touches, first = room.touches, _LATEST * h
+    for i in range(count):
+        for d in range(2):
+            change = velocity(touches.bodies, touches.rows, rates, i, d)
+            change -= velocity(touches.bodies, touches.rows, early, i, d)
+            if not touches.hit[i]:
+                # What lasts was to go on as it did, but for forces that change.
+                if abs(change) > fall:
+                    return 0.0
+            elif room.bounces[i] != 0:
+                return 0.0
+            elif d == 0 and change * first > touches.memory[i, 1]:
+                first = touches.memory[i, 1] / change
+    return first
+
+
+@late
+def _kept_joints(
+    numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, rates: Array,
+    chunk: Chunk,
+) -> None:  # fmt: skip
+    """Remember the impulses of joints, which stand behind the contacts, and write their forces.
+
+    And what these add to the energy beyond the bound of the scheme; see `SteppedHeap`.
+    """
+    holds, at, touches, look = numbers.joints.holds, 3 * len(numbers.sizes), room.touches, room.look
+    for b in range(len(numbers.sizes)):
+        room.local[b] = 0
+    for j in range(len(holds)):
+        i = first + j
+        for side in range(2):
+            b = touches.bodies[i, side]
+            if b < 0 or room.local[b] == 1:
+                continue
+            room.local[b] = 1
+            for d in range(3):
+                pulled = look.loose[b, d] - look.old[b, d]
+                chunk.gained[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
+        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
+        for d in range(2):
+            both = touches.before[i, d] + touches.free[i, d]
+            both += velocity(touches.bodies, touches.rows, rates, i, d)
+            both -= velocity(touches.bodies, touches.rows, look.loose, i, d)
+            chunk.gained[k] += 0.5 * room.pressed[i, d] * both
+        memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
+        for d in range(2):
+            memory.contacts[i, 2 + d] = room.pressed[i, d]
+            memory.contacts[i, 4 + d] = touches.closing[i, 0, d]
+            memory.contacts[i, 6 + d] = touches.closing[i, 1, d]
+            if d == 0 or holds[j] == BOTH:
+                chunk.solved[k, at] = room.steady[i, d] / chunk.h
+                at += 1
+    if room.apart[0] > 0.0:
+        # The work of all impulses is within the bound: what wedges takes what joints add.
+        chunk.gained[k] = 0.0
+    memory.many[0] = first + len(holds)
+
+
+@part
+def _shown(rates: Array, old: Array, forced: Array) -> None:
+    """Bound what forces make of rates by what a step makes of them.
+
+    What an impact takes back at once is shown of no force: it would take bodies deeper into each
+    other than they are where the step looks.
+    """
+    for b in range(len(old)):
+        for d in range(3):
+            most = abs(rates[b, d] - old[b, d])
+            forced[b, d] = min(max(forced[b, d], old[b, d] - most), old[b, d] + most)
+
+
+@part
+def _shown_approach(touches: Touches, old: Array, forced: Array, count: int) -> float:
+    """Return how fast what is hit in the middle of a step approaches as it is shown until then."""
+    fastest = 0.0
+    for i in range(count):
+        if touches.hit[i]:
+            change = velocity(touches.bodies, touches.rows, forced, i, 0)
+            change -= velocity(touches.bodies, touches.rows, old, i, 0)
+            fastest = max(fastest, -touches.before[i, 0] - 0.5 * change)
+    return fastest
+
+
+@part
+def _remember(memory: Memory, kept: Memory) -> None:
+    """Copy what is remembered, in place."""
+    count = memory.many[0]
+    for i in range(count):
+        kept.keys[i, 0], kept.keys[i, 1] = memory.keys[i]
+    put_rows(memory.contacts[:count], kept.contacts)
+    kept.many[0] = count
+    put(memory.past, kept.past)
+    put_rows(memory.landed, kept.landed)
+    for b in range(len(memory.shown)):
+        kept.shown[b, 0], kept.shown[b, 1] = memory.shown[b]
+
+
+@part
+def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
+    """Whether a body goes far in a step, beside the smallest."""
+    count, least, most = len(numbers.sizes), math.inf, 0.0
+    for b in range(count):
+        size, at = numbers.sizes[b], 3 * (count + b)
+        if size > 0.0:
+            least = min(least, size)
+            speed = math.hypot(state[at], state[at + 1]) + size * abs(state[at + 2])
+            most = max(most, speed)
+    return h * most > _FAR * least
+
+
+@stepwise
+def step_bodies(
+    numbers: BodyNumbers,
+    around: Ahead,
+    start: float,
+    done: int,
+    law: int,
+    forces: bool,
+    memory: Memory,
+    room: Room,
+    bounds: tuple[float, float],
+    chunk: Chunk,
+) -> tuple[int, int]:
+    """Take the steps of a chunk; return (steps, status).
+
+    Parameters
+    ----------
+    numbers : BodyNumbers
+    around : Ahead
+        What acts on the bodies.
+    start, done : float, int
+        When steps began, and how many were taken before these.
+    law : int
+        What is hit together follows; see `contacts.rigid_bodies.order`.
+    forces : bool
+        Whether somebody reads the unknowns, which else are not written.
+    memory : Memory
+        Where it has too little place the status is `FULL`. Changed in place.
+    room : Room
+    bounds : (float, float)
+        Residual of impulses that are good enough; a step that closes a larger gap, or in which
+        bodies pass or sink into each other or turn by more than half a turn, or which leaves
+        joints open, is not taken: the status is `COARSE`. Nor is the step before it, of whose
+        second half that tells. Infinite: all are taken.
+    chunk : Chunk
+        To be filled, per body instead of per contact; the unknowns are accelerations, and the
+        forces of joints.
+    """
+    h, n, (allowed, deepest) = chunk.h, 3 * len(numbers.sizes), bounds
+    state = chunk.states[0].copy()
+    old, loose, touches = room.look.old, room.look.loose, room.touches
+    surfaces = numbers.surfaces
+    registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
+    registers[1][1] = 0.0
+    frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
+    width = 2 * n + around.memories.shape[1]
+    acting = filled(applied.code, applied.constants, applied.values, width, 1)
+    steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
+    early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    # What is in the way after the last step tells whether that could be taken.
+    for k in range(steps + 1):
+        if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
+            break
+        ground = Ground(around.frames[k : k + 3], registers, frames, still)
+        look_at(numbers, state, h, memory.past[0], room.look)
+        if len(applied.bodies) > 0:
+            time = start + (done + k + 0.5) * h
+            pushed(numbers, applied, acting, around.memories[k + 1], time, h, room.look)
+            for b in applied.bodies:
+                if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
+                    return k, NOT_FINITE if k < steps else DONE
+        seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
+        full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit)
+        if full and k < steps:
+            return k, FULL
+        coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
+        if deepest < math.inf and coarse:
+            if k == 0 or not _hurry(numbers, state, h):
+                return k, COARSE
+            _remember(room.earlier, memory)
+            return k - 1, COARSE
+        if k == steps:
+            break
+        _remember(memory, room.earlier)
+        count, joins = seen.contacts, len(numbers.joints.holds) > 0
+        if joins:
+            places = around.places[k : k + 3]
+            count = joined(numbers, places, memory, room.look, h, count, touches)
+        lands = _may_land(touches, law, seen.contacts)
+        if lands:
+            _without_impacts(numbers, touches, loose, count, early)
+        room.apart[1] = 1.0 if deepest < math.inf else 0.0
+        solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
+        put_rows(loose, rates)
+        put_rows(loose, forced)
+        for i in range(count):
+            for d in range(2):
+                if room.pressed[i, d] != 0.0:
+                    push(
+                        touches.bodies, touches.rows, numbers.inverse, rates, i, d,
+                        room.pressed[i, d],
+                    )  # fmt: skip
+                if forces and room.steady[i, d] != 0.0:
+                    push(
+                        touches.bodies, touches.rows, numbers.inverse, forced, i, d,
+                        room.steady[i, d],
+                    )  # fmt: skip
+        open_joints = joins and room.apart[0] > 0.0
+        if deepest < math.inf and (open_joints or h * fastest_turn(rates) > math.pi):
+            return k, COARSE
+        if forces:
+            _shown(rates, old, forced)
+        # What lands has gone on as it did until it touched.
+        chunk.late[k] = _landing(room, rates, early, h, fall, count) if lands else 0.0
+        _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        if unsettle_bodies(memory, k, chunk):
+            settle_bodies(numbers, memory, room, rates, seen.contacts, k, chunk)
+        finish_settling(memory, k, chunk)
+        if forces:
+            chunk.approach[k] = max(chunk.approach[k], _shown_approach(touches, old, forced, count))
+        if joins:
+            _kept_joints(numbers, memory, room, seen.contacts, k, rates, chunk)
+        for b in range(len(numbers.sizes)):
+            for d in range(3):
+                at = 3 * b + d
+                if forces:
+                    chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
+                state[n + at] = rates[b, d]
+                state[at] += 0.5 * h * rates[b, d]
+                if lands:
+                    state[at] += chunk.late[k] * (early[b, d] - rates[b, d])
+                if not math.isfinite(state[at]):
+                    return k, NOT_FINITE
+        put(state, chunk.states[k + 1])
+    return steps, DONE

@@ -1,0 +1,295 @@
+"""Initial penetration of bodies in each other, in surfaces, and beyond hollow circles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.surfaces import HOLLOW
+from contacts.rigid_bodies.declared_surfaces import touched
+from contacts.rigid_bodies.stepped_heap import SteppedHeap
+from contacts.scene.scene import Scene
+from statechart.arrays import Array
+from statechart.errors import DeclarationProblem
+
+# Of the inner circle of a body: about so far goes what is fast in a step that is chosen by the
+# scales of a scene (`contacts.rigid_bodies.bodies`), and half as deep stays what has landed. So a
+# packing that steps have left can be a start.
+_LEFT = 0.1
+# Depths that are equal but for rounding.
+_SAME = 1e-9
+# So many bodies, and moves of each, are tried.
+_MOVES = 20
+# From so many on copies stand in rows.
+_CROWD = 20
+# Of so many that are deep, one is what the other is in.
+_PAIR = 2
+_NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
+
+
+Tried = Callable[[BodyNumbers, Array], SteppedHeap]
+"""Numbers, coordinates and rates -> what has taken a step of no length, which finds overlaps."""
+
+
+def check_apart(
+    tried: Tried,
+    numbers: BodyNumbers,
+    names: Sequence[str],
+    owners: Sequence[str],
+    initial: Array,
+    near: float,
+) -> tuple[float, tuple[str, ...]]:
+    """Check that no body is deeper in another or a surface than steps leave what has landed.
+
+    Return how deep the deepest is, and what is said of that, where that is deeper than `near`.
+
+    Parameters
+    ----------
+    tried : callable
+        See `Tried`.
+    numbers : BodyNumbers
+    names, owners : sequence of str
+        Of the bodies, and what they are declared by.
+    initial : (6 b,) array
+        Coordinates and rates at the start.
+    near : float
+        What is no deeper touches.
+
+    Raises
+    ------
+    DeclarationProblem
+        If one is.
+    """
+    _check_places(numbers, names, owners, initial)
+    _check_crowd(numbers, names, owners, initial)
+    trial = tried(numbers, initial)
+    cores = np.full(len(names), np.inf)
+    np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
+    gaps = trial.least
+    too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
+    deep = {b: float(gaps[b]) for b in too_deep}
+    if not deep:
+        first, depth = int(np.argmin(gaps)), -float(gaps.min())
+        if depth <= near:
+            return 0.0, ()
+        return depth, (
+            f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
+            f"{trial.deepest_of(first)}), as steps leave what has landed: they are kept no deeper",
+        )
+    # Who can be moved out of all that it is in, or else the first.
+    for b in [*deep][:_MOVES]:
+        where, out = trial.deepest_of(b), _way_out(tried, trial, initial, b, near)
+        if where and out:
+            break
+    else:
+        b = next(iter(deep))
+        where, out = trial.deepest_of(b), _NO_ROOM
+        if not where:
+            b, where, out = _covered(tried, trial, names, initial, b, deep[b])
+    if len(deep) > _PAIR:
+        # Who moves them one by one should know how many there are.
+        out += f"; {len(deep)} bodies start in something in all, {-min(deep.values()):.3g} at most"
+    raise DeclarationProblem(
+        f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
+        advice=out,
+        loc=("bodies", owners[b], "start"),
+    )
+
+
+def _check_places(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that no copies that collide with each other start in one place."""
+    poses = np.column_stack([numbers.kinds, initial[: 3 * len(names)].reshape(-1, 3)])
+    _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
+    firsts = places[which.reshape(-1)]
+    for b in np.flatnonzero(firsts != np.arange(len(names))).tolist():
+        kind = numbers.kinds[b]
+        if numbers.laws[kind, kind] >= 0:
+            raise DeclarationProblem(
+                f"bodies {names[firsts[b]]!r} and {names[b]!r} start in one place",
+                advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
+                loc=("bodies", owners[b], "start"),
+            )
+
+
+def _check_crowd(
+    numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
+) -> None:
+    """Check that not most bodies are in others of their kind, which no move of one would change.
+
+    To look at all who are near whom, and where they touch, would take many times as long. Two
+    whose inner circles have their centres in one cell of this size are too deep in each other.
+    """
+    pieces = numbers.pieces
+    members = np.flatnonzero(np.diff(pieces.begins))
+    if len(members) < _CROWD or len(numbers.joints.bodies):
+        return
+    one = pieces.begins[:-1][members]
+    x, y, angle = initial[: 3 * len(names)].reshape(-1, 3)[members].T
+    (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
+    centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
+    cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
+    kinds = numbers.kinds[members]
+    _, which, many = np.unique(
+        np.column_stack([kinds, cells]), axis=0, return_inverse=True, return_counts=True
+    )
+    which = which.reshape(-1)
+    deep = (many[which] > 1) & (numbers.laws[kinds, kinds] >= 0)
+    if 2 * np.count_nonzero(deep) <= len(members):
+        return
+    first, other = np.flatnonzero(deep & (which == which[int(np.argmax(deep))]))[:2].tolist()
+    depth = 2.0 * pieces.cores[one[first]] - math.dist(centres[first], centres[other])
+    b = int(members[first])
+    raise DeclarationProblem(
+        f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
+        f"and at least {np.count_nonzero(deep)} of {len(members)} bodies start in others of their "
+        "kind",
+        advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
+        loc=("bodies", owners[b], "start"),
+    )
+
+
+def _in_rows(numbers: BodyNumbers, b: int) -> str:
+    """Return where copies of a body could start, beside each other."""
+    count = int(np.count_nonzero(numbers.kinds == numbers.kinds[b]))
+    apart = f"{float(f'{2.1 * numbers.sizes[b]:.2g}'):g}"
+    if count < _CROWD:
+        return f"such as x: {apart}*index"
+    row = math.isqrt(count)
+    return f'such as x: "{apart}*mod(index, {row})" and y: {apart}*floor(index/{row})'
+
+
+def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: float) -> str:
+    """Return how a body gets out of all that it is in, and of what it would get into then, or "".
+
+    The least move out of all that was met so far (least distance programming, Lawson and Hanson
+    1974), until it meets nothing new.
+    """
+    from scipy.optimize import nnls
+
+    move, ways, far = np.zeros(2), np.zeros((0, 2)), np.zeros(0)
+    for _ in range(_MOVES):
+        normals, depths = trial.pushes_out(b, near)
+        if not len(depths):
+            dx, dy = np.where(np.abs(move) < near, 0.0, move).tolist()
+            return f"move it by ({dx:.6g}, {dy:.6g}) out"
+        ways = np.concatenate([ways, normals])
+        far = np.concatenate([far, depths + normals @ move])
+        least = np.concatenate([ways.T, far[None]])
+        size = float(far.max())
+        least[2] /= size
+        weights, _ = nnls(least, np.array([0.0, 0.0, 1.0]))
+        left = least @ weights - np.array([0.0, 0.0, 1.0])
+        if not -left[2] > _SAME:
+            break
+        move = -size * left[:2] / left[2]
+        state = initial.copy()
+        state[3 * b : 3 * b + 2] += move
+        trial = tried(trial.numbers, state)
+    return ""
+
+
+def _covered(
+    tried: Tried,
+    trial: SteppedHeap,
+    names: Sequence[str],
+    initial: Array,
+    b: int,
+    margin: float,
+) -> tuple[int, str, str]:
+    """Return who is in the middle of what, where pieces of one cover each other, and advice.
+
+    No face of those is left to touch: of whom the body is as deep in with all others away, that is
+    who it is in, or who is in it.
+    """
+    numbers = trial.numbers
+
+    def as_deep(numbers: BodyNumbers, state: Array) -> bool:
+        gap = tried(numbers, state).least[b]
+        return gap <= (1.0 - _SAME) * margin
+
+    places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]
+    apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
+    away = np.hypot(*(places - places[b]).T)
+    reach = numbers.sizes[b] + numbers.sizes
+    for other in np.flatnonzero(away < reach).tolist():
+        state = initial.copy()
+        for i in range(len(names)):
+            if i not in (b, other):
+                state[3 * i] += (i + 2.0) * apart
+        if other != b and as_deep(numbers, state):
+            one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
+            far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
+            return one, f"body {names[whole]!r}", far
+    far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
+    kinds = len(numbers.laws)
+    for s, surface in enumerate(trial.surfaces):
+        laws = numbers.laws.copy()
+        laws[:, :kinds] = -1
+        laws[:, kinds:][:, np.arange(len(trial.surfaces)) != s] = -1
+        if as_deep(numbers._replace(laws=laws), initial):
+            return b, f"surface {surface!r}", far
+    every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
+    listed = ", ".join(repr(trial.surfaces[s]) for s in every.tolist())
+    return b, f"surfaces {listed}", far.replace("from it", "from them")
+
+
+def check_inside(
+    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, frames: Array
+) -> None:
+    """Check that what collides with a hollow circle starts in it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    owners : sequence of str
+        What they are declared by.
+    numbers : BodyNumbers
+    initial : (6 b,)
+        Coordinates and rates.
+    frames : (s, 3)
+        Of the surfaces, at the start.
+
+    Raises
+    ------
+    DeclarationProblem
+        If a body is too large, or starts outside.
+    """
+    names, surfaces = list(scene.bodies), numbers.surfaces
+    places = initial[: 3 * len(names)].reshape(-1, 3)
+    for s, name in enumerate(touched(scene)):
+        if surfaces.kinds[s] != HOLLOW:
+            continue
+        x, y, radius, _ = surfaces.numbers[s].tolist()
+        carrier = int(surfaces.carriers[s])
+        u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
+        cos, sin = math.cos(angle), math.sin(angle)
+        centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
+        meets = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
+        outside = []
+        for b in members:
+            mine = slice(*numbers.pieces.begins[b : b + 2].tolist())
+            core = float(numbers.pieces.cores[mine].max(initial=0.0))
+            if core > radius:
+                raise DeclarationProblem(
+                    f"body {names[b]!r} reaches {core:.6g} around its centre, and "
+                    f"{name!r}, which it is to move in, has a radius of {radius:.6g}",
+                    advice="make the circle larger, or the body smaller",
+                    loc=("bodies", owners[b], "shape"),
+                )
+            if math.hypot(*(places[b, :2] - centre)) >= radius:
+                outside.append(b)
+        if outside:
+            who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
+            raise DeclarationProblem(
+                f"{who} starts outside of {name!r}, whose solid is around it",
+                advice=f"let bodies start within {radius:.6g} of its centre; to touch a circle "
+                "from outside, leave out hollow",
+                loc=("bodies", owners[outside[0]], "start"),
+            )

@@ -1,0 +1,207 @@
+"""Names that formulas of colliding bodies may use, and the forces on the bodies."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.control_guards import given, given_in
+from contacts.dynamics.joints import JointRow
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import body_parameters
+from contacts.dynamics.scales import check_range
+from contacts.rigid_bodies.stiff_forces import Forces
+from contacts.scene.fields import copies
+from contacts.scene.scene import Scene
+from contacts.scene.shapes import INDEX
+from statechart.arrays import Array, Ints
+from statechart.documents.fields import value_of
+from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import parse
+from statechart.formulas.parameters import Parameters
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+
+_KEYS = ("x", "y", "angle", "dx", "dy", "dangle")
+
+
+class Starts:
+    """The starts of the bodies of a scene."""
+
+    def __init__(self, scene: Scene, parameters: Parameters) -> None:
+        self._scene = scene
+        counts = [1 if n is None else n for n in copies(scene, scene.values()).values()]
+        # Of every body what it is a copy of, and its number among those.
+        self._kinds = np.repeat(np.arange(len(counts)), counts)
+        self._numbers = np.concatenate([np.arange(count) for count in counts])
+        index = sp.Symbol("index", real=True)
+        expressions = []
+        for body in scene.bodies.values():
+            known = dict(parameters.symbols) if body.copies is None else {
+                **parameters.symbols, INDEX: index
+            }  # fmt: skip
+            expressions += [parse(body.start.get(k, 0)).to_sympy(known) for k in _KEYS]  # type: ignore[call-overload]
+        self._tape = compile_tape(
+            expressions,
+            variables=(index,),
+            parameters=parameters.ordered,
+            time=sp.Symbol("t", real=True),
+        )
+
+    def at(self, values: Array, known: Mapping[str, float]) -> Array:
+        """Return coordinates, then rates, of all bodies (6 b,).
+
+        Raises
+        ------
+        DeclarationProblem
+            If one has no value, or none that can be computed with.
+        """
+        rows = np.arange(self._numbers.max() + 1, dtype=float)
+        found = self._tape.table(rows[:, None], values, np.zeros(len(rows)))
+        starts: Array = found.reshape(len(rows), -1, 6)[self._numbers, self._kinds]
+        worst = np.abs(starts)
+        b, at = np.unravel_index(int(np.argmax(worst)), worst.shape)
+        self._check(int(b), int(at), float(starts[b, at]), known)
+        return starts.reshape(-1, 2, 3).transpose(1, 0, 2).reshape(-1)
+
+    def _check(self, b: int, at: int, value: float, known: Mapping[str, float]) -> None:
+        """Check the largest of the numbers of a start, or one that is none."""
+        owner, key = list(self._scene.bodies)[self._kinds[b]], _KEYS[at]
+        loc, copied = ("bodies", owner, "start", key), self._scene.bodies[owner].copies is not None
+        which = f" of {owner}{self._numbers[b]}" if copied else ""
+        if not np.isfinite(value):
+            text = self._scene.bodies[owner].start[key]  # type: ignore[index]
+            numbered = {**known, INDEX: float(self._numbers[b])} if copied else known
+            try:
+                value_of(text, numbered, *loc)
+            except DeclarationProblem as problem:
+                problem.message += f", the {key}{which}" if copied else ""
+                raise
+            raise DeclarationProblem(f"must be finite, not {value:g}{which}", loc=loc)
+        check_range(value, f"the start{which}", loc)
+
+
+class BodyMechanics(Mechanics):
+    """The symbols of free bodies, of which there may be thousands; equations are not composed.
+
+    Attributes
+    ----------
+    scene : Scene
+        With its bodies one by one, whose starts are in `starts`.
+    owners : tuple of str
+        What each of them is a copy of, or itself.
+    starts : Starts
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        owners = scene.owners()
+        self.owners = tuple(owners.values())
+        kinds = {
+            name: body.model_copy(update={"copies": None, "start": {}})
+            for name, body in scene.bodies.items()
+        }
+        single = {name: kinds[owner] for name, owner in owners.items()}
+        parameters = body_parameters(scene)
+        super().__init__(scene.model_copy(update={"bodies": single}), parameters)
+        self.starts = Starts(scene, parameters)
+        # By the states of the controllers, as runs enter them.
+        self._force_tapes: dict[tuple[tuple[str, str], ...], tuple[Ints, Tape]] = {}
+        self._given_tapes: dict[tuple[tuple[str, str], ...], Tape] = {}
+
+    @cached_property
+    def energy(self) -> sp.Expr:
+        """Kinetic energy plus that of gravity."""
+        gx, gy = self.gravity
+        alike: dict[str, list[str]] = {}
+        for name, owner in zip(self.scene.bodies, self.owners, strict=True):
+            alike.setdefault(owner, []).append(name)
+        terms = []
+        for owner, names in alike.items():
+            mass = self._formula(self.scene.bodies[names[0]].mass)
+            x, y, dx, dy, turn = (
+                [self.known[f"{name}.{c}"] for name in names]
+                for c in ("x", "y", "dx", "dy", "dangle")
+            )
+            inertia = self.known[f"{owner}.inertia"]
+            terms.append(_times(mass / 2, _squares(*dx, *dy)))
+            terms.append(_times(inertia / 2, _squares(*turn)))
+            terms += [_times(-mass * gx, _sum(x)), _times(-mass * gy, _sum(y))]
+        return sp.Add(*terms)
+
+    @cached_property
+    def joint_rows(self) -> tuple[JointRow, ...]:
+        """What all joints hold, by their names and forces; the steps know the rest as numbers."""
+        nothing, rows = sp.S.Zero, list[JointRow]()
+        for name, joint in self.scene.joints.items():
+            for component in joint.components:
+                force = sp.Symbol(f"{component}{len(rows)}", real=True)
+                key = f"{name}.redundant_{component.lower()}"
+                redundant = self.parameters.symbols[key]
+                row = JointRow(
+                    name, component, nothing, nothing, nothing, (), force, nothing, redundant
+                )
+                rows.append(row)
+        return tuple(rows)
+
+    def given_in(self, states: Mapping[str, str]) -> Tape:
+        """Return the values of what is `given` in these states of the controllers."""
+        key = tuple(states.items())
+        if key not in self._given_tapes:
+            self._given_tapes[key] = self.whole_tape(
+                given(self), definitions=given_in(self, states)
+            )
+        return self._given_tapes[key]
+
+    def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
+        """Return the forces on bodies while controllers are in these states."""
+        key = tuple(states.items())
+        if key not in self._force_tapes:
+            self._force_tapes[key] = self._force_tape(states)
+        return Forces(*self._force_tapes[key], values)
+
+    def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
+        """Return which bodies forces act on, and what gives these forces."""
+        found: dict[int, list[sp.Expr]] = {}
+        for force in self.scene.forces.values():
+            for place, known in self._each(force.body):
+                fx, fy = (parse(text).to_sympy(known) for text in force.force)
+                ax, ay = (parse(text).to_sympy(known) for text in force.at)
+                angle = known[f"{force.body}.angle"]
+                c, s = sp.cos(angle), sp.sin(angle)
+                turn = parse(force.moment).to_sympy(known)
+                turn += (c * ax - s * ay) * fy - (s * ax + c * ay) * fx
+                before = found.get(place, [sp.S.Zero] * 3)
+                found[place] = [a + b for a, b in zip(before, (fx, fy, turn), strict=True)]
+        tape = self.whole_tape(
+            [expression for three in found.values() for expression in three],
+            definitions=self.controlled(states),
+        )
+        return np.array([*found], dtype=np.int64), tape
+
+    def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
+        """Yield the places of a body, or of its copies, with what formulas of each may use."""
+        for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
+            if body in (owner, name):
+                own = {
+                    f"{body}.{c}": self.known[f"{name}.{c}"]
+                    for c in ("x", "y", "angle", "dx", "dy", "dangle")
+                }
+                yield place, ChainMap(own, self.known)
+
+
+def _times(factor: sp.Expr, total: sp.Expr) -> sp.Expr:
+    """Return a product that is not spread over the terms of a sum, where the factor is a number."""
+    return sp.Mul(factor, total, evaluate=False) if factor != 0 else sp.S.Zero
+
+
+def _squares(*symbols: sp.Symbol) -> sp.Expr:
+    return _sum([sp.Pow(symbol, 2, evaluate=False) for symbol in symbols])
+
+
+def _sum(terms: Sequence[sp.Expr]) -> sp.Expr:
+    """Return the sum of terms of which no two are alike: to look for these takes most of it."""
+    return sp.Add(*terms, evaluate=False)

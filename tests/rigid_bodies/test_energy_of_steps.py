@@ -1,0 +1,63 @@
+"""The energy of random heaps never grows by more than the scheme's bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from contacts.rigid_bodies.outlines import body_numbers
+from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+from statechart.testing.subject import Subject
+
+HEAP = """
+kind: scene
+name: boxes
+parameters: {{n: {n}, e: {e}, mu: {mu}}}
+gravity: 9.81
+bodies:
+  box:
+    copies: n
+    mass: 1
+    inertia: 0.01
+    shape: {{polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}}
+    start:
+      x: {aside}*sin(3*index + {phase})
+      y: 0.1 + {apart}*(index + {lifted})
+      angle: {tilt}*sin(5*index + {phase})
+      dx: {speed}*cos(index)
+surfaces: {{ground: {{height: 0}}, left: {{line: [[-1, 1], [-1, 0]]}}}}
+collisions: {{all: {{bodies: [box], surfaces: [ground, left], friction: mu, restitution: e}}}}
+stop: {{time: {time}}}
+settings: {{engine: impulse, step: {step}}}
+"""
+STACK = {"aside": 0.02, "apart": 0.2, "lifted": 0, "tilt": 0, "speed": 0}
+DROPPED = {"aside": 0.05, "apart": 0.21, "lifted": 0.1, "tilt": 0, "speed": 0.5}
+THROWN = {"aside": 0.1, "apart": 0.45, "lifted": 0.5, "tilt": 0.7, "speed": 2}
+
+
+@pytest.mark.parametrize("start", [STACK, DROPPED, THROWN])
+@pytest.mark.parametrize(
+    ("restitution", "law"), [(0, "capped"), (1, "capped"), (0, "sequential"), (1, "sequential")]
+)
+@pytest.mark.parametrize("friction", ["0", "0.3", "2", "inf"])
+def test_energy_and_depth_stay_within_the_bounds_of_a_step(start, restitution, law, friction):
+    generator = np.random.default_rng(5 + len(friction) + 10 * restitution)
+    step = float(generator.choice([1e-2, 3e-3, 1e-3]))
+    text = HEAP.format(
+        n=generator.integers(4, 10),
+        e=restitution,
+        mu=friction,
+        phase=generator.uniform(0, 6),
+        time=0.8,
+        step=step,
+        **start,
+    )
+    subject = Subject(interpret(read_text(f"{text}simultaneous: {law}\n")))
+    trace = subject.case({}).trace
+    assert trace.outcome.succeeded, trace.message
+    scene = subject.model
+    numbers = body_numbers(scene, scene.values())
+    assert_energy_of_steps(numbers, subject, trace)
+    assert_depths(numbers, trace)

@@ -1,0 +1,152 @@
+"""Forces that steps would swing ever farther: springs and dampers, free, held, and with others."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+
+from contacts.rigid_bodies import stepped_heap
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import StepTooLarge
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+STEP = 1e-3
+SPRING = """\
+kind: scene
+name: spring
+parameters: {k: 0, c: 0, mu: 0, x0: 0.01, y0: 0.3}
+gravity: 9.81
+bodies: {a: {mass: 2, inertia: 0.02, shape: {disc: 0.1}, start: {x: x0, y: y0}}}
+surfaces: {floor: {height: 0}}
+forces: {pull: {body: a, force: [-k*a.x - c*a.dx, 0], moment: -c*a.dangle/100}}
+collisions: {all: {bodies: [a], surfaces: [floor], friction: mu, restitution: 0}}
+stop: {time: 0.2}
+outputs: {far: {maximum: a.x}}
+settings: {engine: impulse, step: 1e-3}
+"""
+PLANKS = """\
+kind: scene
+name: planks
+parameters: {c: 1}
+gravity: 9.81
+bodies:
+  one: {mass: 1, inertia: 0.00337, shape: {polygon: SHAPE}, start: {x: 0.1}}
+  two: {mass: 1, inertia: 0.00337, shape: {polygon: SHAPE}, start: {x: 0.3}}
+joints:
+  first: {point: {body: one, at: [-0.1, 0]}, to: [0, 0]}
+  second: {point: {body: two, at: [-0.1, 0]}, to: {body: one, at: [0.1, 0]}}
+forces:
+  rub1: {body: one, force: [0, 0], moment: -c*one.dangle}
+  rub2: {body: two, force: [0, 0], moment: -c*two.dangle}
+collisions: {all: {bodies: [one, two], friction: 0, restitution: 0}}
+stop: {time: 0.5}
+outputs: {most: {maximum: energy}}
+settings: {engine: impulse, step: 1e-3}
+""".replace("SHAPE", "[[-0.09, -0.01], [0.09, -0.01], [0.09, 0.01], [-0.09, 0.01]]")
+# Of the mass matrix of the two angles, hanging straight: 1/3 + 1 squares of lengths, and 1/2.
+QUICKEST = 1.0 / (0.5 * (0.05337 + 0.01337) - (0.25 * 0.04**2 + 0.02**2) ** 0.5)
+
+
+@pytest.mark.parametrize("stiff", [{"k": 8e6}, {"c": 4e3}, {"k": 4e6, "c": 2e3}])
+def test_a_spring_and_a_damper_are_followed_up_to_two_radians_a_step(stiff):
+    runner = Runner(interpret(read_text(SPRING)))
+    followed = runner.run({name: 0.98 * value for name, value in stiff.items()})
+    assert followed.outputs["far"] < 0.2
+    with pytest.raises(StepTooLarge, match=r"swing bodies by 2\.\d+ radians in one step") as caught:
+        runner.run({name: 1.02 * value for name, value in stiff.items()})
+    step = float(str(caught.value).rsplit("take ", 1)[1].split()[0])
+    assert 1e-5 < step < STEP
+
+
+def test_what_rolls_swings_with_what_turns_and_what_slides_without():
+    runner = Runner(interpret(read_text(SPRING)))
+    for mu, mass in ((1e9, 4.0), (0.0, 2.0)):
+        # So near that it is within the steepest friction that is computed with.
+        limit = {"x0": 1e-5, "y0": 0.1, "mu": mu, "k": mass * (2.0 / STEP) ** 2}
+        assert runner.run({**limit, "k": 0.98 * limit["k"]}).outputs["far"] < 2e-4
+        with pytest.raises(StepTooLarge):
+            runner.run({**limit, "k": 1.02 * limit["k"]})
+
+
+def test_what_joints_hold_is_as_heavy_as_all_that_moves():
+    runner = Runner(interpret(read_text(PLANKS)))
+    limit = 2.0 / (STEP * QUICKEST)
+    # Alone a plank would swing from 6.7 on.
+    assert limit > 6.7
+    assert runner.run({"c": 0.98 * limit}).outputs["most"] < 1e-3
+    with pytest.raises(StepTooLarge):
+        runner.run({"c": 1.02 * limit})
+
+
+MANY = """\
+kind: scene
+name: many
+parameters: {c: 0}
+gravity: 0
+bodies: {a: {mass: 2, inertia: 0.02, shape: {disc: 0.1}, copies: 600, start: {x: 0.3*index, dx: 1}}}
+forces: {drag: {body: a, force: [-c*a.dx, 0]}}
+collisions: {all: {bodies: [a], friction: 0, restitution: 0}}
+stop: {time: 0.02}
+outputs: {far: {value: energy}}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+def test_any_number_of_bodies_is_looked_at():
+    # One step of a damper leaves 1 - h c/m of a speed.
+    runner = Runner(interpret(read_text(MANY)))
+    assert runner.run({"c": 0.98 * 4e3}).outputs["far"] < 600.0
+    with pytest.raises(StepTooLarge, match="swing bodies by 2"):
+        runner.run({"c": 1.02 * 4e3})
+
+
+def bridge(mass, step):
+    """Ten planks on an arc of one radian between pins, and a box that falls on them."""
+    d = 0.1
+    radius = 0.1 / math.sin(d / 2)
+    at = [
+        (radius * math.sin(0.5) + radius * math.sin(i * d - 0.5),
+         radius * math.cos(0.5) - radius * math.cos(i * d - 0.5))
+        for i in range(11)
+    ]  # fmt: skip
+    plank, names = "[[-0.09, -0.01], [0.09, -0.01], [0.09, 0.01], [-0.09, 0.01]]", ["box"]
+    bodies, joints = [], [f"  end: {{point: {{body: p9, at: [0.1, 0]}}, to: [{at[-1][0]!r}, 0]}}"]
+    for i, ((x, y), (u, v)) in enumerate(itertools.pairwise(at)):
+        start = f"{{x: {(x + u) / 2!r}, y: {(y + v) / 2!r}, angle: {math.atan2(v - y, u - x)!r}}}"
+        names.append(f"p{i}")
+        bodies.append(
+            f"  p{i}: {{mass: 1, inertia: 0.00337, shape: {{polygon: {plank}}}, start: {start}}}"
+        )
+        to = f"{{body: p{i - 1}, at: [0.1, 0]}}" if i else "[0, 0]"
+        joints.append(f"  j{i}: {{point: {{body: p{i}, at: [-0.1, 0]}}, to: {to}}}")
+    box = "[[-0.25, -0.25], [0.25, -0.25], [0.25, 0.25], [-0.25, 0.25]]"
+    bodies.append(
+        f"  box: {{mass: {mass}, inertia: {mass / 50}, shape: {{polygon: {box}}}, "
+        f"start: {{x: {at[-1][0] / 2!r}, y: {at[5][1] + 0.3!r}}}}}"
+    )
+    return "\n".join([
+        "kind: scene", "name: bridge", "gravity: 9.81", "bodies:", *bodies, "joints:", *joints,
+        f"collisions: {{all: {{bodies: {names}, friction: 0.5, restitution: 0}}}}".replace("'", ""),
+        "stop: {time: 0.3}",
+        "outputs: {most: {maximum: energy}, y: {value: box.y}}",
+        f"settings: {{engine: impulse, step: {step}}}",
+    ])  # fmt: skip
+
+
+def test_joints_that_add_energy_end_the_run(monkeypatch):
+    monkeypatch.setattr(stepped_heap, "_ADDED", 1e-3)
+    with pytest.raises(StepTooLarge, match=r"joints have added .* take") as caught:
+        Runner(interpret(read_text(bridge(500, 1e-3)))).run()
+    assert 1e-6 < float(str(caught.value).rsplit("take ", 1)[1].split()[0]) < 1e-2
+
+
+@pytest.mark.parametrize("mass", [500, 5000, 50000])
+def test_a_load_that_jerks_a_bridge_taut_is_carried(mass):
+    # Torn through, or ended, where arms turned as in the step before.
+    text = bridge(mass, 1e-3).replace("outputs: {", "outputs: {first: {value: energy, at: start}, ")
+    outputs = Runner(interpret(read_text(text))).run().outputs
+    assert outputs["y"] == pytest.approx(0.0231, abs=5e-4)
+    assert outputs["most"] < 1.005 * outputs["first"]
