@@ -8,8 +8,8 @@ from heaps import heap
 
 from contacts.rigid_bodies import stepped_heap
 from contacts.rigid_bodies.body_step import step_bodies
-from contacts.rigid_bodies.mass_ratios import ratio_remarks
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.island_step import ratio_remarks
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from contacts.time_stepping import loop
-from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.scene_stepper import SteppedScene
 from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
