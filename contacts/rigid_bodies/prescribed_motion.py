@@ -9,7 +9,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.midpoint import Prescribed
-from contacts.dynamics.control_guards import flows_in, given
+from contacts.dynamics.controllers import flows_in, given
 from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.rigid_bodies.declared_numbers import symbols_of, touched

@@ -40,7 +40,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.replaced_laws import replaced
+from contacts.scene.lint import replaced
 from contacts.states import STATES
 from contacts.time_stepping.chunk import WORK, Chunk
 from contacts.time_stepping.lazy_arcs import TERMS

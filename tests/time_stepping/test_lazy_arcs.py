@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.time_stepping import loop
+from contacts.time_stepping import stepper
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import Steps
 from statechart.automaton.clock import Clock
@@ -47,7 +47,7 @@ def test_what_is_too_much_to_keep_is_made_anew(monkeypatch: pytest.MonkeyPatch) 
     kept = run(n=12)
     assert kept.arcs[3] is kept.arcs[3]
     # Of what a run keeps polynomials would be more than a trace may take.
-    monkeypatch.setattr(loop, "LARGEST", 1000)
+    monkeypatch.setattr(stepper, "LARGEST", 1000)
     passing = run(n=12)
     assert passing.arcs[3] is not passing.arcs[3]
     assert passing.at_hand() is passing
