@@ -13,9 +13,8 @@ from contacts.dynamics.mechanics import Mechanics
 from statechart.arrays import Array
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
-from statechart.charts.firing import Guard, guard_claims, guard_margins, guards
-from statechart.charts.flat_region import FlatRegion, FlatTransition
-from statechart.charts.guard_watch import GuardWatch
+from statechart.charts.flatten import FlatRegion, FlatTransition
+from statechart.charts.guard_watch import Guard, GuardWatch, guard_claims, guard_margins, guards
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition
 

@@ -16,7 +16,7 @@ from contacts.dynamics.setup import SceneSetup
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.charts.flat_region import Updates
+from statechart.charts.flatten import Updates
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape

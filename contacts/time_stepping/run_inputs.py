@@ -12,8 +12,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_tapes import StopTapes
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
-from statechart.automaton.time_stepper import Impulses
+from statechart.automaton.time_stepper import RECORD_ALL, Impulses, RecordingPolicy
 from statechart.automaton.trace import Jump, Key
 from statechart.errors import SimulationError
 from statechart.formulas.tape import Tape

@@ -17,10 +17,16 @@ from contacts.time_stepping.run_inputs import RunInputs, Span, Stepping
 from contacts.time_stepping.stop_tapes import StopTapes
 from contacts.time_stepping.stops import StopConditions
 from statechart.arrays import Bools
-from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.sampling import Sample, Sampling, in_order
-from statechart.automaton.time_stepper import USUAL, Impulses
+from statechart.automaton.time_stepper import (
+    RECORD_ALL,
+    USUAL,
+    Impulses,
+    RecordingPolicy,
+    Sample,
+    Sampling,
+    in_order,
+)
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Trace
 from statechart.documents.setting import Record
 from statechart.errors import DeclarationProblem, Unsupported
