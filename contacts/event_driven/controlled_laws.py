@@ -14,13 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.control_guards import Controllers
-from contacts.dynamics.controller_state import ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.candidates import Candidate, Case, candidates
+from contacts.modes.classification import Candidate, Case, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock

@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.dynamics.control_guards import Controllers, controller, given, memory_rates
+from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.rigid_bodies.body_step import step_bodies
@@ -28,8 +28,7 @@ from contacts.rigid_bodies.paths import Paths
 from contacts.rigid_bodies.recall import Recall
 from contacts.rigid_bodies.stepped_heap import SteppedHeap
 from contacts.rigid_bodies.surroundings import Surroundings
-from contacts.scene.checks import check_physical
-from contacts.scene.collision_checks import check_shapes
+from contacts.scene.checks import check_physical, check_shapes
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES

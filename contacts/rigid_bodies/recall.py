@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from contacts.dynamics.control_guards import flows_in
+from contacts.dynamics.controllers import flows_in
 from contacts.dynamics.mechanics import Mechanics
 from statechart.arrays import Array
 from statechart.automaton.trace import Key

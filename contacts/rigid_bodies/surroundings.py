@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from contacts.collision_detection.applied import Ahead
-from contacts.dynamics.control_guards import given
+from contacts.dynamics.controllers import given
 from contacts.rigid_bodies.declared_surfaces import touched
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.paths import Paths, Where

@@ -16,8 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from contacts.dynamics.control_guards import Controllers
-from contacts.dynamics.controller_state import ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.time_stepping.active_states import ActiveStates

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from contacts.dynamics.control_guards import given
-from contacts.dynamics.controller_state import ControllerState
+from contacts.dynamics.controllers import ControllerState, given
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers

@@ -10,7 +10,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.replaced_laws import replaced
+from contacts.scene.lint import replaced
 from contacts.states import STATES
 from contacts.time_stepping.loop import made_ready
 from contacts.time_stepping.run_inputs import RunInputs, Span, Stepping
