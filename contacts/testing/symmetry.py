@@ -149,7 +149,7 @@ class _Change:
             case tuple():
                 items = tuple(self._value(name, one, unit) for one in value)
                 return items[::-1] if name in _OUTLINES and self.x < 0.0 else items
-            case str() | int() | float() if name in _RELATIONS:
+            case str() if name in _RELATIONS:
                 return self._relation(value)
             case str() | int() | float() if name == "height":
                 return _times(self._read(parse(value), {"x": self.x}), up)
