@@ -26,7 +26,7 @@ from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.firing import Listening
+from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop
 
 _TOLD = 4  # of those that follow each other for ever

@@ -50,10 +50,16 @@ from contacts.time_stepping.step_rejection import Rejection, Squeezed, evenly, n
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.sampling import Sample, Sampling, in_order
-from statechart.automaton.time_stepper import USUAL, Impulses
+from statechart.automaton.time_stepper import (
+    RECORD_ALL,
+    USUAL,
+    Impulses,
+    RecordingPolicy,
+    Sample,
+    Sampling,
+    in_order,
+)
 from statechart.automaton.trace import (
     FAR_TOO_MANY,
     LARGEST,
