@@ -35,7 +35,6 @@ from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.compiled_loop import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_ready
-from statechart.kernels.kinds import is_cached
 
 
 class CompiledSceneLaws:
@@ -153,7 +152,7 @@ class CompiledSceneLaws:
 
     def batch_compiled(self) -> bool:
         """Whether the call for many runs lies compiled on disk."""
-        return is_cached(run_batch)
+        return run_batch.is_cached
 
     def batch(self, loop: Loop, names: Sequence[str], relative: float) -> BatchCall | None:
         """Return the call for runs with values of some parameters."""

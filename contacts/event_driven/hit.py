@@ -21,7 +21,7 @@ from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.engines.mode_table import Program, tape_of
 from statechart.kernels.copies import put
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 
@@ -57,7 +57,7 @@ class SceneWatch(NamedTuple):
     capture: float
 
 
-@part
+@kernel
 def rules_of(scene: SceneWatch) -> ModeRules:
     """Return what of a scene decides the modes of its contacts."""
     return ModeRules(
@@ -66,7 +66,7 @@ def rules_of(scene: SceneWatch) -> ModeRules:
     )  # fmt: skip
 
 
-@part
+@kernel
 def classified(
     scene: SceneWatch,
     numbers: Array,
@@ -80,7 +80,7 @@ def classified(
     return classify(rules_of(scene), numbers, n, under_way, kept, lowest, taken)
 
 
-@part
+@kernel
 def _closed(
     scene: SceneWatch, kept: Ints, numbers: Array, first: int, group: Ints
 ) -> tuple[int, int]:
@@ -107,7 +107,7 @@ def _closed(
     return count, striking
 
 
-@part
+@kernel
 def _alone(
     scene: SceneWatch, mass: Array, numbers: Array, at: int, place: int, c: int,
     velocity: Array, impulse: Array,
@@ -144,7 +144,7 @@ def _alone(
     return path
 
 
-@seldom
+@kernel
 def _flies(
     numbers: Array, state: Array, cones: Array, fast: Bools, lowest: float, capture: float,
     force: float, acceleration: float,
@@ -193,7 +193,7 @@ def _flies(
     return True
 
 
-@part
+@kernel
 def hit(
     program: Program,
     scene: SceneWatch,

@@ -63,7 +63,7 @@ from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 # What a longer run takes is not worth a row.
@@ -103,7 +103,7 @@ class SceneBatch(NamedTuple):
     ahead: float
 
 
-@part
+@kernel
 def _watches(
     scene: SceneBatch, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
 ) -> tuple[Watch, SceneWatch]:
@@ -143,7 +143,7 @@ def _watches(
     )  # fmt: skip
 
 
-@part
+@kernel
 def _start(
     program: Program,
     scene: SceneBatch,
@@ -187,7 +187,7 @@ def _start(
     return mode
 
 
-@part
+@kernel
 def _closing(program: Program, mode: int, watch: Watch, state: Array, time: float) -> int:
     """Return how a run ends whose time is over, see `statechart.execution.finding.closing`."""
     row = program.modes[mode]
@@ -205,7 +205,7 @@ def _closing(program: Program, mode: int, watch: Watch, state: Array, time: floa
     return CLOSING if judged else ENDED
 
 
-@part
+@kernel
 def _alone(program: Program, mode: int, watch: Watch, state: Array, time: float) -> bool:
     """Whether nothing but a stop happens at an instant: what else does comes first."""
     row = program.modes[mode]
@@ -220,7 +220,7 @@ def _alone(program: Program, mode: int, watch: Watch, state: Array, time: float)
     return True
 
 
-@part
+@kernel
 def _end(
     program: Program, reason: int, margin: int, place: Ints, been: Bools, watch: Watch,
     state: Array, time: float,
@@ -234,14 +234,14 @@ def _end(
     return _closing(program, mode, watch, state, time) if been[mode] else ENDED
 
 
-@part
+@kernel
 def put_ints(source: Ints, target: Ints) -> None:
     """Copy whole numbers (n,)."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@part
+@kernel
 def _other(values: Array, zeros: Bools) -> bool:
     """Whether other parameters are zero than these."""
     other = False
@@ -250,7 +250,7 @@ def _other(values: Array, zeros: Bools) -> bool:
     return other
 
 
-@kernel
+@kernel(interpreted=False)
 def run_batch(
     program: Program,
     pace: Pace,

@@ -50,7 +50,7 @@ from statechart.execution.compiled_loop import (
 from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import follow
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
@@ -67,7 +67,7 @@ MOST_AT_ONCE = 16
 _STEPS, _BOXES = 4096, 65536
 
 
-@part
+@kernel
 def record_arc(
     block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
 ) -> None:
@@ -96,7 +96,7 @@ def record_arc(
     used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 
-@part
+@kernel
 def _cause(before: int, after: int) -> int:
     if before == OFF_CODE or after == OFF_CODE:
         return ENABLE if before == OFF_CODE else DISABLE
@@ -109,7 +109,7 @@ def _cause(before: int, after: int) -> int:
     return SLIP if before == PIN else REVERSE
 
 
-@part
+@kernel
 def _hold(
     program: Program,
     watch: Watch,
@@ -141,7 +141,7 @@ def _hold(
                 watch.targets[k] = 0.0
 
 
-@part
+@kernel
 def row_of(program: Program, states: Ints) -> int:
     """Return the mode of these states of the contacts; -1 where it is not compiled."""
     modes = program.modes
@@ -157,7 +157,7 @@ def row_of(program: Program, states: Ints) -> int:
     return -1
 
 
-@part
+@kernel
 def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     """Whether other contacts may have been hit since a contact last was: the laws are to know."""
     if row % _PER_CAUSE != TOUCHDOWN:
@@ -172,7 +172,7 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     return True
 
 
-@part
+@kernel
 def _instant(
     program: Program,
     watch: Watch,
@@ -295,7 +295,7 @@ def _instant(
     return GOES_ON, 0, 0.0
 
 
-@kernel
+@kernel(interpreted=False)
 def run_compiled(
     program: Program,
     pace: Pace,

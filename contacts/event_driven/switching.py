@@ -23,7 +23,7 @@ from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.engines.flow_watch import Watch
 from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
 _BESIDE = 16.0
@@ -268,7 +268,7 @@ def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
     )
 
 
-@part
+@kernel
 def hold_conditions(
     program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
 ) -> None:
@@ -291,7 +291,7 @@ def hold_conditions(
             watch.bands[scene.slots[i]] = bands[i]
 
 
-@part
+@kernel
 def switched(
     scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
     taken: Ints,

@@ -28,7 +28,7 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 MAX_CONTACTS = 4
 """Contacts in one impact."""
@@ -40,7 +40,7 @@ _EDGE = 1e-9
 _UNEXPLAINED = 1e-12
 
 
-@part
+@kernel
 def _list_choices(allowed: Bools, cone: Array, choices: Ints) -> int:
     """List what a contact may do in an impact; return how many, 0 where its cone is too steep."""
     choices[0] = FREE
@@ -56,7 +56,7 @@ def _list_choices(allowed: Bools, cone: Array, choices: Ints) -> int:
     return 4
 
 
-@part
+@kernel
 def _explained(mass: Array, jacobians: Array, change: Array, impulses: Array) -> bool:
     """Whether impulses explain all changes of momentum."""
     for i in range(change.shape[0]):
@@ -73,7 +73,7 @@ def _explained(mass: Array, jacobians: Array, change: Array, impulses: Array) ->
     return True
 
 
-@part
+@kernel
 def strike_group(
     rules: ModeRules, numbers: Array, restitution: Array, group: Ints, velocity: Array,
     impulse: Array,

@@ -17,7 +17,6 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
-from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
     closed_joints,
@@ -44,7 +43,6 @@ from statechart.automaton.regions import Region, State, StopCondition, stop_cond
 from statechart.automaton.time_stepper import USUAL
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
-from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
 _START_DEPTH = 1e-6
@@ -280,15 +278,9 @@ class BodyStepper(Stepper):
             found.steps(0.0, 1e-9 * length / speed, start, 1)
             return found
 
-        def looked(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
-            # One step does not pay to compile it.
-            if is_ready(step_bodies):
-                return trial(numbers, start)
-            return by_python(lambda: trial(numbers, start))
-
         near = _START_DEPTH * length
         try:
-            found = check_apart(looked, bodies, self._names, owners, setup.initial, near)
+            found = check_apart(trial, bodies, self._names, owners, setup.initial, near)
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
         return bodies, *found

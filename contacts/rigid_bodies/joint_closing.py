@@ -13,7 +13,7 @@ from contacts.solvers.contact_rows import HELD, ContactRows, add, joint_work, mo
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import late
+from statechart.kernels.jit import kernel
 
 # So often impulses are found that close joints as their arms turn by them, as long as the work that
 # they leave falls by this part in so many; where that is this part of the energy of motion they do
@@ -21,7 +21,7 @@ from statechart.kernels.jit import late
 _TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
 
 
-@late
+@kernel
 def _followed(
     numbers: BodyNumbers, space: Workspace, members: Ints, contacts: ContactRows, h: float,
     impulses: Array, sudden: Array, in_turn: bool, turns: Array,
@@ -85,7 +85,7 @@ def _followed(
     return most, fastest, work, energy
 
 
-@late
+@kernel
 def close_joints(
     numbers: BodyNumbers, space: Workspace, members: Ints, contacts: ContactRows, h: float,
     rebounds: Bools, sudden: Array, in_turn: bool, near: float, bound: float, allowed: float,

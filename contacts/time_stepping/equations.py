@@ -11,7 +11,7 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.saddle_point import substitute
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 HOLDING = 3
 """So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
@@ -185,7 +185,7 @@ _SINGULAR = 1e-12
 _LIGHTEST = 1e-9
 
 
-@part
+@kernel
 def _factor(matrix: Array) -> tuple[bool, Ints]:
     """Factor in place with partial pivoting of equilibrated rows; False where singular."""
     size = len(matrix)
@@ -228,7 +228,7 @@ def _factor(matrix: Array) -> tuple[bool, Ints]:
     return True, order
 
 
-@part
+@kernel
 def back(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
     x = np.empty(len(right))
@@ -236,7 +236,7 @@ def back(factors: Array, order: Ints, right: Array) -> Array:
     return x
 
 
-@part
+@kernel
 def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     """Return the least inertia (n,) of every coordinate: small beside the bodies' at its levers."""
     reach = np.zeros(n)
@@ -252,7 +252,7 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     return _LIGHTEST * heaviest * reach**2
 
 
-@part
+@kernel
 def factored(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:

@@ -35,7 +35,7 @@ from contacts.time_stepping.equations import (
 from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, moved_columns
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 # So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
 LEFT = 4.0
@@ -44,7 +44,7 @@ LEFT = 4.0
 ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
-@part
+@kernel
 def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     """Let all contacts settle where the mode of one changes; return whether they do."""
     changes = False
@@ -56,7 +56,7 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     return changes
 
 
-@part
+@kernel
 def _free_accelerations(scene: StepConstants, tape: Tape, factors: Array, order: Ints) -> Array:
     """Return the accelerations of the coordinates without free contacts' forces."""
     n, numbers, right = tape.size, tape.numbers, np.zeros(len(order))
@@ -75,7 +75,7 @@ def _free_accelerations(scene: StepConstants, tape: Tape, factors: Array, order:
     return back(factors, order, right)
 
 
-@part
+@kernel
 def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes: Array) -> None:
     """Write the accelerations (2,) of contact i, and the sums of the sizes of their terms."""
     n = tape.size
@@ -90,7 +90,7 @@ def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes:
         sizes[d] += abs(along)
 
 
-@part
+@kernel
 def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
     """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
     row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
@@ -98,7 +98,7 @@ def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -
     return gap <= LEFT * h * left and rate <= left
 
 
-@part
+@kernel
 def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
     sizes: Array, found: Array, sums: Array,
@@ -133,7 +133,7 @@ def solve_accelerations(
     return solved, forces
 
 
-@part
+@kernel
 def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
     """Clear accelerations (2,) that are zero to the first order of the step.
 
@@ -145,7 +145,7 @@ def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
             accelerations[d] = 0.0
 
 
-@part
+@kernel
 def end_slips(
     slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
 ) -> bool:
@@ -163,12 +163,12 @@ def end_slips(
     return found
 
 
-@part
+@kernel
 def _direction(mode: int) -> float:
     return 1.0 if mode == SLIDE_PLUS else -1.0 if mode == SLIDE_MINUS else 0.0
 
 
-@part
+@kernel
 def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact with these accelerations (2,)."""
     if acceleration[0] > 0.0:
@@ -181,7 +181,7 @@ def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed
     return SLIDE_PLUS if along > 0.0 else SLIDE_MINUS
 
 
-@beside
+@kernel
 def settle(
     scene: StepConstants, memory: ContactMemory, tape: Tape, factors: Array, order: Ints, k: int,
     chunk: Chunk,
@@ -250,7 +250,7 @@ def settle(
     _show(memory, n + scene.joints, k, chunk)
 
 
-@part
+@kernel
 def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
     """End the settling where the impulses of step k agree with the modes shown.
 

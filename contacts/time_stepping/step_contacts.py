@@ -39,10 +39,10 @@ from contacts.time_stepping.equations import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 
-@part
+@kernel
 def energy_added(
     numbers: Array,
     rates: Array,
@@ -105,7 +105,7 @@ def energy_added(
 ROUNDING = 1e-9
 
 
-@part
+@kernel
 def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact that bears an impulse.
 
@@ -131,7 +131,7 @@ def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed
     return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
 
 
-@part
+@kernel
 def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
     """Return the velocity of contact `a` after a step, 0 where that is rounding.
 
@@ -151,7 +151,7 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
     return after if abs(after) > ROUNDING * terms else 0.0
 
 
-@part
+@kernel
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
     """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
@@ -164,7 +164,7 @@ _OPPOSITE = 1e-9
 _BENT = 1.01
 
 
-@part
+@kernel
 def close_opposed(
     scene: StepConstants, memory: ContactMemory, tape: Tape, h: float, met: Met
 ) -> None:
@@ -195,7 +195,7 @@ def close_opposed(
                 break
 
 
-@part
+@kernel
 def _opposing_lever(tape: Tape, i: int, other: int) -> float:
     """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
     n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
@@ -219,7 +219,7 @@ _FELT = 1e-3
 _LATE = 1e-9
 
 
-@part
+@kernel
 def taking_part(
     scene: StepConstants, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
     chunk: Chunk,
@@ -263,7 +263,7 @@ def taking_part(
             chunk.closing[k] = max(chunk.closing[k], -gap)
 
 
-@part
+@kernel
 def _alone(groups: Ints, a: int) -> bool:
     """Whether a contact is the only one of its group."""
     alone = True
@@ -272,7 +272,7 @@ def _alone(groups: Ints, a: int) -> bool:
     return alone
 
 
-@part
+@kernel
 def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array:
     """Return what unit impulses of contacts do to all that moves (2 m, s)."""
     n = tape.size
@@ -286,7 +286,7 @@ def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array
     return columns
 
 
-@part
+@kernel
 def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
     """Return what unit impulses of contacts do to their velocities."""
     m, n = len(which), tape.size
@@ -302,7 +302,7 @@ def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
     return result
 
 
-@part
+@kernel
 def _groups(scene: StepConstants, tape: Tape, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
     numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
@@ -320,7 +320,7 @@ def _groups(scene: StepConstants, tape: Tape, which: Ints) -> Ints:
     )
 
 
-@part
+@kernel
 def contact_problem(
     scene: StepConstants, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
 ) -> Problem:
@@ -349,7 +349,7 @@ def contact_problem(
     )  # fmt: skip
 
 
-@part
+@kernel
 def guessed(problem: Problem, bases: Bools) -> Bools:
     """Return which unknowns (4 m,) are positive: those of the last problem; what is new presses."""
     m = len(problem.which)
@@ -364,7 +364,7 @@ def guessed(problem: Problem, bases: Bools) -> Bools:
     return guess
 
 
-@part
+@kernel
 def answered(
     scene: StepConstants, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
     least: Array, pushes: Array,
@@ -392,7 +392,7 @@ def answered(
     return Answer(z, basis, least, pushes, steady, slides, several, jammed)
 
 
-@part
+@kernel
 def energy_of(
     scene: StepConstants, tape: Tape, problem: Problem, pushes: Array, rates: Array
 ) -> float:
@@ -411,7 +411,7 @@ def energy_of(
     return energy_added(tape.numbers, rates, rows, problem.groups, work, moving, scene.negligible)
 
 
-@part
+@kernel
 def mixed_with_impacts(
     memory: ContactMemory, tape: Tape, problem: Problem, pushes: Array, h: float
 ) -> Bools:
@@ -435,7 +435,7 @@ def mixed_with_impacts(
     return mixed
 
 
-@part
+@kernel
 def told(
     scene: StepConstants, memory: ContactMemory, problem: Problem, answer: Answer, met: Met, k: int,
     chunk: Chunk,
@@ -474,7 +474,7 @@ def told(
     return modes
 
 
-@part
+@kernel
 def coupled_order_matters(
     bodies: Ints, pairs: Ints, lively: Bools, delassus: Array, cones: Array, impulses: Array
 ) -> bool:
@@ -500,7 +500,7 @@ def coupled_order_matters(
     return False
 
 
-@part
+@kernel
 def _share_body(bodies: Ints, a: int, b: int) -> bool:
     shared = False
     for i in range(2):
@@ -509,7 +509,7 @@ def _share_body(bodies: Ints, a: int, b: int) -> bool:
     return shared
 
 
-@part
+@kernel
 def order_decides(scene: StepConstants, problem: Problem, k: int, chunk: Chunk) -> bool:
     """Return whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
@@ -525,7 +525,7 @@ def order_decides(scene: StepConstants, problem: Problem, k: int, chunk: Chunk) 
     )
 
 
-@part
+@kernel
 def as_shared(
     memory: ContactMemory, tape: Tape, problem: Problem, modes: Ints, steady: Array, k: int,
     chunk: Chunk,
@@ -552,7 +552,7 @@ def as_shared(
     return result
 
 
-@part
+@kernel
 def nothing_borne(off: Bools, before: int, k: int, chunk: Chunk) -> None:
     """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
     for i in range(len(off)):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.engines.mode_table import MARGINS, MARGINS_AT, TAPE, WATCHED, Program, tape_of
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 PLAIN, GAP, SPEED, FORCE = range(4)
@@ -36,7 +36,7 @@ class Watch(NamedTuple):
     room: float  # How far what is to stay above zero may fall.
 
 
-@part
+@kernel
 def usual_tolerances(
     program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array
 ) -> None:
@@ -46,7 +46,7 @@ def usual_tolerances(
         tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
 
 
-@part
+@kernel
 def first_tolerances(
     program: Program,
     row: NDArray[np.int64],
@@ -72,7 +72,7 @@ def first_tolerances(
                 tolerances[i] = 0.0
 
 
-@part
+@kernel
 def _margins_at(
     program: Program,
     row: NDArray[np.int64],

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.search_memory import Memory, room
 from statechart.kernels.tapes import tape_values
 
@@ -45,7 +45,7 @@ class Program(NamedTuple):
     modes: NDArray[np.int64]  # (m, `COLUMNS`): rows of zeros are modes that have not been compiled.
 
 
-@part
+@kernel
 def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
     """Code, constants, outputs, reads and n_fixed of a tape."""
     ints, floats = program.ints, program.floats
@@ -58,7 +58,7 @@ def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, In
     )
 
 
-@part
+@kernel
 def stands(
     program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
 ) -> bool:

@@ -10,7 +10,7 @@ from statechart.arrays import Array, Ints32
 from statechart.engines.heyoka_step import call_step
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
 from statechart.kernels.search import NONE, search
@@ -36,7 +36,7 @@ Integrator = tuple[int, Array, Array, Array, Array, float, float]
 the integration began and its rounding, series (n, d + 1), tolerance, longest step."""
 
 
-@part
+@kernel
 def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
     """How far the slope at the end of a step is off the rate there, in parts of the motion.
 
@@ -58,7 +58,7 @@ def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> f
     return worst / size
 
 
-@part
+@kernel
 def expand(series: Array, h: float, row: Array, powers: Array) -> None:
     """Write a series in time as a polynomial in s = time / h, and the powers (d + 1,) of h.
 
@@ -75,7 +75,7 @@ def expand(series: Array, h: float, row: Array, powers: Array) -> None:
             row[v, k] = 0.0 if series[v, k] == 0.0 else value
 
 
-@part
+@kernel
 def _finite(row: Array) -> bool:
     """Whether all terms of a step are."""
     bounded = True
@@ -85,7 +85,7 @@ def _finite(row: Array) -> bool:
     return bounded
 
 
-@part
+@kernel
 def let_pass(clock: Array, h: float) -> None:
     """Let the time `h` pass (Knuth's two-sum)."""
     later = clock[0] + h
@@ -94,7 +94,7 @@ def let_pass(clock: Array, h: float) -> None:
     clock[0] = later
 
 
-@part
+@kernel
 def _taylor_steps(
     integrator: Integrator,
     duration: float,
@@ -180,7 +180,7 @@ def _taylor_steps(
             left -= h
 
 
-@seldom
+@kernel
 def taylor_flow(
     moved: bool,
     initial: Array,

@@ -9,8 +9,8 @@ import pytest
 from statechart.cli import ahead_of_time
 from statechart.cli.main import main
 from statechart.compiling import StderrLine
+from statechart.kernels.jit import Kernel
 from statechart.kernels.jit import ahead_of_time as compiling_ahead
-from statechart.kernels.kinds import Seldom
 
 
 @pytest.fixture
@@ -53,9 +53,9 @@ def test_kernels_compile_at_their_first_call_while_compiling_ahead():
     def twice(x):
         return 2.0 * x
 
-    kernel = Seldom(twice, "kernel")
+    kernel = Kernel(twice, interpreted=True)
     assert kernel(1.0) == 2.0
-    assert "made" not in kernel.__dict__
+    assert "compiled" not in kernel.__dict__
     with compiling_ahead():
         assert kernel(1.0) == 2.0
-    assert kernel.made.overloads
+    assert kernel.compiled.overloads
