@@ -86,13 +86,7 @@ class Automaton:
 
     @property
     def laws_of_events(self) -> Laws:
-        """The laws, for those who cannot do without.
-
-        Raises
-        ------
-        Unsupported
-            If only steps can run the model.
-        """
+        """The laws; raises `Unsupported` if only steps can run the model."""
         if self.laws is None:
             raise Unsupported(
                 f"{self.name!r} runs on the engine impulse alone: say --engine impulse "
@@ -200,13 +194,7 @@ class Component:
 
 
 class Places:
-    """Places of a component's regions, variables and parameters in the whole.
-
-    Attributes
-    ----------
-    regions, variables, parameters : array of int
-    whole : Automaton
-    """
+    """Places of a component's regions, variables and parameters in the whole, arrays of int."""
 
     def __init__(self, component: Component, whole: Automaton) -> None:
         part, named = component.automaton, component.named

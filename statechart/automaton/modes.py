@@ -19,10 +19,7 @@ from statechart.formulas.linear import Definition, solve_linear
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
     """Solve the equations of `roles`.
 
-    Raises
-    ------
-    Singular
-        If the equations leave an unknown free whatever the numbers are.
+    Raises `Singular` if they leave an unknown free whatever the numbers are.
     """
     bare = uncaptured(roles)
     if bare != roles:

@@ -65,31 +65,11 @@ def explored(
     """Return the product automaton, or the part of it that is asked for; no other is built.
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
-    declares, is an edge without guard.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose regions.
-    around : iterable of Key
-        Where to begin; the modes of the trace by default.
-    within : int, optional
-        How many edges lead there from the modes `around`, at most: with 0 and a trace they are
-        those visited. By default all modes are there.
-    trace : Trace, optional
-        A run, whose visits are counted.
-    found : Feasibility, optional
-        Which modes are possible.
-    directions : bool
-        Whether directions of sliding are told apart.
-    unreached : bool
-        Whether the declared states that no chain of transitions enters are there, too, as modes
-        that are not feasible.
-
-    Raises
-    ------
-    StatechartError
-        If there are more modes than `MOST_MODES`, or those given are not of this automaton.
+    declares, is an edge without guard. The part has the modes up to `within` edges from those
+    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are counted.
+    `directions` of sliding are told apart. With `unreached` the declared states that no chain of
+    transitions enters are there, too, as modes that are not feasible. Raises `StatechartError` if there
+    are more modes than `MOST_MODES`, or those given are not of this automaton.
     """
     charts = tuple(
         drawn_region(region, directions=directions, unreached=unreached)
@@ -134,13 +114,7 @@ def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> It
 def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
-    """Judge every product mode at a configuration.
-
-    Raises
-    ------
-    StatechartError
-        If the modes cannot be judged there.
-    """
+    """Judge every product mode; raises `StatechartError` if they cannot be judged there."""
     if automaton.laws is None or automaton.modes_total > MOST_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)

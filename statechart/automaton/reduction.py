@@ -152,23 +152,9 @@ def minimal_equations(
 ) -> tuple[Definition, ...]:
     """Solve the equations of a mode some of whose coordinates are eliminated.
 
-    Parameters
-    ----------
-    coordinates, elimination
-        Of the mode.
-    motion : sequence of Expr
-        Equations of motion of the coordinates that are left.
-    laws : sequence of Expr
-        Those of the forces that may do work on them.
-    follow : sequence of Expr
-        The equations of the coordinates eliminated.
-    unknowns : sequence of Symbol
-        Of the automaton: accelerations and forces.
-
-    Returns
-    -------
-    tuple of (Symbol, Expr)
-        As of `statechart.formulas.linear.solve_linear`.
+    `motion` are the equations of the coordinates that are left, `laws` those of the forces that may
+    do work on them, `follow` the equations of the coordinates eliminated. `unknowns` are those of the
+    automaton. Returns definitions as `statechart.formulas.linear.solve_linear`.
     """
     left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
     forces = [u for u in unknowns if u not in coordinates.accelerations]

@@ -82,22 +82,12 @@ def compare(
     brief: float = 0.0,
     nothing: float = 0.0,
 ) -> Difference:
-    """Compare two runs; a number that is not finite in both must be the same.
+    """Compare two runs of one model from one start, and their outputs.
 
-    Parameters
-    ----------
-    coarse, fine : Trace
-        Two runs of one model from one start.
-    coarse_outputs, fine_outputs : mapping
-        Their outputs.
-    scales : Scales
-        From `Outputs.scales` of one of the runs; what it does not have is as large as itself.
-    endless : collection of str
-        Outputs whose number of events has no limit: only those that both runs have are compared.
-    brief : float
-        As in `paired`.
-    nothing : float
-        What is no larger is the rounding of zero, whatever else is in the run.
+    A number that is not finite in both must be the same. A number without a scale (from
+    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number of
+    events has no limit, only those that both runs have are compared. `brief`: as in `paired`. What is
+    no larger than `nothing` is the rounding of zero, whatever else is in the run.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome

@@ -72,11 +72,8 @@ def _sentence(several: Sequence[Graze]) -> str:
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     """Return where it is open whether guards of a run pass their boundary, or touch it.
 
-    Returns
-    -------
-    tuple of Graze
-        In the order of time, the closest of every flow; none of a run by steps. Least values are
-        looked for between 16 places of every step.
+    In the order of time, the closest of every flow; none of a run by steps. Least values are looked
+    for between 16 places of every step.
     """
     simulator = observer.simulator
     if not isinstance(simulator, Simulator):

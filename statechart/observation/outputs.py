@@ -45,12 +45,8 @@ class Outputs(OutputGroups):
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
 
-        A value at an event that never happened is None, the count of it 0, the list empty.
-
-        Raises
-        ------
-        FormulaError, StatechartError
-            If a formula cannot be evaluated.
+        A value at an event that never happened is None, the count of it 0, the list empty. Raises
+        `StatechartError` if a formula cannot be evaluated.
         """
         if trace.outputs is not None:
             return {name: trace.outputs[name] for name in self.names}

@@ -35,12 +35,8 @@ _TOLERANCES: Mapping[Dimension, str] = {
 class RunScales:
     """The scales of one run.
 
-    Attributes
-    ----------
-    variables : (n,) array
-        Of each variable: its largest magnitude, or `_SMALL` of its kind's scale where that is more.
-    zeros : (n,) array
-        Below these the variables are zero but for round-off.
+    `variables` (n,) are their largest magnitudes, or `_SMALL` of their kinds' scales where that is
+    more; below `zeros` (n,) they are zero but for round-off.
     """
 
     def __init__(self, observer: Observer, trace: Trace) -> None:

@@ -196,9 +196,9 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
     automaton = observer.automaton
 
     def least(one: Invariant) -> float:
-        if not one.relation.members:
+        if not one.relation.members:  # of poses, too, which know no modes
             return observer.extremes(trace, one.margin(automaton.active(())).expression)[0]
-        return observer.lowest(trace, lambda key: one.margin(automaton.active(key)).expression)
+        return observer.extremes(trace, lambda key: one.margin(automaton.active(key)).expression)[0]
 
     lost = unkept_invariants(automaton, trace)
     return {one.name: least(one) for one in automaton.invariants if one not in lost}
