@@ -40,7 +40,8 @@ def split(
 
     A part is its declaration, and neutral name -> name. `moving` are the sections whose entities
     change in time, or say how others do; `regions` those of them whose entities are regions.
-    `reserved` returns the words of the document that no name may be, as names are replaced in texts.
+    `reserved` returns the words of the document that no name may be, as names are replaced in
+    texts.
     """
     entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
     stops = data.get("stop", {}).get("conditions", {})

@@ -53,9 +53,9 @@ def integrals(
     """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a piece.
 
     Pieces are steps, halved until every output is resolved in them: what is narrower than a step is
-    found by its enclosure, and a kink ends in a piece as wide as rounding. The limits are local times;
-    what lies outside the steps does not count. Returns the integrals (n_out,), and the local times at
-    which the pieces end. Raises `ValueError` if a shape does not fit.
+    found by its enclosure, and a kink ends in a piece as wide as rounding. The limits are local
+    times; what lies outside the steps does not count. Returns the integrals (n_out,), and the local
+    times at which the pieces end. Raises `ValueError` if a shape does not fit.
     """
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(

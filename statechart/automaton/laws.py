@@ -167,9 +167,9 @@ class Laws(Protocol):
     ) -> tuple[Jump, Flow] | None:
         """Skip the rest of a sequence of jumps that accumulate.
 
-        `jumps` are the last ones; behind the last of them the rest can be skipped, which takes the time
-        `rest`. Returns that jump and the flow after it, changed; None where the sequence has to go on.
-        Raises `Zeno` if nothing declared says what follows.
+        `jumps` are the last ones; behind the last of them the rest can be skipped, which takes the
+        time `rest`. Returns that jump and the flow after it, changed; None where the sequence has
+        to go on. Raises `Zeno` if nothing declared says what follows.
         """
         ...
 

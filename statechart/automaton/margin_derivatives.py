@@ -48,7 +48,8 @@ class MarginDerivatives:
 
         `margin` is the name of a margin of the mode of `roles`, or an expression of the variables,
         parameters and time. The mode is entered in `state` (n,), whose terms are of `sizes` (n,).
-        Derivatives as small as `relative` to their terms are zero. Not a number where they have no value.
+        Derivatives as small as `relative` to their terms are zero. Not a number where they have no
+        value.
         """
         assert setup.modes is not None
         try:

@@ -66,10 +66,11 @@ def explored(
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
     declares, is an edge without guard. The part has the modes up to `within` edges from those
-    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are counted.
-    `directions` of sliding are told apart. With `unreached` the declared states that no chain of
-    transitions enters are there, too, as modes that are not feasible. Raises `StatechartError` if there
-    are more modes than `MOST_MODES`, or those given are not of this automaton.
+    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are
+    counted. `directions` of sliding are told apart. With `unreached` the declared states that no
+    chain of transitions enters are there, too, as modes that are not feasible. Raises
+    `StatechartError` if there are more modes than `MOST_MODES`, or those given are not of this
+    automaton.
     """
     charts = tuple(
         drawn_region(region, directions=directions, unreached=unreached)

@@ -153,8 +153,8 @@ def minimal_equations(
     """Solve the equations of a mode some of whose coordinates are eliminated.
 
     `motion` are the equations of the coordinates that are left, `laws` those of the forces that may
-    do work on them, `follow` the equations of the coordinates eliminated. `unknowns` are those of the
-    automaton. Returns definitions as `statechart.formulas.linear.solve_linear`.
+    do work on them, `follow` the equations of the coordinates eliminated. `unknowns` are those of
+    the automaton. Returns definitions as `statechart.formulas.linear.solve_linear`.
     """
     left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
     forces = [u for u in unknowns if u not in coordinates.accelerations]

@@ -60,8 +60,8 @@ class TimeStepper(Protocol):
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; return its mode and what a reader must know.
 
-        Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has what
-        the stepper lacks.
+        Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has
+        what the stepper lacks.
         """
         ...
 
@@ -78,9 +78,10 @@ class TimeStepper(Protocol):
     ) -> Trace:
         """Run from the declared initial state.
 
-        All steps are of length `step` but the last two, of which the last ends at `until`. A run ends
-        after `max_jumps`. `show` is called now and then with the time reached, the number of jumps and
-        that of steps. Returns the trace also where the run could not go on; its outcome says so.
+        All steps are of length `step` but the last two, of which the last ends at `until`. A run
+        ends after `max_jumps`. `show` is called now and then with the time reached, the number of
+        jumps and that of steps. Returns the trace also where the run could not go on; its outcome
+        says so.
         """
         ...
 

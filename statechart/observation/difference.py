@@ -85,9 +85,9 @@ def compare(
     """Compare two runs of one model from one start, and their outputs.
 
     A number that is not finite in both must be the same. A number without a scale (from
-    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number of
-    events has no limit, only those that both runs have are compared. `brief`: as in `paired`. What is
-    no larger than `nothing` is the rounding of zero, whatever else is in the run.
+    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number
+    of events has no limit, only those that both runs have are compared. `brief`: as in `paired`.
+    What is no larger than `nothing` is the rounding of zero, whatever else is in the run.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome

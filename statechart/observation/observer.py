@@ -94,8 +94,8 @@ class Observer:
     ) -> Samples:
         """Evaluate along a run, at times or at `per_step` places of every step.
 
-        Raises `FormulaError` if a formula cannot be evaluated, `ValueError` if the times are outside the
-        run or not in order.
+        Raises `FormulaError` if a formula cannot be evaluated, `ValueError` if the times are
+        outside the run or not in order.
         """
         trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)

@@ -57,9 +57,9 @@ def last_resolved(trace: Trace) -> list[Jump]:
 def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | None:
     """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
 
-    Several regions may bounce in turn, and rounding decides at which of them the sum begins. Returns
-    the jumps that are left, and whether a sequence ends there: what was before is then that of the
-    last jump resolved. None where the runs did not sum up the same sequences.
+    Several regions may bounce in turn, and rounding decides at which of them the sum begins.
+    Returns the jumps that are left, and whether a sequence ends there: what was before is then that
+    of the last jump resolved. None where the runs did not sum up the same sequences.
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
     if len(set(map(len, sums))) != 1:
