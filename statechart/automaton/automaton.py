@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from statechart.formulas.tape import Tape
 
 
-UNTOLD = "not recorded"
+NOT_RECORDED = "not recorded"
+"""Word shown for the state of a region whose modes a run does not record."""
 NEUTRAL = re.compile(r"zz\d+zz")
 """Names that alike components share."""
-"""What is shown as the state of a region whose modes a run does not keep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class Automaton:
 
     def active(self, key: Key) -> Active:
         """Return the test whether a region is in a state, or in one inside it."""
-        return active_in(self.told(key), key)
+        return active_in(self.recorded_regions(key), key)
 
     @cached_property
     def region_names(self) -> tuple[str, ...]:
@@ -146,19 +146,22 @@ class Automaton:
             for label, text in self.declaration.invariants.items()
         )
 
-    def told(self, key: Key) -> tuple[Region, ...]:
+    def recorded_regions(self, key: Key) -> tuple[Region, ...]:
         """Return the regions whose states a key has: all, or where poses are kept controllers."""
         return self.regions[len(self.regions) - len(key) :]
 
-    def states_told(self, key: Key) -> list[tuple[str, ...]]:
-        """Return the states of all regions; of those that a key has not, `UNTOLD`."""
-        untold = len(self.regions) - len(key)
-        return [(UNTOLD,)] * untold + [region.states for region in self.told(key)]
+    def recorded_states(self, key: Key) -> list[tuple[str, ...]]:
+        """Return the states of all regions; of those that a key has not, `NOT_RECORDED`."""
+        missing = len(self.regions) - len(key)
+        return [(NOT_RECORDED,)] * missing + [
+            region.states for region in self.recorded_regions(key)
+        ]
 
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
         return " ".join(
-            f"{region.name}:{state}" for region, state in zip(self.told(key), key, strict=True)
+            f"{region.name}:{state}"
+            for region, state in zip(self.recorded_regions(key), key, strict=True)
         )
 
     def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import MOST_MODES, Feasibility, Setup
+from statechart.automaton.laws import MAX_MODES, Feasibility, Setup
 from statechart.automaton.regions import UNREACHED, Edge, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import StatechartError
@@ -69,7 +69,7 @@ def explored(
     `around`, by default the modes of the trace; without `within` all. Visits of `trace` are
     counted. `directions` of sliding are told apart. With `unreached` the declared states that no
     chain of transitions enters are there, too, as modes that are not feasible. Raises
-    `StatechartError` if there are more modes than `MOST_MODES`, or those given are not of this
+    `StatechartError` if there are more modes than `MAX_MODES`, or those given are not of this
     automaton.
     """
     charts = tuple(
@@ -116,7 +116,7 @@ def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
     """Judge every product mode; raises `StatechartError` if they cannot be judged there."""
-    if automaton.laws is None or automaton.modes_total > MOST_MODES:
+    if automaton.laws is None or automaton.modes_total > MAX_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)
 
@@ -181,7 +181,7 @@ def _declared(region: Region, state: str) -> Iterator[Edge]:
 
 def _all(charts: Sequence[Region]) -> Iterable[Key]:
     total = prod(len(chart.states) for chart in charts)
-    if total > MOST_MODES:
+    if total > MAX_MODES:
         raise _too_many(f"{total} modes")
     return product(*(chart.states for chart in charts))
 
@@ -196,8 +196,8 @@ def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Itera
             for place, chart in enumerate(charts):
                 targets = (edge.target for edge in chart.edges if edge.source == key[place])
                 found.update((_with(key, place, target), None) for target in targets)
-            if len(found) > MOST_MODES:
-                raise _too_many(f"more than {MOST_MODES} modes so near")
+            if len(found) > MAX_MODES:
+                raise _too_many(f"more than {MAX_MODES} modes so near")
         front = tuple(islice(found, known, None))
     return found
 
@@ -232,6 +232,6 @@ def _said(region: str, event: str, guard: str, reset: str) -> dict[str, Any]:
 
 def _too_many(found: str) -> StatechartError:
     return StatechartError(
-        f"{found}, and a graph has at most {MOST_MODES}: ask for those within fewer jumps of a "
+        f"{found}, and a graph has at most {MAX_MODES}: ask for those within fewer jumps of a "
         "mode, or for those that a run visited"
     )

@@ -12,7 +12,7 @@ from statechart.documents.setting import Record
 
 
 class Impulses(NamedTuple):
-    """How well the impulses of a step are to satisfy the contact laws."""
+    """Tolerances of the impulses of a step."""
 
     tolerance: float = 1e-6  # In parts of the step's fastest approach; more is told.
     bound: float = math.inf  # More ends the run.
@@ -104,7 +104,7 @@ class TimeStepper(Protocol):
 
 @dataclass(frozen=True)
 class Sample:
-    """What a controller is shown at an instant.
+    """State of a run that a controller is shown at an instant.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ Control = Callable[[Sample], Mapping[str, float] | None]
 
 
 class Sampling(NamedTuple):
-    """When a run is looked at, and what may change then."""
+    """Instants at which a controller sees a run, and may change its parameters."""
 
     every: float  # Time between instants; inf for none.
     control: Control | None

@@ -11,7 +11,7 @@ from statechart.documents.setting import Setting
 
 
 class Stop(Part):
-    """When a run ends: at a time, or when a condition becomes true."""
+    """End of a run: at a time, or when a condition becomes true."""
 
     OTHER_WORDS: ClassVar = {
         "duration": "time",
@@ -34,7 +34,7 @@ class Stop(Part):
 
 
 class Settings(Part):
-    """How a run is computed; everything has a sensible default."""
+    """Computation of a run; everything has a sensible default."""
 
     OTHER_WORDS: ClassVar = {
         "dt": "step",

@@ -31,9 +31,9 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.reader import ReaderError
 
-from statechart.documents.document import Document, Loc
 from statechart.documents.files import read_bounded
 from statechart.documents.hints import YAML_HINTS
+from statechart.documents.validation import Document, Loc
 from statechart.documents.yaml_text import resolve
 from statechart.errors import DeclarationError, Position
 from statechart.formulas.hints import character

@@ -1,4 +1,4 @@
-"""How far two runs of one model are apart: the estimate behind an accuracy that was asked for."""
+"""Distance of two runs of one model: the error estimate behind an accuracy that was asked for."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _NONE = Compared("", 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two runs of one model differ, each number relative to the scale of its kind."""
+    """Differences of two runs of one model, each number relative to the scale of its kind."""
 
     state: float  # Of the final state; inf where the runs ended for different reasons.
     times: float  # Of the times of the events that both have and of the end, relative to the end.

@@ -177,7 +177,7 @@ class Observer:
     ) -> tuple[tuple[Margin, ...], Array]:
         """Return the margins of a flow, and their values before the jumps that ended it."""
         if trace.step is not None:  # no mode was built
-            states = zip(self.automaton.told(key), key, strict=True)
+            states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = whole_margins(m for r, state in states for m in r.build(Role(state)).margins)
             return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
         mode = self._modes(trace)(roles)
@@ -323,7 +323,7 @@ FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """What is integrated in one mode: places among the formulas, and whether it is solved for."""
+    """Formulas that are integrated in one mode."""
 
     places: list[int]
     expressions: tuple[sp.Expr, ...]
@@ -365,7 +365,7 @@ class Programs:
         known = self._actives.get((key, where, expressions))
         if known is not None:
             return known
-        places = places_in(self._automaton.told(key), key, where)
+        places = places_in(self._automaton.recorded_regions(key), key, where)
         chosen = tuple([expressions[i] for i in places])
         found = Active(places, chosen, self.needed(chosen))
         self._actives[key, where, expressions] = found

@@ -12,7 +12,7 @@ _WINDOW = (0.5, 1.001)
 
 
 class _Timed(Protocol):
-    """What has a time, and a time skipped behind it."""
+    """Event with a time, and a time skipped behind it."""
 
     @property
     def t(self) -> float: ...

@@ -18,8 +18,7 @@ from statechart.automaton.regions import Invariant, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
-from statechart.observation.grazes import grazes
-from statechart.observation.grazes import told as graze_warnings
+from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
 from statechart.reporting.pieces import Pieces
