@@ -13,8 +13,8 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
-from contacts.rigid_bodies.outlines import body_numbers
-from contacts.rigid_bodies.paths import Paths
+from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.prescribed_motion import Paths
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import ROUND_OFF, Array

@@ -234,8 +234,8 @@ def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: 
 def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     """Return how much energy, per time, time steps may add to a scene of points and surfaces.
 
-    In a step that is ``h^2/8 f^T M^-1 f`` (see `contacts.time_stepping.loop`); the largest of all
-    steps.
+    In a step that is ``h^2/8 f^T M^-1 f`` (see `contacts.time_stepping.stepper`); the largest of
+    all steps.
     """
     assert trace.step is not None
     n = len(mechanics.q)

@@ -19,11 +19,10 @@ import numpy as np
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.active_states import ActiveStates
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_tape import SteppedTape
-from contacts.time_stepping.stops import first_lost
+from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
