@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,18 +98,12 @@ class Automaton:
     @property
     def modes_total(self) -> int:
         """Number of product modes, directions of sliding told apart."""
-        total = 1
-        for region in self.regions:
-            total *= len(region.states)
-        return total
+        return prod(len(region.states) for region in self.regions)
 
     @property
     def modes_declared(self) -> int:
         """Number of product modes as the declaration counts them (sliding without direction)."""
-        total = 1
-        for region in self.regions:
-            total *= len({region.declared(state) for state in region.states})
-        return total
+        return prod(len({*map(region.declared, region.states)}) for region in self.regions)
 
     @cached_property
     def stop_margins(self) -> tuple[Margin, ...]:

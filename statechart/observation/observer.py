@@ -25,12 +25,12 @@ from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
+from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.extremes import widen
 from statechart.observation.sampling import (
     Instant,
-    PassedModes,
     Points,
     Samples,
     Where,
@@ -65,7 +65,6 @@ class Observer:
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
         self.simulator = simulator
         self.programs = Programs(simulator.automaton)
-        self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
     def automaton(self) -> Automaton:
@@ -313,8 +312,17 @@ class Observer:
         return result
 
     def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        assert self._passed is not None  # steps have no equations of modes
-        return self._passed.of(trace)
+        """Return the look-up roles -> solved mode; None where its equations have no solution."""
+        assert isinstance(self.simulator, Simulator)  # steps have no equations of modes
+        solved, zeros = self.simulator.modes.mode, trace.zeros
+
+        def look_up(roles: Roles) -> Mode | None:
+            try:
+                return solved(roles, zeros)
+            except Singular:
+                return None
+
+        return look_up
 
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"

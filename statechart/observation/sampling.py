@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
-from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
-from statechart.execution.simulator import Simulator
-from statechart.formulas.linear import Singular
 from statechart.tabular import shortest
 
 
@@ -210,31 +207,3 @@ def passed(trace: Trace) -> list[Jump]:
         return []
     flowed = {arc.j for arc in trace.arcs}
     return [trace.jumps[j] for j in range(len(trace.jumps)) if j + 1 not in flowed]
-
-
-class PassedModes:
-    """Modes that the runs of a simulator were in, or passed through in no time."""
-
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
-        self._passed: dict[tuple[Roles, frozenset[int]], Mode | None] = {}
-
-    def of(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        """Return the look-up roles -> solved mode; None where its equations have no solution."""
-        flowed, zeros = {arc.roles for arc in trace.arcs}, trace.zeros
-
-        def look_up(roles: Roles) -> Mode | None:
-            if roles in flowed:
-                return self._simulator.compiled(roles, zeros).mode
-            # No integrator is compiled for what no arc flowed in.
-            if (roles, zeros) not in self._passed:
-                automaton = self._simulator.automaton
-                gone = frozenset(automaton.parameters[i] for i in zeros)
-                try:
-                    mode = build_mode(automaton, roles, gone)
-                except Singular:
-                    mode = None
-                self._passed[roles, zeros] = mode
-            return self._passed[roles, zeros]
-
-        return look_up

@@ -25,11 +25,9 @@ from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
-from statechart.observation.observer import Observer
+from statechart.observation.observer import Observer, Programs
 from statechart.observation.observers import Observers
 from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
@@ -73,7 +71,7 @@ class Subject:
         self._loosened: dict[float, Simulator] = {}
         self._variants: dict[str, Subject] = {}
         self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
-        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+        self._programs = Programs(self.automaton)
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -159,16 +157,8 @@ class Subject:
         known = arc.unknowns(tau)
         if known is None:
             return self.values(trace, expressions, states, times, self.mode(trace, arc))
-        automaton = self.automaton
-        key = (tuple(expressions), None)
-        if key not in self._tapes:
-            self._tapes[key] = compile_tape(
-                expressions,
-                variables=(*automaton.variables, *automaton.unknowns, *automaton.controls),
-                parameters=automaton.parameters,
-                time=automaton.time,
-            )
-        return self._tapes[key].table(np.hstack([states, known]), trace.values, times)
+        tape = self._programs.tape(tuple(expressions), None, known=True)
+        return tape.table(np.hstack([states, known]), trace.values, times)
 
     def values(
         self,
@@ -196,10 +186,8 @@ class Subject:
         -------
         (m, f) array
         """
-        key = (tuple(expressions), mode)
-        if key not in self._tapes:
-            self._tapes[key] = self.automaton.tape(expressions, mode)
-        return self._tapes[key].table(states, trace.values, times)
+        tape = self._programs.tape(tuple(expressions), mode)
+        return tape.table(states, trace.values, times)
 
 
 class Case:
