@@ -181,7 +181,6 @@ def arriving(
         What touches within this part of a step is struck in it.
     near : float
         Gap tolerance: a contact touches up to this gap.
-    h : float
     """
     if not lasting:
         # What has come out does not go as deep again.

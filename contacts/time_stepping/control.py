@@ -100,7 +100,6 @@ class StepControl:
         state : (2 n,)
         solved : (u,)
             Unknowns of the step.
-        h : float
 
         Raises
         ------
