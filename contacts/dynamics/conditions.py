@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.control_guards import given_in, memory_rates
+from contacts.dynamics.controllers import given_in, memory_rates
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,

@@ -13,10 +13,9 @@ from typing import NamedTuple
 import sympy as sp
 
 from contacts.dynamics.gates import Gate, gate_of
-from contacts.dynamics.geometry import ContactGeometry, Geometry, surface_frame
+from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
-from contacts.dynamics.rolling_disc import Vector
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene

@@ -30,18 +30,17 @@ from contacts.event_driven.impact_jump import (
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
-from contacts.modes.classification import Before, Choice
-from contacts.modes.fast_classification import fast_mode
+from contacts.modes.classification import Before, Choice, fast_mode
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
     CompiledLaws,
+    Feasibility,
     Flow,
     Instant,
     Setup,

@@ -9,9 +9,8 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from contacts.dynamics.geometry import surface_frame
+from contacts.dynamics.geometry import Vector, surface_frame
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.rolling_disc import Vector
 from contacts.pictures.bodies import BodyShapes, disc_of
 from contacts.pictures.grounds import grounds, is_straight, line_of
 from contacts.pictures.links import compiled

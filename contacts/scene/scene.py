@@ -8,14 +8,21 @@ from typing import Self, get_args
 
 from pydantic import model_validator
 
-from contacts.scene.checks import check_finite, check_kinks, check_physical, check_rim
-from contacts.scene.collision_checks import check_carrier, check_collisions, check_copies
+from contacts.scene.checks import (
+    check_carrier,
+    check_collisions,
+    check_copies,
+    check_finite,
+    check_kinks,
+    check_misplaced_names,
+    check_physical,
+    check_rim,
+)
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.joints import Path
-from contacts.scene.misplaced_names import check_misplaced_names
+from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
-from contacts.scene.replaced_laws import replaced
 from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions

@@ -11,8 +11,7 @@ from runs import automaton, golden, number
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.candidates import Candidate, Case, candidates
-from contacts.modes.classification import choose
+from contacts.modes.classification import Candidate, Case, candidates, choose
 from statechart.errors import NoConsistentMode
 
 PAINLEVE = golden("painleve")
