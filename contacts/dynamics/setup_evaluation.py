@@ -19,7 +19,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
-from contacts.scene.checks import check_finite, check_physical, physical_limits
+from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.lint import lint
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
@@ -101,14 +101,15 @@ class SceneNumbers:
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self._unlikely = (*lint(scene), *_unpressed(mechanics))
         self.limits: Tape | None = None
-        limits = physical_limits(scene)
-        if limits is not None:
-            # What is a number was checked when it was read.
-            varying = [limit for limit in limits if parse(limit[0]).names]
-            bounded = [parse(text).to_sympy(mechanics.known) for text, _, _ in varying]
+        # What is a number was checked when it was read.
+        varying = [limit for limit in limits(scene) if parse(limit.text).names]
+        if all(scene.controlled.region_of(limit.text) is None for limit in varying):
+            bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
             if not any(expression.has(sp.oo) for expression in bounded):
                 self.limits = mechanics.tape(bounded)
-                self.bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
+                self.bounds = (
+                    np.array([(limit.least, limit.most) for limit in varying]).reshape(-1, 2).T
+                )
 
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.

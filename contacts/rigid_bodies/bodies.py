@@ -28,7 +28,7 @@ from contacts.rigid_bodies.paths import Paths
 from contacts.rigid_bodies.recall import Recall
 from contacts.rigid_bodies.stepped_heap import SteppedHeap
 from contacts.rigid_bodies.surroundings import Surroundings
-from contacts.scene.checks import check_physical, check_shapes
+from contacts.scene.checks import check_physical
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
@@ -182,7 +182,6 @@ class BodyStepper(Stepper):
         known = self._constants.values(overrides)
         if overrides:
             check_physical(self._declared, known)
-            check_shapes(self._declared, known)
         moved = self._bodies.starts.at(values, known)
         bodies = body_numbers(self._declared, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)
