@@ -235,10 +235,7 @@ class ControllerState:
     ) -> Array:
         """Return the state after updates; those of a block see what the one before it left.
 
-        Raises
-        ------
-        NonFinite
-            If one has no finite value.
+        Raises `NonFinite` if one has no finite value.
         """
         if not blocks:
             return state

@@ -187,10 +187,7 @@ class ScaleTape:
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,).
 
-        Raises
-        ------
-        DeclarationProblem
-            If a place or the gravity there is not finite.
+        Raises `DeclarationProblem` if a place or the gravity there is not finite.
         """
         numbers = self.tape.at(state, values, 0.0)
         ranges = np.empty((len(self.motions.outputs), 2))

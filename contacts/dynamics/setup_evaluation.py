@@ -114,10 +114,8 @@ class SceneNumbers:
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
 
-        Raises
-        ------
-        DeclarationProblem, FormulaError
-            If a parameter is unknown, or a number has no value or is not physical.
+        Raises `DeclarationProblem` or `FormulaError` if a parameter is unknown, or a number has no
+        value or is not physical.
         """
         values, further = self.parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self.inertias) :])

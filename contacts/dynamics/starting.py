@@ -89,11 +89,6 @@ def check_start(
 
     It moves by its gap, the rate of that and its slip. A start may be inside by `depth`; `near` and
     `slow` are the tolerances of gap and speed.
-
-    Raises
-    ------
-    DeclarationProblem
-        With what to do.
     """
     gap, gap_rate, slip = moves
     if gap < -depth:
@@ -142,10 +137,8 @@ def check_joints(
 ) -> None:
     """Check positions, velocities and accelerations of the start.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a joint is open, or its bodies move apart, or joints contradict one another.
+    Raises `DeclarationProblem` if a joint is open, or its bodies move apart, or joints contradict
+    one another.
     """
     if not mechanics.joint_rows:
         return

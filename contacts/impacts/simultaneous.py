@@ -63,10 +63,7 @@ def impacts(
 ) -> Impacts:
     """Return the outcome of all impacts at one instant.
 
-    Raises
-    ------
-    NoConsistentMode
-        If no impulse agrees with the laws.
+    Raises `NoConsistentMode` if no impulse agrees with the laws.
     """
     count = len(laws)
     change = np.zeros(len(snapshot.velocity))

@@ -685,12 +685,8 @@ def choose(
     Where contacts share a load the mode of `before` goes on as long as some forces explain it,
     whatever else agrees, if these are of contacts that bore; without `before` all may.
 
-    Raises
-    ------
-    NoConsistentMode, AmbiguousMode
-        With every candidate and its reason.
-    NonFinite
-        If the state has no finite forces.
+    Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason. Raises
+    `NonFinite` if the state has no finite forces.
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
@@ -765,10 +761,7 @@ def _continuing(
 def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
     """Return the one taken of the candidates that agree with the state, and why not another.
 
-    Raises
-    ------
-    AmbiguousMode
-        Where they move it apart, and all keep every contact closed.
+    Raises `AmbiguousMode` where they move it apart, and all keep every contact closed.
     """
     _, laws, closed, _, scales, tie = case
     taken = agreeing[0]

@@ -338,10 +338,7 @@ class SceneFields(Declaration):
 def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
     """Return how many copies there are of every body; None where it is declared as one.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a number of copies is not whole, or too large.
+    Raises `DeclarationProblem` if a number of copies is not whole, or too large.
     """
     found: dict[str, int | None] = {}
     for name, body in scene.bodies.items():
