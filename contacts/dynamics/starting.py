@@ -47,16 +47,8 @@ def hovering(
 ) -> list[str]:
     """Return a warning for each contact that starts off its surface by next to nothing.
 
-    Parameters
-    ----------
-    scene : Scene
-    scales : Scales
-    near : float
-        A contact is closed up to this gap.
-    names : sequence of str
-        The contacts that are not off.
-    moves : sequence of sequences of float
-        Their gaps, and the rates of these.
+    `names` are the contacts that are not off, `moves` their gaps and the rates of these; they are
+    closed up to the gap `near`.
     """
     return [
         f"contact {name!r} starts {move[0]:.3g} off surface {scene.contacts[name].surface!r}: "

@@ -232,7 +232,7 @@ def solve_impacts(
                 violations[k] = edges[k] = math.inf
 
 
-@part
+@seldom
 def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
     """List what a contact may do in an impact; return how many."""
     modes[0] = FREE
@@ -406,7 +406,7 @@ def _modes_of(law: ContactLaw) -> list[int]:
     allowed = np.zeros(5, np.bool_)
     allowed[SLIDE] = any(state in SLIDING for state in law.states)
     modes = np.empty(5, np.int64)
-    count = _list_modes.as_written(allowed, np.array([law.cone_n, law.cone_t]), modes)
+    count = _list_modes(allowed, np.array([law.cone_n, law.cone_t]), modes)
     found: list[int] = modes[:count].tolist()
     return found
 

@@ -300,33 +300,19 @@ _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 
 
 class ModeRules(NamedTuple):
-    """Inputs of the classification of contacts.
+    """Inputs of the classification of contacts."""
 
-    Attributes
-    ----------
-    allowed : (c, 5) array
-        Whether a contact may be in the state of that code.
-    cones : (c, 2) array
-        cone_n, cone_t.
-    near, creep : float
-        A closed contact's gap and velocities that need no projection.
-    gap, speed : float
-        Their tolerances.
-    tie, force, acceleration : float
-        See `contacts.solvers.mode_solver.solve_modes`; the last two are the scales.
-    doubtful : float
-        Forces of a contact that comes to rest are no nearer to a bound
-        (`contacts.modes.classification`).
-    """
-
-    allowed: Bools
-    cones: Array
+    allowed: Bools  # (c, 5): Whether a contact may be in the state of that code
+    cones: Array  # (c, 2): cone_n, cone_t
+    # `near`, `creep`: A closed contact's gap and velocities that need no projection; tolerances
     near: float
     creep: float
     gap: float
     speed: float
-    tie: float
+    tie: float  # See `contacts.solvers.mode_solver.solve_modes`
+    # Forces of a contact that comes to rest are no nearer to a bound (`ForceUncertainty`)
     doubtful: float
+    # `force`, `acceleration`: The scales
     force: float
     acceleration: float
 
