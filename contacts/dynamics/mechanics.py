@@ -7,7 +7,7 @@ simplified.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, partialmethod
+from functools import cached_property
 from typing import NamedTuple
 
 import sympy as sp
@@ -105,7 +105,15 @@ class Mechanics(Geometry):
             definitions=definitions,
         )
 
-    whole_tape = partialmethod(tape, whole=True)
+    def whole_tape(
+        self,
+        outputs: Sequence[sp.Expr],
+        *,
+        unknowns: Sequence[sp.Symbol] = (),
+        definitions: Sequence[Definition] = (),
+    ) -> Tape:
+        """Compile as `tape` does, of the whole state."""
+        return self.tape(outputs, unknowns=unknowns, definitions=definitions, whole=True)
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:

@@ -78,12 +78,12 @@ class Chunk(NamedTuple):
     # one: the part of a step in which they overlapped.
     passed: Array
     late: Array  # (k,): how long after the middle of the step its impacts are.
-    # (k,): what contacts add to the energy, or would; see `contacts.time_stepping.energy`.
+    # (k,): what contacts add to the energy, or would; see `contacts.time_stepping.step_contacts`.
     gained: Array
     efforts: Array  # (k, e): what impulses took, in the columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
-    def room(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
+    def allocate(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
         """Return place for steps from `state`."""
         states = np.empty((count + 1, len(state)))
         states[0] = state

@@ -19,15 +19,14 @@ import numpy as np
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.active_states import ActiveStates
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.scene_tape import SteppedTape
-from contacts.time_stepping.stops import first_lost
+from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.firing import Listening
+from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop
 
 _TOLD = 4  # of those that follow each other for ever

@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from statechart.documents.dimensions import Fact, fields_of, inferred
 from statechart.documents.fields import (
     ConstantText,
     FormulaText,
@@ -30,8 +29,11 @@ from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Outp
 from statechart.documents.quantities import (
     POWERS,
     SYSTEMS,
+    Fact,
     Powers,
     Quantity,
+    fields_of,
+    inferred,
     named,
     unit_of,
     written,

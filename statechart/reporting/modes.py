@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.feasibility import MOST_MODES, Feasibility
-from statechart.automaton.hierarchy import hierarchical_edges
-from statechart.automaton.nesting import HierarchicalEdge
+from statechart.automaton.laws import MOST_MODES, Feasibility
 from statechart.automaton.product import explored
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
 from statechart.tabular import Block, Table, apart, ends, plain, several, whole
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from statechart.automaton.laws import Setup
-from statechart.automaton.sampling import Control
+from statechart.automaton.time_stepper import Control
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
