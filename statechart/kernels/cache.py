@@ -35,7 +35,7 @@ class CodeCache:
         Classes of the kernels that functions see among their globals.
     """
 
-    def __init__(self, function: Any, seen: tuple[type, ...]) -> None:
+    def __init__(self, function: Any, seen: tuple[type[Any], ...]) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._folders: list[Path] = []
         beside, user = Path(function.__code__.co_filename).parent, Path.home() / ".cache"
@@ -99,7 +99,7 @@ class CodeCache:
         return f"{self._name}.{key}.{self._stamp}.kernel"
 
 
-def _collect(function: Any, seen: tuple[type, ...], stamps: dict[str, bytes]) -> None:
+def _collect(function: Any, seen: tuple[type[Any], ...], stamps: dict[str, bytes]) -> None:
     """Add the digest of the file of a function, and of those whose kernels that can see."""
     if function.__module__ in stamps:
         return

@@ -32,11 +32,7 @@ LINKING = 0.02
 """Seconds of one interpreted kernel before it is loaded from the cache, where numba is imported."""
 
 HOT = 0.25
-"""Least seconds of one interpreted kernel before it is compiled."""
-
-_HOT_EACH = 0.03
-"""The same for each function that is compiled with it, a sixth of what that takes: a kernel is
-interpreted for less time than a run without compilation saves."""
+"""Seconds of one interpreted kernel before it is compiled, which takes one to forty."""
 
 # Python's own is rounded better than that of the C library, which compiled code calls.
 _MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
@@ -55,11 +51,11 @@ class _Interpreter:
         Kernels called by interpreted kernels.
     spent : float
         Seconds of all interpreted kernels.
-    off : bool
-        Whether kernels are compiled at their first call.
+    ahead : bool
+        Whether this process runs to fill the cache.
     """
 
-    until, calls, spent, off = math.inf, 0, 0.0, False
+    until, calls, spent, ahead = math.inf, 0, 0.0, False
 
 
 class Kernel:
@@ -120,10 +116,6 @@ class Kernel:
                 queue += [kernel for kernel in named if isinstance(kernel, Kernel)]
         return found
 
-    @cached_property
-    def _budget(self) -> float:
-        return max(HOT, _HOT_EACH * len(self.below))
-
     def __call__(self, *arguments: Any) -> Any:
         """Run the function."""
         if _Interpreter.until < math.inf:
@@ -137,13 +129,14 @@ class Kernel:
 
     def _is_hot(self) -> bool:
         loads = self._spent >= LINKING if numba_is_imported() else _Interpreter.spent >= LOADING
-        self._hot = self._spent >= self._budget or _Interpreter.off or (loads and self.is_cached)
+        enough = LINKING if _Interpreter.ahead else HOT
+        self._hot = self._spent >= enough or (loads and self.is_cached)
         return self._hot
 
     def _interpret(self, arguments: tuple[Any, ...]) -> Any:
         before = [(array, array.copy()) for array in _arrays(arguments) if array.flags.writeable]
         began = thread_time()
-        _Interpreter.until = began + self._budget - self._spent
+        _Interpreter.until = began + HOT - self._spent
         try:
             with np.errstate(all="ignore"):
                 return _python_numbers(self.written(*arguments))
@@ -205,12 +198,12 @@ def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any
 
 @contextmanager
 def ahead_of_time() -> Iterator[None]:
-    """Compile every kernel at its first call, for runs whose purpose is to fill the cache."""
-    _Interpreter.off = True
+    """Compile kernels sooner, for runs whose purpose is to fill the cache."""
+    _Interpreter.ahead = True
     try:
         yield
     finally:
-        _Interpreter.off = False
+        _Interpreter.ahead = False
 
 
 def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
@@ -226,7 +219,7 @@ def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
 
 def is_ready(kernel: Any) -> bool:
     """Whether a kernel is compiled, or lies on disk, in a process that has imported numba."""
-    if _Interpreter.off:
+    if _Interpreter.ahead:
         return True
     return numba_is_imported() and (bool(kernel.compiled.overloads) or kernel.is_cached)
 

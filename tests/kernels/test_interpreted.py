@@ -56,7 +56,8 @@ def interpreted(monkeypatch):
 @pytest.fixture
 def compiled(monkeypatch):
     """Let Python interpret no kernel."""
-    monkeypatch.setattr(jit._Interpreter, "off", True)
+    for name in ("LOADING", "HOT", "LINKING"):
+        monkeypatch.setattr(jit, name, -1.0)
 
 
 def told(model, until, certify):
@@ -126,9 +127,7 @@ def test_a_kernel_that_raises_an_error_when_interpreted_is_compiled(cold):
 
 
 def test_a_hot_kernel_is_compiled_and_begins_anew(cold, monkeypatch):
-    monkeypatch.setattr(jit, "HOT", -1.0)
-    cold._budget = 1e-9
-    cold._spent = 0.0
+    monkeypatch.setattr(jit, "HOT", 1e-9)
     result = np.zeros(400)
     assert cold(np.full(400, 16.0), result) == (4.0, 400)
     assert set(result.tolist()) == {4.0}

@@ -20,10 +20,11 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.typed_passes import NopythonTypeInference
 from numba.core.typing import signature
 from statechart import Runner
-from statechart.kernels.compiler import _plain as plain
-from statechart.kernels.jit import Kernel, _Interpreter
+from statechart.kernels import jit
+from statechart.kernels.jit import Kernel
+from statechart.kernels.lowering import plain
 
-_Interpreter.off = True
+jit.HOT = -1.0
 Runner("toppling_stick").run(until=3.0)
 Runner("compass_walker").run(until=0.5)
 Runner("toppling_stick", engine="scipy").run(until=0.5)
