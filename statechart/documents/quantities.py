@@ -164,16 +164,16 @@ _ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
 # Every pass tells one more name at least; chains of formulas are short.
-_PASSES = 20
+_MAX_PASSES = 20
 _COUNTS = range(1, 13)
 # Operations of a formula that is looked at; sums of thousands of terms tell nothing new.
-_LONGEST = 200
+_MAX_OPERATIONS = 200
 
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
     """Return what names measure."""
     found, short = _Known(known), [fact for fact in facts if _short(fact)]
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         before = dict(found)
         for left, right in short:
             _alike(left, right, found)
@@ -185,7 +185,9 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
 def _short(fact: Fact) -> bool:
     """Whether formulas are no longer than what people write for a quantity."""
     trees = [part for part in fact if not isinstance(part, Powers)]
-    return all(sum(1 for _ in islice(nodes(tree), _LONGEST)) < _LONGEST for tree in trees)
+    return all(
+        sum(1 for _ in islice(nodes(tree), _MAX_OPERATIONS)) < _MAX_OPERATIONS for tree in trees
+    )
 
 
 def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:

@@ -16,9 +16,9 @@ from statechart.kernels.tapes import OPCODES
 
 _NAMES = {code: name for name, code in OPCODES.items()}
 # A coefficient is zero below so many roundings of its size.
-_ROUNDING = 2.0**-46
+_ZERO_COEFFICIENT = 2.0**-46
 # A power up to this is one of products, whatever the sign of its base.
-_WHOLE = 1024
+_MAX_EXPONENT = 1024
 
 
 class Series(NamedTuple):
@@ -224,7 +224,7 @@ def _power(a: Series, exponent: int) -> Series:
 
 def _pow(a: Series, b: Series) -> Series:
     n = b.values[0]
-    if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _WHOLE:
+    if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _MAX_EXPONENT:
         return _power(a, int(n))
     return _exp(_mul(b, _log(a)))
 
@@ -232,7 +232,7 @@ def _pow(a: Series, b: Series) -> Series:
 def _sign_of(a: Series) -> float:
     """Return the sign that a series has just after its start."""
     for value, size in zip(a.values, a.sizes, strict=True):
-        if not abs(value) <= _ROUNDING * size:
+        if not abs(value) <= _ZERO_COEFFICIENT * size:
             return math.copysign(1.0, value)
     return 0.0
 
