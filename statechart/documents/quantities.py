@@ -25,7 +25,7 @@ from statechart.formulas.tree import (
     Number,
     Unary,
     children,
-    names_in,
+    is_constant,
     nodes,
 )
 
@@ -241,13 +241,8 @@ def _of_turn(node: Node) -> bool:
 def _first(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
     """Return what parts measure that are of one kind: numbers among them say nothing."""
     several = tuple(parts)
-    speaking = [part for part in several if not _number(part)] or several
+    speaking = [part for part in several if not is_constant(part)] or several
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)
-
-
-def _number(node: Node) -> bool:
-    """Whether a formula has no names: of its own it measures nothing that could be told."""
-    return next(names_in(node), None) is None
 
 
 class _Known(Known):
@@ -271,7 +266,7 @@ def _alike(left: Node, right: Node | Powers, known: _Known) -> None:
             continue
         _inside(one, known)
         powers = other if isinstance(other, Powers) else None
-        if not isinstance(other, Powers) and not _number(other):
+        if not isinstance(other, Powers) and not is_constant(other):
             powers = measured(other, known)
         if powers is not None:
             _expect(one, powers, known)

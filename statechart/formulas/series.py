@@ -158,13 +158,11 @@ def _coupled(
 
 
 def _trigonometric(a: Series) -> tuple[Series, Series]:
-    x = a.values[0]
-    return _coupled(a, (math.sin(x), math.cos(x)), (1.0, -1.0))
+    return _coupled(a, (math.sin(a.values[0]), math.cos(a.values[0])), (1.0, -1.0))
 
 
 def _hyperbolic(a: Series) -> tuple[Series, Series]:
-    x = a.values[0]
-    return _coupled(a, (math.sinh(x), math.cosh(x)), (1.0, 1.0))
+    return _coupled(a, (math.sinh(a.values[0]), math.cosh(a.values[0])), (1.0, 1.0))
 
 
 def _exp(a: Series) -> Series:
@@ -192,18 +190,9 @@ def _log(a: Series) -> Series:
     return _chain(math.log(a.values[0]), (a, _div(_one(a), a)))
 
 
-def _asin(a: Series) -> Series:
-    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
-    return _chain(math.asin(a.values[0]), (a, slope))
-
-
-def _acos(a: Series) -> Series:
-    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
-    return _chain(math.acos(a.values[0]), (a, _neg(slope)))
-
-
-def _atan(a: Series) -> Series:
-    return _chain(math.atan(a.values[0]), (a, _div(_one(a), _add(_one(a), _mul(a, a)))))
+def _arc(a: Series) -> Series:
+    """Return the derivative of asin."""
+    return _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
 
 
 def _atan2(y: Series, x: Series) -> Series:
@@ -273,9 +262,9 @@ _UNARY: dict[str, Callable[[Series], Series]] = {
     "sin": lambda a: _trigonometric(a)[0],
     "cos": lambda a: _trigonometric(a)[1],
     "tan": lambda a: _div(*_trigonometric(a)),
-    "asin": _asin,
-    "acos": _acos,
-    "atan": _atan,
+    "asin": lambda a: _chain(math.asin(a.values[0]), (a, _arc(a))),
+    "acos": lambda a: _chain(math.acos(a.values[0]), (a, _neg(_arc(a)))),
+    "atan": lambda a: _chain(math.atan(a.values[0]), (a, _div(_one(a), _add(_one(a), _mul(a, a))))),
     "sinh": lambda a: _hyperbolic(a)[0],
     "cosh": lambda a: _hyperbolic(a)[1],
     "tanh": lambda a: _div(*_hyperbolic(a)),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -229,7 +230,9 @@ def paired(
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
-        if _same(one, other) or ({id(one), id(other)} <= ends and one.target == other.target):
+        if _what(one) == _what(other) or (
+            {id(one), id(other)} <= ends and one.target == other.target
+        ):
             pairs.append((one, other))
             i, j = i + 1, j + 1
         elif _accumulates(one) and _repeats(other, one):
@@ -292,13 +295,7 @@ def _states(trace: Trace, times: Array) -> Array:
     return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
 
 
-def _same(one: Jump, other: Jump) -> bool:
-    return (one.region, one.cause, one.source, one.target) == (
-        other.region,
-        other.cause,
-        other.source,
-        other.target,
-    )
+_what = attrgetter("region", "cause", "source", "target")
 
 
 def _accumulates(jump: Jump) -> bool:
