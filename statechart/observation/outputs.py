@@ -16,7 +16,7 @@ from statechart.arrays import Array
 from statechart.automaton.events import happened
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.documents.outputs import Event, Moment, Value
-from statechart.execution.simulator import Batch
+from statechart.execution.compiled_loop import Batch
 from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
 from statechart.observation.flows import passed
 from statechart.observation.observer import Observer, include
