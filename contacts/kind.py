@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
     if scene.collisions:
-        from contacts.rigid_bodies.bodies import bodies_automaton
+        from contacts.rigid_bodies.body_stepper import bodies_automaton
 
         return bodies_automaton(scene)
     return _composed(scene)[0]

@@ -20,9 +20,8 @@ from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
-from statechart.charts.firing import Guard, guard_claims, guard_margins, guards
-from statechart.charts.flat_region import FlatRegion, FlatTransition, Updates
-from statechart.charts.guard_watch import GuardWatch
+from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
+from statechart.charts.guard_watch import Guard, GuardWatch, guard_claims, guard_margins, guards
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition

@@ -1,7 +1,7 @@
 """Controllers on the executor: a scene's own regions beside its contacts, and their jumps.
 
 Contacts are classified from the state first; then the controllers are asked in the order of their
-declaration (`statechart.charts.firing`). A controller that changes state changes forces and
+declaration (`statechart.charts.guard_watch`). A controller that changes state changes forces and
 coefficients, never the motion, and the contacts are classified again at that instant: a push may
 make a pinned foot slip there.
 """
@@ -24,13 +24,11 @@ from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.laws import Feasibility, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.charts.firing import Listening, considered
-from statechart.charts.guard_watch import Judgement
+from statechart.charts.guard_watch import Judgement, Listening, considered
 
 
 class ControlledLaws:

@@ -37,10 +37,10 @@ from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
     CompiledLaws,
+    Feasibility,
     Flow,
     Instant,
     Setup,

@@ -10,8 +10,7 @@ from typing import TypeVar
 
 from pydantic import Field
 
-from statechart.charts.flat_region import FlatRegion
-from statechart.charts.flatten import flatten
+from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,

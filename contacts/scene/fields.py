@@ -22,12 +22,18 @@ from contacts.scene.parts import (
     Surface,
 )
 from contacts.scene.shapes import INDEX, Collision
-from statechart.charts.flat_region import timed
+from statechart.charts.flatten import timed
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.dimensions import Fact, fields_of, per_time
 from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, unit, value_of
-from statechart.documents.quantities import POWERS, Dimension, Quantity
-from statechart.documents.quantities import per_time as rate_of
+from statechart.documents.quantities import (
+    POWERS,
+    Dimension,
+    Fact,
+    Quantity,
+    fields_of,
+    per_time,
+    rate_of,
+)
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import Member, conjunction, parse_relation
@@ -229,7 +235,7 @@ class SceneFields(Declaration):
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
-            return Quantity(f"rate of {part[1:]} of {owner}", rate_of(_OF_BODIES[part[1:]]))
+            return Quantity(f"rate of {part[1:]} of {owner}", per_time(_OF_BODIES[part[1:]]))
         if name == INDEX and name not in self.parameters:
             return Quantity("number of a copy", "1")
         if dimension := timed(self.controlled.flat.values(), name):
@@ -250,7 +256,7 @@ class SceneFields(Declaration):
             for key, text in body.start.items():
                 yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
         for name, coordinate in self.coordinates.items():
-            rate = per_time(name)
+            rate = rate_of(name)
             yield Name(self.rate_name(name)), rate
             yield parse(coordinate.start).root, Name(name)
             yield parse(coordinate.rate).root, rate

@@ -10,8 +10,8 @@ from itertools import combinations, pairwise
 from contacts.scene.fields import SceneFields
 from contacts.scene.parts import MOREAU, Contact, Point
 from statechart.documents.declaration import TIME
-from statechart.documents.dimensions import fields_of
 from statechart.documents.fields import FormulaText
+from statechart.documents.quantities import fields_of
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Call, Name, Node, Number, Unary, nodes

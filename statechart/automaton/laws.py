@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
-    from statechart.automaton.feasibility import Feasibility
     from statechart.automaton.regions import Mode
     from statechart.automaton.trace_store import RecordedEvent
     from statechart.formulas.tape import Tape
 
-
-_EPS = float(np.finfo(float).eps)
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
@@ -70,7 +67,7 @@ class Setup:
     sizes: Array | None = None
     # How well margins are known, in parts of their terms: a value summed from them is off by a few
     # units in the last place of the largest.
-    precision: float = 64.0 * _EPS
+    precision: float = 64.0 * EPS
     # A long time for the first flow, in the model's own scales: how far to look ahead at first.
     horizon: float = float("inf")
     # Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
@@ -263,3 +260,17 @@ class CompiledLaws(Protocol):
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of an event that it made; `setup` gives the numbers of its run."""
         ...
+
+
+MOST_MODES = 4096
+"""Products of more modes than this, six contacts' for one, are never enumerated."""
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Which product modes are possible at a configuration."""
+
+    modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
+    # The same as the declaration counts modes (sliding without direction).
+    declared: Mapping[Key, str]
+    remarks: tuple[str, ...] = ()  # What a reader must know of the configuration.

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.feasibility import MOST_MODES, Feasibility
-from statechart.automaton.laws import Setup
-from statechart.automaton.nesting import UNREACHED
-from statechart.automaton.regions import Edge, Region
+from statechart.automaton.laws import MOST_MODES, Feasibility, Setup
+from statechart.automaton.regions import UNREACHED, Edge, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import StatechartError
 

@@ -1,16 +1,14 @@
-"""Interface of time steppers: requests for a run and tolerances of impulses."""
+"""Interface of time steppers: tolerances of impulses, recording policy, sampling of controllers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
-from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
-
-if TYPE_CHECKING:
-    from statechart.automaton.sampling import Sampling
-    from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.documents.setting import Record
 
 
 class Impulses(NamedTuple):
@@ -22,6 +20,38 @@ class Impulses(NamedTuple):
 
 USUAL = Impulses()
 """Where nothing else is said."""
+
+
+class OutputStream(Protocol):
+    """Outputs computed from the pieces of a run that stores fewer of them."""
+
+    @property
+    def events(self) -> bool:
+        """Whether it needs jumps, and the modes of arcs."""
+        ...
+
+    @property
+    def motion(self) -> bool:
+        """Whether it needs arcs and jumps between the start and the end."""
+        ...
+
+    def add(self, piece: Trace) -> None:
+        """Take the arcs and jumps since the last call."""
+        ...
+
+    def end(self, piece: Trace) -> Mapping[str, Any]:
+        """Take the last arcs and jumps, and the end of the run; return the outputs."""
+        ...
+
+
+class RecordingPolicy(NamedTuple):
+    """Parts of a run that are stored, and the outputs that are computed from the rest."""
+
+    record: Record = Record.MODES
+    outputs: OutputStream | None = None
+
+
+RECORD_ALL = RecordingPolicy()
 
 
 class TimeStepper(Protocol):
@@ -92,3 +122,44 @@ class TimeStepper(Protocol):
             Where the run cannot go on, after all that it made.
         """
         ...
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a controller is shown at an instant.
+
+    Attributes
+    ----------
+    t : float
+        When.
+    mode : mapping of str to str
+        Region -> its state.
+    values : mapping of str to float
+        Variable -> its value.
+    """
+
+    t: float
+    mode: Mapping[str, str]
+    values: Mapping[str, float]
+
+
+Control = Callable[[Sample], Mapping[str, float] | None]
+"""Sample -> parameters that have other values from there on; None for no change."""
+
+
+class Sampling(NamedTuple):
+    """When a run is looked at, and what may change then."""
+
+    every: float  # Time between instants; inf for none.
+    control: Control | None
+
+
+def in_order(pieces: Iterable[Arc | Jump]) -> list[Arc | Jump]:
+    """Return arcs and jumps on hybrid time: arcs of as many jumps, and the jump that ends them."""
+
+    def place(piece: Arc | Jump) -> tuple[int, int, float]:
+        if isinstance(piece, Arc):
+            return piece.j, 0, piece.start.high
+        return piece.j, 1, piece.t
+
+    return sorted(pieces, key=place)

@@ -8,8 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.flat_region import FlatRegion, timed
-from statechart.charts.flatten import flatten
+from statechart.charts.flatten import FlatRegion, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,

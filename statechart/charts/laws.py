@@ -1,9 +1,8 @@
 """A plain chart on the executor: regions from flows and guards, updates, Zeno transitions.
 
-When transitions fire: see `statechart.charts.firing`. A transition that leads back to its own state
-and changes nothing would fire for ever; it is the limit of shrinking jumps, and the state's
-transition
-``on: zeno``, if it has one, takes its place.
+`statechart.charts.guard_watch` decides when transitions fire. A transition that leads back to its
+own state and changes nothing would fire for ever; it is the limit of shrinking jumps, and the
+state's transition ``on: zeno``, if it has one, takes its place.
 """
 
 from __future__ import annotations
@@ -27,16 +26,17 @@ from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
 from statechart.charts.components import components
-from statechart.charts.firing import (
+from statechart.charts.flatten import FlatRegion, Updates
+from statechart.charts.guard_watch import (
     Guard,
+    GuardWatch,
+    Judgement,
     Listening,
     considered,
     guard_claims,
     guard_margins,
     guards,
 )
-from statechart.charts.flat_region import FlatRegion, Updates
-from statechart.charts.guard_watch import GuardWatch, Judgement
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
 from statechart.errors import DeclarationProblem, NonFinite, Zeno

@@ -5,6 +5,6 @@ is wrong, found by pydantic or by us, into one message with its place, and `hint
 write. `fields` are the types of fields, `documented` what Python shows of their classes.
 `declaration` is the base of models, `uses` whether their outputs speak of what exists, `settings`
 how a run is computed as declared, `setting` as it is, `outputs` what it reports, `quantities` what
-names measure, by `dimensions` what formulas tell. `yaml_writer` writes models, `yaml_text` their
-values, `files` whole files or none.
+names and formulas measure. `yaml_writer` writes models, `yaml_text` their values, `files` whole
+files or none.
 """

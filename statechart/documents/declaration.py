@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from statechart.documents.dimensions import Fact, fields_of, inferred
 from statechart.documents.fields import (
     ConstantText,
     FormulaText,
@@ -30,8 +29,11 @@ from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Outp
 from statechart.documents.quantities import (
     POWERS,
     SYSTEMS,
+    Fact,
     Powers,
     Quantity,
+    fields_of,
+    inferred,
     named,
     unit_of,
     written,
@@ -288,6 +290,10 @@ class Declaration(Part):
     def check(self, *, examples: int = 50, seed: int | None = None) -> Any:
         """Test what must hold of every run over the ranges; see `statechart.check`."""
         return _public("check")(self, examples=examples, seed=seed)
+
+    def _repr_html_(self) -> str:
+        """Return the scene and the statechart, for a notebook."""
+        return str(import_module("statechart.running.drawing").notebook(self))
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the model under the other choices that its laws leave open, by their names."""

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.automaton.events import happened
+from statechart.automaton.regions import happened
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.documents.outputs import Event, Moment, Value
 from statechart.execution.compiled_loop import Batch
 from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
-from statechart.observation.flows import passed
 from statechart.observation.observer import Observer, include
 from statechart.observation.run_scales import RunScales
+from statechart.observation.sampling import passed
 from statechart.observation.zeno_tails import last_resolved
 
 
@@ -150,7 +150,7 @@ class OutputAccumulator:
     """Accumulates the outputs of one run over its pieces: a whole run is one, a stream many.
 
     Sums and extremes go on from piece to piece in the order of the arcs, so that the outputs do not
-    depend on the pieces. Implements `statechart.automaton.recording_policy.OutputStream`.
+    depend on the pieces. Implements `statechart.automaton.time_stepper.OutputStream`.
     """
 
     def __init__(self, outputs: Outputs) -> None:

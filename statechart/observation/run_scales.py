@@ -16,8 +16,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.automaton.trace import Trace, visited_states
 from statechart.documents.quantities import Dimension
-from statechart.observation.observer import Observer
-from statechart.observation.programs import FormulaLike
+from statechart.observation.observer import FormulaLike, Observer
 
 _SMALL = 1e-3
 """Part of the scale of its kind below which a quantity is nearly zero."""

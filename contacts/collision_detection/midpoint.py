@@ -7,17 +7,90 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.applied import ForceProgram, apply
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.convex import norm, placed
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.jit import late, part
+from statechart.kernels.tapes import run_tape
+
+
+class ForceProgram(NamedTuple):
+    """Forces and moments on some bodies."""
+
+    bodies: Ints  # (f,): which.
+    # The program (see `statechart.formulas.tape.Tape`) over the state of a run, and the parameters:
+    # two components and a moment for each.
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    values: Array
+
+
+class Prescribed(NamedTuple):
+    """Prescribed motion and forces in the next steps."""
+
+    # Of surfaces, and what joints hold points to in the world, at the midpoints of the steps, of
+    # the one before and of the one after.
+    frames: Array  # shape (k + 2, s, 3)
+    places: Array  # shape (k + 2, j, 2)
+    memories: Array  # (k + 2, w): what controllers remember then.
+    forces: ForceProgram
+
+    def after(self, count: int) -> Prescribed:
+        """Return what acts after so many steps."""
+        return self._replace(
+            frames=self.frames[count:],
+            places=self.places[count:],
+            memories=self.memories[count:],
+        )
+
+
+@part
+def _apply(
+    forces: ForceProgram,
+    registers: tuple[int, Array],
+    places: Array,
+    old: Array,
+    memory: Array,
+    time: float,
+    inverse: Array,
+    h: float,
+    rates: Array,
+) -> None:
+    """Add to rates (b, 3) what forces do to them in a step.
+
+    Parameters
+    ----------
+    registers : (int, array)
+        See `statechart.kernels.tapes.filled`.
+    places, old : (b, 3)
+        Where bodies are in the middle of the step, and their rates before it.
+    memory : (w,)
+        What controllers remember.
+    inverse : (b, 3)
+    """
+    base, numbers = registers
+    at = 0
+    for source in (places, old):
+        for b in range(len(source)):
+            for d in range(3):
+                numbers[at, 0] = source[b, d]
+                at += 1
+    for j in range(len(memory)):
+        numbers[at + j, 0] = memory[j]
+    numbers[at + len(memory), 0] = time
+    run_tape(forces.code, 0, len(forces.code), base, numbers, 1)
+    for i in range(len(forces.bodies)):
+        b = forces.bodies[i]
+        for d in range(3):
+            rates[b, d] += h * inverse[b, d] * numbers[forces.outputs[3 * i + d], 0]
+
 
 TOUCHING = 1e-12
 """Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
 
 
-class Look(NamedTuple):
+class Midpoint(NamedTuple):
     """Bodies in the middle of a step."""
 
     # (b, 3): where they are; their rates before the step, and after it without contacts.
@@ -28,14 +101,15 @@ class Look(NamedTuple):
     centres: Array  # shape (p, 2)
     drifts: Array  # shape (p, 2)
     world: Array  # shape (v, 2)
-    # (p,): how far a piece moves within two steps, and since the last look, and is taken to touch.
+    # (p,): how far a piece moves within two steps, and since the last detection, and is taken to
+    # touch.
     reach: Array
     gaps: Array  # (b,): to what is nearest, where that is found.
     # (b,): how much faster gravity, or a surface that moves, makes a body within the step.
     pull: Array
 
     @classmethod
-    def room(cls, numbers: BodyNumbers) -> Look:
+    def allocate(cls, numbers: BodyNumbers) -> Midpoint:
         """Return place for it."""
         count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
@@ -52,12 +126,14 @@ class Look(NamedTuple):
 
 
 @part
-def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Look) -> None:
+def move_to_midpoint(
+    numbers: BodyNumbers, state: Array, h: float, past: float, mid: Midpoint
+) -> None:
     """Move bodies to the middle of a step, in place, and write what they are there.
 
     The step before was `past` long: what they have passed since its middle is within their reach.
     """
-    places, old, loose, centres, drifts, world, reach, gaps, pull = look
+    places, old, loose, centres, drifts, world, reach, gaps, pull = mid
     count, pieces = len(numbers.sizes), numbers.pieces
     gx, gy = numbers.gravity
     fall = norm(gx, gy) * h
@@ -87,19 +163,19 @@ def look_at(numbers: BodyNumbers, state: Array, h: float, past: float, look: Loo
 
 
 @late
-def pushed(
+def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
-    time: float, h: float, look: Look,
+    time: float, h: float, mid: Midpoint,
 ) -> None:  # fmt: skip
     """Let forces act on bodies in a step that are looked at."""
-    apply(forces, registers, look.places, look.old, memory, time, numbers.inverse, h, look.loose)
+    _apply(forces, registers, mid.places, mid.old, memory, time, numbers.inverse, h, mid.loose)
     for b in forces.bodies:
-        sped = norm(look.loose[b, 0] - look.old[b, 0], look.loose[b, 1] - look.old[b, 1])
-        turned, inverse = abs(look.loose[b, 2] - look.old[b, 2]), numbers.inverse[b]
+        sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
+        turned, inverse = abs(mid.loose[b, 2] - mid.old[b, 2]), numbers.inverse[b]
         for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
-            look.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
+            mid.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
         # As fast as the same energy would make it without turning.
-        look.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
+        mid.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
 
 
 @part

@@ -3,28 +3,133 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
-from contacts.collision_detection.touches import Touches
-from contacts.collision_detection.touching import LANDED
+from contacts.collision_detection.find_contacts import LANDED
+from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import step_bodies
-from contacts.rigid_bodies.mass_ratios import ratio_remarks
-from contacts.rigid_bodies.room import Room
-from contacts.rigid_bodies.run_warnings import NoGround, Sinking
+from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.own_step import inner_radii
+from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.stiff_forces import UNSTABLE, Held, check_followed, stiffness
-from contacts.rigid_bodies.surroundings import Surroundings
-from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
-from contacts.time_stepping.refused import depth_left
+from contacts.rigid_bodies.workspace import Workspace
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
+from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NonFinite, StepTooLarge
+from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import several
+
+# Deeper than this part of its inner radius, a body may leave through another side.
+_DEEP = 0.1
+
+
+class _Found(NamedTuple):
+    """The deepest penetration: of which body, and when."""
+
+    body: int
+    depth: float
+    state: Array
+    time: float
+    h: float
+
+
+class Penetration:
+    """Watches how deep bodies are in each other and in surfaces."""
+
+    def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
+        self._names, self._radii = names, inner_radii(numbers)
+        self._start_depth, self._part = start_depth, _DEEP
+        self._found: _Found | None = None
+
+    def look(self, start: float, chunk: Chunk) -> None:
+        """Note the deepest penetration of some steps that begin at `start`."""
+        depths = -np.minimum(chunk.gaps, 0.0)
+        parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
+        if not parts.max(initial=0.0) > self._part:
+            return
+        k, b = (int(i) for i in np.unravel_index(np.argmax(parts), parts.shape))
+        self._part = float(parts[k, b])
+        # Gaps are those in the middle of a step.
+        middle, n = chunk.states[k].copy(), 3 * len(self._names)
+        middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
+        self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
+
+    def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
+        """Return a warning of what has sunk."""
+        if self._found is None:
+            return ()
+        body, depth, state, time, h = self._found
+        other = deepest_at(body, state, time) or "what it touches"
+        step = _DEEP * h / self._part
+        digits = 10.0 ** math.floor(math.log10(step))
+        return (
+            f"body {self._names[body]!r} is {depth:.3g} deep in {other} at t = "
+            f"{time:.6g}, with an inner radius of {self._radii[body]:.3g}: it may pass "
+            f"through; take steps of {math.floor(step / digits) * digits:.1g} or less",
+        )
+
+
+# What has no value, or an infinite one, somewhere; the others have one wherever their operands do.
+_PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
+
+
+class MissingGround:
+    """Looks, in a run, for the first place of each height that has no value."""
+
+    def __init__(self, names: Sequence[str], surfaces: Sequence[str], numbers: BodyNumbers) -> None:
+        self._names, self._surfaces, self._numbers = names, surfaces, numbers
+        ground = numbers.surfaces
+        partial = np.isin(ground.code[:, 0], _PARTIAL).any()
+        self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
+        self.remarks: tuple[str, ...] = ()
+
+    def look(self, start: float, h: float, states: Array, frames: Array) -> None:
+        """Look below the left and the right end of bodies, and their centres, at ends of steps."""
+        for s in self._unseen.copy():
+            if found := self._first(s, states, frames):
+                step, body, x = found
+                self._unseen.remove(s)
+                self.remarks += (
+                    f"the height of surface {self._surfaces[s]!r} has no value at x = {x:.6g}, "
+                    f"where body {self._names[body]!r} is at t = {start + step * h:.6g}: there is "
+                    "no ground",
+                )
+
+    def _first(self, s: int, states: Array, frames: Array) -> tuple[int, int, float] | None:
+        """Return the first step and body with a place that has no height, and the place."""
+        numbers, ground = self._numbers, self._numbers.surfaces
+        count, carrier = len(self._names), int(ground.carriers[s])
+        places = states[:, : 3 * count].reshape(len(states), count, 3)
+        below = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        if carrier >= 0:
+            below[carrier] = False
+        bodies = np.flatnonzero(below)
+        frame = frames[np.minimum(np.arange(len(states)), len(frames) - 1), s]
+        if carrier >= 0:
+            frame = places[:, carrier]
+        u, v, angle = (frame[:, d, None] for d in range(3))
+        x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
+        asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
+        at = int(ground.graphs[s])
+        heights = tape_table(
+            ground.code, ground.constants, ground.outputs[at : at + 1], 0,
+            np.ascontiguousarray(asked.reshape(-1, 1)), ground.values, np.zeros(asked.size),
+        )  # fmt: skip
+        lost = ~np.isfinite(heights.reshape(asked.shape))
+        if not lost.any():
+            return None
+        step, body, end = np.unravel_index(int(np.argmax(lost)), lost.shape)
+        return int(step), int(bodies[body]), float(asked[step, body, end])
+
 
 # Radians that a body turns in a step in which it is hit: worth a word, and followed.
 _TURNED, _FOLLOWED = 0.5, 0.1
@@ -33,11 +138,11 @@ _TURNED, _FOLLOWED = 0.5, 0.1
 _ADDED = 0.5
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64, 256)
-# So many moves out of what overlaps are tried; a look takes this part of a step.
+# So many moves out of what overlaps are tried; a detection takes this part of a step.
 _MOVES, _INSTANT = 20, 1e-6
 
 
-class _Touched(NamedTuple):
+class _MetContacts(NamedTuple):
     """Contacts of the bodies at the middle of a step."""
 
     levels: Array  # (m,): how deep contacts are.
@@ -49,22 +154,22 @@ class _Touched(NamedTuple):
     joints: Held
 
     @classmethod
-    def of(cls, touches: Touches, many: int, holds: Ints, memory: Memory) -> _Touched:
+    def of(cls, active: ActiveContacts, many: int, holds: Ints, memory: Memory) -> _MetContacts:
         """Return it from the contacts of a step, behind which joints stand."""
-        bodies, rows, met = touches.bodies[:many].copy(), touches.rows, many - len(holds)
+        bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
         both = holds == BOTH
         joints = [rows[met:many, 0], rows[met:many][both, 1]]
         return cls(
-            touches.memory[:met, 0].copy(),
+            active.memory[:met, 0].copy(),
             memory.contacts[:met, 1] == 1.0,
-            touches.materials[:met, 1] > 0.0,
+            active.materials[:met, 1] > 0.0,
             Held(bodies[:met], rows[:met, 0].copy()),
             Held(bodies[:met], rows[:met, 1].copy()),
             Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
         )
 
 
-class SteppedHeap:
+class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies: what lasts from step to step.
 
     Parameters
@@ -72,10 +177,10 @@ class SteppedHeap:
     names, surfaces : sequence of str
         Of the bodies, and of what they touch.
     numbers : BodyNumbers
-    around : Surroundings
+    around : PrescribedMotion
         What acts on them.
     law : int
-        What is hit together follows; see `contacts.rigid_bodies.order`.
+        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
     allowed : float
         Residual of impulses that are good enough.
     deepest : float
@@ -96,7 +201,7 @@ class SteppedHeap:
         names: Sequence[str],
         surfaces: Sequence[str],
         numbers: BodyNumbers,
-        around: Surroundings,
+        around: PrescribedMotion,
         law: int,
         allowed: float,
         deepest: float = math.inf,
@@ -106,10 +211,10 @@ class SteppedHeap:
         self.surfaces = surfaces
         self.numbers, self._names, self._around, self._law = numbers, names, around, law
         count = len(names)
-        self._memory = self._kept = Memory.room(numbers)
+        self._memory = self._saved = Memory.allocate(numbers)
         # As if an impact had left them there.
         self._memory.past[2] = start_depth / LANDED
-        self._room = Room.of(self.numbers, self._memory)
+        self._room = Workspace.of(self.numbers, self._memory)
         self._allowed = allowed
         self.least = np.full(count, np.inf)
         self._deepest, self._forces = deepest, forces
@@ -119,8 +224,8 @@ class SteppedHeap:
         self._added = self._moved = 0.0
         self._before = (0.0, 0.0)
         self._unfollowed: StepTooLarge | None = None
-        self._no_ground = NoGround(names, surfaces, numbers)
-        self._sinking = Sinking(names, numbers, start_depth)
+        self._no_ground = MissingGround(names, surfaces, numbers)
+        self._sinking = Penetration(names, numbers, start_depth)
         # A disc about its centre of mass looks the same however it turns.
         pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
@@ -132,8 +237,8 @@ class SteppedHeap:
 
     def forget(self) -> None:
         """Take back the last steps."""
-        self._kept = self._kept.as_large(self._memory)
-        self._memory = self._kept.copy()
+        self._saved = self._saved.as_large(self._memory)
+        self._memory = self._saved.copy()
         self._added, self._moved = self._before
         self._unfollowed = None
         self._around.forget()
@@ -156,15 +261,15 @@ class SteppedHeap:
     def _deepest_met(self, body: int, least: float) -> str:
         # Joints stand behind the contacts.
         count = int(self._memory.many[0]) - len(self.numbers.joints.holds)
-        touches = self._room.touches
-        mine = [i for i in range(count) if body in touches.bodies[i].tolist()]
+        active = self._room.active
+        mine = [i for i in range(count) if body in active.bodies[i].tolist()]
         i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
         # Deeper than all that it touches is what is in the middle of others' pieces.
         if i < 0 or self._memory.contacts[i, 0] > least:
             return ""
-        one, other = touches.bodies[i].tolist()
+        one, other = active.bodies[i].tolist()
         pieces = len(self.numbers.pieces.sizes)
-        surface = int(touches.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
+        surface = int(active.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
         if surface >= 0:
             return f"surface {self.surfaces[surface]!r}"
         return f"body {self._names[other if one == body else one]!r}"
@@ -174,11 +279,11 @@ class SteppedHeap:
 
         Of what it is in deeper than `near`.
         """
-        touches, count = self._room.touches, int(self._memory.many[0])
-        sides = touches.bodies[:count] == body
-        deep = sides.any(axis=1) & (touches.memory[:count, 0] < -near)
-        normals = np.where(sides[:, :1], touches.rows[:count, 0, :2], touches.rows[:count, 0, 3:5])
-        return normals[deep], -touches.memory[:count, 0][deep]
+        active, count = self._room.active, int(self._memory.many[0])
+        sides = active.bodies[:count] == body
+        deep = sides.any(axis=1) & (active.memory[:count, 0] < -near)
+        normals = np.where(sides[:, :1], active.rows[:count, 0, :2], active.rows[:count, 0, 3:5])
+        return normals[deep], -active.memory[:count, 0][deep]
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`.
@@ -207,17 +312,17 @@ class SteppedHeap:
         deep = met.levels < 0.0
         return met.normal.only(deep).whole(count), met.joints.whole(count), met.levels[deep]
 
-    def _touched(self, state: Array, time: float, h: float) -> _Touched:
+    def _touched(self, state: Array, time: float, h: float) -> _MetContacts:
         """Return what a small part of a step of `h` meets."""
         with self._looking(state, time, h):
-            touches, many = self._room.touches, int(self._memory.many[0])
-            return _Touched.of(touches, many, self.numbers.joints.holds, self._memory)
+            active, many = self._room.active, int(self._memory.many[0])
+            return _MetContacts.of(active, many, self.numbers.joints.holds, self._memory)
 
     @contextmanager
     def _looking(self, state: Array, time: float, h: float) -> Iterator[None]:
         """Take a small part of a step of `h`, after which the run may go on from where it is."""
         before, around = self._memory, self._around
-        self._memory, self._around = Memory.room(self.numbers), copy(around)
+        self._memory, self._around = Memory.allocate(self.numbers), copy(around)
         self._taken(time, _INSTANT * h, state, 1, math.inf)
         yield
         self._memory, self._around = before.as_large(self._memory), around
@@ -252,7 +357,7 @@ class SteppedHeap:
         """
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
-            self._kept, self._before = self._memory.copy(), (self._added, self._moved)
+            self._saved, self._before = self._memory.copy(), (self._added, self._moved)
         if self._unfollowed is not None:
             raise self._unfollowed
         self._check_forces(start, h, state)
@@ -268,7 +373,7 @@ class SteppedHeap:
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
         if status == NOT_FINITE and not len(chunk.codes):
-            lost = np.argwhere(~np.isfinite(self._room.look.loose))[:, 0].tolist()
+            lost = np.argwhere(~np.isfinite(self._room.mid.loose))[:, 0].tolist()
             what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
         if len(self.numbers.joints.holds):
@@ -331,7 +436,7 @@ class SteppedHeap:
         ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
-        chunk = Chunk.room(h, state, solved + self._around.count, bodies, count)
+        chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
         chunk = chunk._replace(modes=chunk.codes.copy())
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
@@ -346,7 +451,7 @@ class SteppedHeap:
             if status == FULL:
                 self._memory = self._memory.larger()
                 worst = self._room.worst
-                self._room = Room.of(self.numbers, self._memory)._replace(worst=worst)
+                self._room = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
         chunk.states[1:, 6 * bodies :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:

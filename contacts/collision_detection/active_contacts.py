@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import Memory
-from contacts.collision_detection.look import Look
+from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import part
 
@@ -15,7 +15,7 @@ from statechart.kernels.jit import part
 _LASTS = 0.95
 
 
-class Touches(NamedTuple):
+class ActiveContacts(NamedTuple):
     """Contacts that take part in a step."""
 
     bodies: Ints  # (c, 2): which touch; -1: a surface.
@@ -37,7 +37,7 @@ class Touches(NamedTuple):
     closing: Array
 
     @classmethod
-    def room(cls, most: int) -> Touches:
+    def allocate(cls, most: int) -> ActiveContacts:
         """Return place for so many contacts."""
         return cls(
             np.empty((most, 2), np.int64),
@@ -68,9 +68,11 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
 
 
 @part
-def felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> None:
+def write_contact(
+    mid: Midpoint, b: int, c: int, found: Array, m: int, active: ActiveContacts
+) -> None:
     """Write the rows of a point of contact, and its velocities."""
-    bodies, rows, centres = touches.bodies, touches.rows, look.places
+    bodies, rows, centres = active.bodies, active.rows, mid.places
     nx, ny, x, y = found[0], found[1], found[2], found[3]
     bodies[m, 0], bodies[m, 1] = b, c
     for d in range(2):
@@ -80,40 +82,42 @@ def felt(look: Look, b: int, c: int, found: Array, m: int, touches: Touches) -> 
         if c >= 0:
             rx, ry = x - centres[c, 0], y - centres[c, 1]
             rows[m, d, 3], rows[m, d, 4], rows[m, d, 5] = -ux, -uy, -(rx * uy - ry * ux)
-        touches.before[m, d] = velocity(bodies, rows, look.old, m, d)
-        touches.free[m, d] = velocity(bodies, rows, look.loose, m, d)
+        active.before[m, d] = velocity(bodies, rows, mid.old, m, d)
+        active.free[m, d] = velocity(bodies, rows, mid.loose, m, d)
 
 
 @part
-def recalled(
-    memory: Memory, first: int, pair: int, feature: int, h: float, m: int, touches: Touches
+def warm_start(
+    memory: Memory, first: int, pair: int, feature: int, h: float, m: int, active: ActiveContacts
 ) -> tuple[float, bool, int]:
     """Write the impulses that a contact had in a step; return its level, if it lasts, its place.
 
     The place is that in the memory, -1 where it is new.
     """
-    touches.pushes[m, 0] = touches.pushes[m, 1] = touches.memory[m, 2] = 0.0
+    active.pushes[m, 0] = active.pushes[m, 1] = active.memory[m, 2] = 0.0
     level, lasting, at, place = 0.0, False, first, -1
     # Forces last, so that impulses go with the length of a step.
     longer = h / memory.past[0] if memory.past[0] > 0.0 else 1.0
     while at < memory.many[0] and memory.keys[at, 0] == pair:
         if memory.keys[at, 1] == feature:
             level, lasting, place = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0, at
-            touches.pushes[m, 0] = longer * memory.contacts[at, 2]
-            touches.pushes[m, 1] = longer * memory.contacts[at, 3]
-            touches.memory[m, 2] = memory.contacts[at, 8]
+            active.pushes[m, 0] = longer * memory.contacts[at, 2]
+            active.pushes[m, 1] = longer * memory.contacts[at, 3]
+            active.memory[m, 2] = memory.contacts[at, 8]
         at += 1
     return level, lasting, place
 
 
 @part
-def turned(memory: Memory, place: int, m: int, touches: Touches) -> tuple[float, float]:
+def turning_change(
+    memory: Memory, place: int, m: int, active: ActiveContacts
+) -> tuple[float, float]:
     """Return by how much the turning of bodies has changed the velocities of a contact.
 
-    Since the last look nothing acts on them. Contacts of other features with the same key are not
-    compared: their normals differ.
+    Since the last detection nothing acts on them. Contacts of other features with the same key are
+    not compared: their normals differ.
     """
-    last, rows, before = memory.contacts[place], touches.rows, touches.before
+    last, rows, before = memory.contacts[place], active.rows, active.before
     if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _LASTS:
         return 0.0, 0.0
     return before[m, 0] - last[4], before[m, 1] - last[5]

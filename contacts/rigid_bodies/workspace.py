@@ -6,19 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers, Memory
 from contacts.collision_detection.broad_phase import Grid
-from contacts.collision_detection.look import Look
-from contacts.collision_detection.touches import Touches
+from contacts.collision_detection.midpoint import Midpoint
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Bools, Ints
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Workspace of a step; only `worst` keeps its content between steps."""
 
-    look: Look
-    touches: Touches
+    mid: Midpoint
+    active: ActiveContacts
     grid: Grid
     # (c, 2): impulses of the step, and those of them that are forces.
     pressed: Array
@@ -30,7 +30,7 @@ class Room(NamedTuple):
     # impulses; and those of impacts in turn.
     island: Array
     rebounds: Bools  # (c,): which of them do.
-    # See `contacts.rigid_bodies.islands`.
+    # See `contacts.rigid_bodies.island_step`.
     parents: Ints  # shape (b,)
     local: Ints  # shape (b,)
     begins: Ints  # shape (b + 1,)
@@ -46,13 +46,13 @@ class Room(NamedTuple):
     apart: Array
 
     @classmethod
-    def of(cls, numbers: BodyNumbers, memory: Memory) -> Room:
+    def of(cls, numbers: BodyNumbers, memory: Memory) -> Workspace:
         """Return room for as many contacts as are remembered."""
         count, most = len(numbers.sizes), len(memory.keys)
         return cls(
-            Look.room(numbers),
-            Touches.room(most),
-            Grid.room(len(numbers.pieces.sizes), most),
+            Midpoint.allocate(numbers),
+            ActiveContacts.allocate(most),
+            Grid.allocate(len(numbers.pieces.sizes), most),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.int64),

@@ -1,18 +1,99 @@
-"""Stop conditions of a run by steps: seen at the ends of steps, located inside them."""
+"""Stop conditions of a run by steps: tested at the ends of steps, located inside them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import sympy as sp
 from numpy.typing import NDArray
 
+from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
+from contacts.states import STATES
 from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.lazy_arcs import cut
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.run_inputs import Stepping
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.margin_derivatives import rounding_scale
+from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Arc, Key
+from statechart.formulas.tape import Tape
+
+
+class ActiveStates:
+    """The states of regions, by their codes in steps and by the states of controllers."""
+
+    def __init__(self, regions: Sequence[Region]) -> None:
+        self._places = {region.name: (place, region) for place, region in enumerate(regions)}
+
+    def at(self, codes: Ints, controls: Key) -> Callable[[str, str], Bools]:
+        """Return the test in which rows (m,) a region is in a state."""
+
+        def active(name: str, state: str) -> Bools:
+            place, region = self._places[name]
+            if place >= codes.shape[1]:
+                now = state in region.active(controls[place - codes.shape[1]])
+                return np.full(len(codes), now)
+            table = [state in region.active(other) for _, other in sorted(STATES.items())]
+            return np.array(table)[codes[:, place]]
+
+        return active
+
+
+class StopTapes:
+    """The stop conditions of a scene, on tape.
+
+    Attributes
+    ----------
+    stops : tuple of StopCondition
+    names : tuple of str
+    margins : Tape
+        Those of the atoms, over variables and unknowns.
+    counts : (2, a) array of bool
+        Which atoms hold on their boundary, too, where they stay there for a step; and at once, of
+        what jumps alone change, so that no motion tells the way it goes.
+    active : ActiveStates
+    """
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        stops: Sequence[StopCondition],
+        unknowns: Sequence[sp.Symbol],
+        regions: Sequence[Region],
+    ) -> None:
+        self._mechanics, self._unknowns, self.stops = mechanics, unknowns, tuple(stops)
+        self.names = tuple(stop.name for stop in stops)
+        atoms = [atom for stop in stops for atom in stop.condition.atoms]
+        self._conditions = [atom.expression for atom in atoms]
+        self.margins: Tape = mechanics.whole_tape(self._conditions, unknowns=unknowns)
+        flowing = mechanics.scene.controlled.flowing
+        still = {*mechanics.parameters.ordered}
+        still |= {symbol for name, symbol in mechanics.memory.items() if name not in flowing}
+        stays = np.array([not atom.strict for atom in atoms], np.bool_)
+        jumps = np.array([atom.expression.free_symbols <= still for atom in atoms], np.bool_)
+        self.counts: Bools = np.stack([stays, stays & jumps])
+        self.active = ActiveStates(regions)
+
+    @cached_property
+    def _of_terms(self) -> Tape:
+        """Sizes of the margins' terms, over inputs and the sizes of inputs."""
+        mechanics = self._mechanics
+        inputs = (*mechanics.variables, *mechanics.memory.values(), *self._unknowns)
+        sizes = {symbol: sp.Symbol(f"size_{symbol}", real=True) for symbol in inputs}
+        return mechanics.whole_tape(
+            [rounding_scale(condition, sizes) for condition in self._conditions],
+            unknowns=(*self._unknowns, *sizes.values()),
+        )
+
+    def terms(self, rows: Array, sizes: Array, values: Array, times: Array) -> Array:
+        """Return how large the terms of margins (k, s) are."""
+        inputs = np.hstack([rows, np.broadcast_to(sizes, rows.shape)])
+        return np.nan_to_num(self._of_terms.table(inputs, values, times))
+
 
 # A condition is located within its step to this part of it.
 _BISECTIONS = 60
@@ -21,8 +102,8 @@ _BISECTIONS = 60
 class StopConditions:
     """The conditions that end a run."""
 
-    def __init__(self, stepping: Stepping, setup: SceneSetup) -> None:
-        self._tapes, self._names, self._values = stepping.stops, stepping.stop_names, setup.values
+    def __init__(self, tapes: StopTapes, setup: SceneSetup) -> None:
+        self._tapes, self._names, self._values = tapes, tapes.names, setup.values
         self._tape = self._tapes.margins
         assert setup.sizes is not None
         unknowns = self._tape.n_variables - len(setup.sizes)
@@ -154,15 +235,3 @@ def first_lost(margins: Array, inputs: Array) -> tuple[int, int] | None:
     known: Bools = np.all(np.isfinite(inputs), axis=1)
     lost = np.argwhere(np.isnan(margins) & known[:, None]).tolist()
     return (lost[0][0], lost[0][1]) if lost else None
-
-
-def cut(arc: Arc, step: int, end: float) -> Arc:
-    """Return an arc that ends at local time `end`, in one of its steps."""
-    begin = arc.times[step]
-    s = (end - begin) / (arc.times[step + 1] - begin)
-    times, coefficients = arc.times[: step + 2].copy(), arc.coefficients[: step + 1].copy()
-    times[-1] = end
-    coefficients[-1] *= s ** np.arange(coefficients.shape[2])
-    assert arc.solved is not None
-    solved = arc.solved[: step + 1]
-    return Arc(arc.mode, arc.roles, arc.start, arc.j, times, coefficients, solved)

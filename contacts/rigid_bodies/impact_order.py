@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.collision_detection.touches import Touches
 from contacts.solvers.contact_rows import ContactRows, slope
 from contacts.solvers.impact_sequence import in_turn
 from contacts.time_stepping.chunk import LIVELY, SLOW
-from contacts.time_stepping.impact_order import order_matters
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import late, part
 
@@ -20,26 +19,26 @@ PLASTIC, CAPPED, SEQUENTIAL = range(3)
 
 
 @part
-def _pair(numbers: BodyNumbers, touches: Touches, i: int) -> int:
+def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     """Return a number of the two things that touch at a contact, whichever pieces of them do."""
-    one, other = touches.bodies[i]
+    one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
     if other >= 0:
         return int(min(one, other) * bodies + max(one, other))
     surfaces = len(numbers.surfaces.kinds)
-    return int((bodies + one) * (bodies + surfaces) + touches.keys[i, 0] % (pieces + surfaces))
+    return int((bodies + one) * (bodies + surfaces) + active.keys[i, 0] % (pieces + surfaces))
 
 
 @part
-def _slow(numbers: BodyNumbers, touches: Touches, i: int, h: float) -> float:
+def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> float:
     """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`."""
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    return SLOW * max(fall, abs(touches.free[i, 0] - touches.before[i, 0]))
+    return SLOW * max(fall, abs(active.free[i, 0] - active.before[i, 0]))
 
 
 @late
-def carried_out(
-    numbers: BodyNumbers, touches: Touches, members: Ints, contacts: ContactRows, h: float,
+def impacts_in_turn(
+    numbers: BodyNumbers, active: ActiveContacts, members: Ints, contacts: ContactRows, h: float,
     start: Array, unforced: Array, asked: Array, rebounds: Bools, sudden: Array, allowed: float,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Carry out the impacts of an island one after another; see `in_turn` for what is returned.
@@ -51,7 +50,6 @@ def carried_out(
 
     Parameters
     ----------
-    numbers, touches
     members : (m,) array of int
         The island's contacts.
     contacts : ContactRows
@@ -70,8 +68,8 @@ def carried_out(
     restitution, slow = np.empty(size), np.empty(size)
     for a in range(size):
         i = members[a]
-        pairs[a] = _pair(numbers, touches, i)
-        restitution[a], slow[a] = touches.materials[i, 2], _slow(numbers, touches, i, h)
+        pairs[a] = _pair(numbers, active, i)
+        restitution[a], slow[a] = active.materials[i, 2], _slow(numbers, active, i, h)
         for d in range(2):
             now[a, d] = 0.5 * (start[a, d] + unforced[a, d])
     done, missed, left = in_turn(contacts, pairs, now, restitution, slow, allowed, sudden)
@@ -85,16 +83,35 @@ def carried_out(
             unforced[a, d] += changed
         if slope(contacts.cones[a]) < 0.0:
             continue
-        touches.hit[i] = touches.hit[i] or sudden[a, 0] > 0.0
+        active.hit[i] = active.hit[i] or sudden[a, 0] > 0.0
         rebounds[a] = False
-        if touches.hit[i]:
-            asked[a, 0] = asked[a, 1] = touches.wanted[i, 0] = touches.wanted[i, 1] = 0.0
+        if active.hit[i]:
+            asked[a, 0] = asked[a, 1] = active.wanted[i, 0] = active.wanted[i, 1] = 0.0
     return done, missed, left
+
+
+@part
+def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> bool:
+    """Return whether a body is struck at once at several of the things that it touches."""
+    for a in range(len(pairs)):
+        for side in range(2):
+            if bodies[a, side] >= 0:
+                struck[bodies[a, side]] = -1
+    for a in range(len(pairs)):
+        if not lively[a]:
+            continue
+        for side in range(2):
+            b = bodies[a, side]
+            if b >= 0 and struck[b] >= 0 and struck[b] != pairs[a]:
+                return True
+            if b >= 0:
+                struck[b] = pairs[a]
+    return False
 
 
 @late
 def is_ambiguous(
-    numbers: BodyNumbers, touches: Touches, members: Ints, contacts: ContactRows, h: float,
+    numbers: BodyNumbers, active: ActiveContacts, members: Ints, contacts: ContactRows, h: float,
     impulses: Array, struck: Ints,
 ) -> bool:  # fmt: skip
     """Whether impacts in turn would do something else than those at once.
@@ -104,8 +121,8 @@ def is_ambiguous(
 
     Parameters
     ----------
-    numbers, touches, members, contacts, h
-        See `carried_out`.
+    numbers, active, members, contacts, h
+        See `impacts_in_turn`.
     impulses : (m, 2)
         Of the step.
     struck : (b,) array of int
@@ -116,8 +133,8 @@ def is_ambiguous(
     lively = np.empty(size, np.bool_)
     for a in range(size):
         i = members[a]
-        sudden = contacts.own[a, 0] * (impulses[a, 0] - touches.pushes[i, 0])
-        lively[a] = touches.materials[i, 2] >= LIVELY and sudden > _slow(numbers, touches, i, h)
-        bodies[a, 0], bodies[a, 1] = touches.bodies[i, 0], touches.bodies[i, 1]
-        pairs[a] = _pair(numbers, touches, i)
+        sudden = contacts.own[a, 0] * (impulses[a, 0] - active.pushes[i, 0])
+        lively[a] = active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)
+        bodies[a, 0], bodies[a, 1] = active.bodies[i, 0], active.bodies[i, 1]
+        pairs[a] = _pair(numbers, active, i)
     return order_matters(bodies, pairs, lively, struck)

@@ -8,13 +8,13 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import between, norm, place
-from contacts.collision_detection.look import Look
+from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
 # What is to be hit ahead of its arrival is by then no farther than this part of its gap.
 _ARRIVED = 0.01
-# The cosine of the angle by which the normal of a hit may turn from its look to the touch.
+# The cosine of the angle by which the normal of a hit may turn from its detection to the touch.
 _ALIKE = 0.8
 # Of what turns the instant of touching is known to this part of the time in which it is looked for.
 _LOOKS = 256
@@ -40,18 +40,6 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 
 @part
-def _within(
-    corners: Array, centre: Array, radius: float, nx: float, ny: float
-) -> tuple[float, float]:
-    """Return the middle of a piece along a normal, and half of how wide it is."""
-    least = most = nx * centre[0] + ny * centre[1]
-    for k in range(len(corners)):
-        along = nx * corners[k, 0] + ny * corners[k, 1]
-        least, most = (along, along) if k == 0 else (min(least, along), max(most, along))
-    return 0.5 * (least + most), 0.5 * (most - least) + radius
-
-
-@part
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
     """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
@@ -61,14 +49,14 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
 
 
 @part
-def turning(numbers: BodyNumbers, look: Look, one: int, other: int) -> float:
+def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
     """Return how fast turning brings parts of two pieces nearer, which their middles do not tell.
 
     What is round turns nothing.
     """
     pieces, total = numbers.pieces, 0.0
     for p in (one, other):
-        total += abs(look.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
+        total += abs(mid.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
     return total
 
 
@@ -82,14 +70,14 @@ def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, flo
 
 @part
 def _points(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], later: float, within: float,
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float, within: float,
     found: Array,
 ) -> int:  # fmt: skip
     """Find the points where two pieces are this near that have moved on as they do."""
     pieces, (p, q) = numbers.pieces, pair
     one, other = pieces.bodies[p], pieces.bodies[q]
-    corners, middle, radius = _moved(pieces, p, look.places[one] + later * look.old[one])
-    others, beside, rim = _moved(pieces, q, look.places[other] + later * look.old[other])
+    corners, middle, radius = _moved(pieces, p, mid.places[one] + later * mid.old[one])
+    others, beside, rim = _moved(pieces, q, mid.places[other] + later * mid.old[other])
     return between(
         corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
     )
@@ -97,7 +85,7 @@ def _points(
 
 @part
 def _met(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], later: float,
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float,
     normal: tuple[float, float], found: Array,
 ) -> tuple[float, float]:  # fmt: skip
     """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
@@ -106,8 +94,7 @@ def _met(
 
     Parameters
     ----------
-    numbers : BodyNumbers
-    look : Look
+    mid : Midpoint
         Where their bodies are, and how fast, at the time zero.
     pair : (int, int)
         Which pieces.
@@ -119,8 +106,8 @@ def _met(
         Is overwritten.
     """
     one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
-    fastest = np.abs(look.old[one]).max() + np.abs(look.old[other]).max()
-    count = _points(numbers, look, pair, later, 2.0 * abs(later) * fastest, found)
+    fastest = np.abs(mid.old[one]).max() + np.abs(mid.old[other]).max()
+    count = _points(numbers, mid, pair, later, 2.0 * abs(later) * fastest, found)
     gap, along = math.inf, 1.0 if count == 0 else -1.0
     for p in range(count):
         gap = min(gap, found[p, 4])
@@ -130,8 +117,8 @@ def _met(
 
 @part
 def _touch(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], begin: float, end: float, near: float,
-    aside: Array,
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
+    near: float, aside: Array,
 ) -> float:  # fmt: skip
     """When two pieces that move and turn are first as near as this; inf if they are not.
 
@@ -140,14 +127,14 @@ def _touch(
     `end`s before it begins.
     """
     pieces, p, q = numbers.pieces, pair[0], pair[1]
-    u, v = look.old[pieces.bodies[p]], look.old[pieces.bodies[q]]
+    u, v = mid.old[pieces.bodies[p]], mid.old[pieces.bodies[q]]
     fastest = norm(u[0] - v[0], u[1] - v[1])
     fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
     way, time = math.copysign(1.0, end - begin), begin
     least = abs(end - begin) / _LOOKS
     while (end - time) * way > 0.0:
         gap = math.inf
-        for k in range(_points(numbers, look, pair, time, math.inf, aside)):
+        for k in range(_points(numbers, mid, pair, time, math.inf, aside)):
             gap = min(gap, aside[k, 4])
         if gap <= near:
             return time
@@ -156,8 +143,8 @@ def _touch(
 
 
 @late
-def arrives(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
+def hits_ahead(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     gap: float, nearing: float, h: float, aside: Array,
 ) -> tuple[bool, float]:  # fmt: skip
     """Return whether bodies that are not beside each other touch, and for how long they did.
@@ -165,95 +152,43 @@ def arrives(
     Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
     """
     later = max(gap / nearing, -h)
-    arrived, along = _met(numbers, look, pair, later, normal, aside)
+    arrived, along = _met(numbers, mid, pair, later, normal, aside)
     if gap > 0.0 and not arrived <= _ARRIVED * gap:
         return False, 0.0
     return True, _ELSEWHERE if along < _ALIKE else 0.0
 
 
 @late
-def turns_into(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], gap: float, until: float, aside: Array
+def hits_turning(
+    numbers: BodyNumbers,
+    mid: Midpoint,
+    pair: tuple[int, int],
+    gap: float,
+    until: float,
+    aside: Array,
 ) -> bool:
     """Whether bodies that turn much, and are not beside each other, touch until then."""
-    return _touch(numbers, look, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
+    return _touch(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
 
 
 @late
-def turned_past(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], since: float, deep: float,
+def passing_time(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, deep: float,
     aside: Array,
 ) -> float:  # fmt: skip
-    """Return for how long pieces were so deep in each other since the last look, and in between."""
-    left = _touch(numbers, look, pair, 0.0, -since, -deep, aside)
+    """Return for how long pieces were so deep in each other since the last detection."""
+    left = _touch(numbers, mid, pair, 0.0, -since, -deep, aside)
     if not -since < left < 0.0:
         return 0.0
-    begin = _touch(numbers, look, pair, -since, 0.0, -deep, aside)
+    begin = _touch(numbers, mid, pair, -since, 0.0, -deep, aside)
     return left - begin if -since < begin else 0.0
 
 
 @late
-def came(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], normal: tuple[float, float],
+def entered_elsewhere(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     since: float, aside: Array,
 ) -> float:  # fmt: skip
     """Return for how long a body was in another that it leaves: if it came by another side."""
-    earlier, _ = _met(numbers, look, pair, -since, normal, aside)
+    earlier, _ = _met(numbers, mid, pair, -since, normal, aside)
     return _ELSEWHERE if earlier > 0.0 else 0.0
-
-
-@part
-def _swept(look: Look, pieces: PieceNumbers, p: int, q: int, core: float) -> tuple[float, float]:
-    """When two pieces that do not turn overlap; inf, inf if never.
-
-    Separating axes of what moves in straight lines: normals of edges, and that of the motion.
-
-    Parameters
-    ----------
-    look : Look
-        Where they are at the time zero.
-    pieces : PieceNumbers
-    p, q : int
-    core : float
-        What part of their widths counts.
-    """
-    one = look.world[pieces.firsts[p] : pieces.firsts[p + 1]]
-    other = look.world[pieces.firsts[q] : pieces.firsts[q + 1]]
-    u, v = look.drifts[p, 0] - look.drifts[q, 0], look.drifts[p, 1] - look.drifts[q, 1]
-    begin, end, count = -math.inf, math.inf, len(one) + len(other)
-    for i in range(count + 1):
-        x, y = u, v
-        if i < count:
-            corners, k = (one, i) if i < len(one) else (other, i - len(one))
-            m = (k + 1) % len(corners)
-            x, y = corners[m, 0] - corners[k, 0], corners[m, 1] - corners[k, 1]
-        length = norm(x, y)
-        nx, ny = y / length, -x / length
-        here, half = _within(one, look.centres[p], pieces.radii[p], nx, ny)
-        there, wide = _within(other, look.centres[q], pieces.radii[q], nx, ny)
-        away, reach = here - there, core * (half + wide)
-        # The last normal is across the motion.
-        speed = nx * u + ny * v if i < count else 0.0
-        if speed == 0.0:
-            if abs(away) >= reach:
-                return math.inf, math.inf
-            continue
-        begin = max(begin, (-away - math.copysign(reach, speed)) / speed)
-        end = min(end, (-away + math.copysign(reach, speed)) / speed)
-    return (begin, end) if begin < end else (math.inf, math.inf)
-
-
-@late
-def crossing(
-    numbers: BodyNumbers, look: Look, pair: tuple[int, int], since: float, core: float,
-    aside: Array,
-) -> float:  # fmt: skip
-    """Return for how long pieces overlapped since the last look that have passed each other."""
-    begin, end = _swept(look, numbers.pieces, pair[0], pair[1], core)
-    # What is still in the other is hit, from the side that it came by.
-    if not -since < begin < end < 0.0:
-        return 0.0
-    # They have turned since.
-    middle = 0.5 * (begin + end)
-    gap, _ = _met(numbers, look, pair, middle, (1.0, 0.0), aside)
-    return end - begin if gap < 0.0 else 0.0

@@ -18,16 +18,17 @@ from contacts.dynamics.controllers import Controllers, controller, given, memory
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.rigid_bodies.body_step import step_bodies
-from contacts.rigid_bodies.declared_joints import closed, implied_remarks
-from contacts.rigid_bodies.declared_surfaces import touched
+from contacts.rigid_bodies.declared_numbers import (
+    body_numbers,
+    closed_joints,
+    implied_remarks,
+    touched,
+)
 from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.outlines import body_numbers
 from contacts.rigid_bodies.own_step import forced_speed, own_step
-from contacts.rigid_bodies.paths import Paths
-from contacts.rigid_bodies.recall import Recall
-from contacts.rigid_bodies.stepped_heap import SteppedHeap
-from contacts.rigid_bodies.surroundings import Surroundings
+from contacts.rigid_bodies.prescribed_motion import ControllerFlow, Paths, PrescribedMotion
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
 from contacts.scene.checks import check_physical, check_shapes
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
@@ -35,9 +36,8 @@ from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.control import StepControl
-from contacts.time_stepping.refused import DEEPEST
-from contacts.time_stepping.run_inputs import RunInputs
-from contacts.time_stepping.stepper import RELATIVE, Stepper
+from contacts.time_stepping.step_rejection import DEEPEST
+from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
@@ -107,21 +107,18 @@ class BodyStepper(Stepper):
         stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
-        self._controllers = Controllers(mechanics)
         super().__init__(
             mechanics,
             stops,
-            mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=regions,
-            controls=self._controllers.initial,
+            regions,
+            Controllers(mechanics),
             again=BODY_BLOW,
             forces=None,
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
-        self._declared, self._bodies, self._regions = declared, mechanics, regions
+        self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
-        self._recall = Recall(mechanics)
+        self._recall = ControllerFlow(mechanics)
         # What no value of a parameter changes.
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
@@ -170,14 +167,12 @@ class BodyStepper(Stepper):
         free = np.full(len(self._scene.bodies), FREE)
         control = None
         if self._scene.regions:
-            control = StepControl(
-                self._bodies, self._controllers, setup, bodies, bodies.switch, self._regions
-            )
+            control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
         return RunInputs(setup, bodies, free, self._lacks(setup), control, failure)
 
     def _made(
         self, overrides: Mapping[str, float], allowed: float, forces: bool
-    ) -> tuple[SceneSetup, SteppedHeap]:
+    ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
         known = self._constants.values(overrides)
         if overrides:
@@ -194,9 +189,9 @@ class BodyStepper(Stepper):
             deepest: float = math.inf,
             forces: bool = False,
             start_depth: float = 0.0,
-        ) -> SteppedHeap:
-            around = Surroundings(self._bodies, self._paths, self._recall, known, values)
-            return SteppedHeap(
+        ) -> RigidBodyRun:
+            around = PrescribedMotion(self._bodies, self._paths, self._recall, known, values)
+            return RigidBodyRun(
                 self._names, self._surfaces, bodies, around, law, allowed, deepest, forces,
                 start_depth,
             )  # fmt: skip
@@ -247,7 +242,7 @@ class BodyStepper(Stepper):
         setup: SceneSetup,
         bodies: BodyNumbers,
         known: Mapping[str, float],
-        heap: Callable[[BodyNumbers], SteppedHeap],
+        heap: Callable[[BodyNumbers], RigidBodyRun],
     ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
         """Check that bodies start in what is hollow, on their joints, and apart.
 
@@ -269,18 +264,18 @@ class BodyStepper(Stepper):
         check_inside(scene, owners, bodies, moved, begun.frames[0])
         # Of the second order, from the start on: before it a path need not be.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
-        joints = closed(
+        joints = closed_joints(
             scene, bodies.joints, moved, begun.places[0], rates, _START_DEPTH * length,
             _START_DEPTH * speed,
         )  # fmt: skip
         bodies = bodies._replace(joints=joints)
 
-        def trial(numbers: BodyNumbers, start: Array) -> SteppedHeap:
+        def trial(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
             found = heap(numbers)
             found.steps(0.0, 1e-9 * length / speed, start, 1)
             return found
 
-        def looked(numbers: BodyNumbers, start: Array) -> SteppedHeap:
+        def looked(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
             # One step does not pay to compile it.
             if is_ready(step_bodies):
                 return trial(numbers, start)

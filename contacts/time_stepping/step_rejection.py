@@ -11,20 +11,22 @@ import numpy as np
 
 from contacts.states import OFF_CODE
 from contacts.time_stepping.chunk import RESIDUAL, Chunk
-from contacts.time_stepping.energy import MOST_ADDED
 from statechart.arrays import Array, Ints
 from statechart.errors import StepTooLarge, UnsolvedImpulses
 
 DEEPEST = 0.1
 """Deeper than this part of the scene in one step: the step does not see its surfaces."""
 
+# A step adds at most this part of the energy that its contacts move with. Steps that follow a
+# surface by a tenth of a radian add a thousandth; those that do not follow it, multiples.
+_MOST_ADDED = 0.1
 # Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
 _HELPLESS = 0.1
 # Depths below this part of the scene are rounding and what joints are apart by.
 _SHALLOW = 1e-6
 
 
-class Refused(NamedTuple):
+class Rejection(NamedTuple):
     """A step that is not taken."""
 
     step: int  # Its number in the chunk.
@@ -34,15 +36,13 @@ class Refused(NamedTuple):
 
 def too_large(
     chunk: Chunk, angles: slice | Ints, regions: Sequence[str], size: float, step: float
-) -> Refused | None:
+) -> Rejection | None:
     """Return the first step that is too large for what happens in it.
 
     Parameters
     ----------
-    chunk : Chunk
     angles : slice or (a,) array of int
         Where the rates of angles are in a state; see `evenly`.
-    regions : sequence of str
     size : float
         Of the scene.
     step : float
@@ -51,29 +51,29 @@ def too_large(
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
     wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
-    wrong |= chunk.gained > MOST_ADDED
+    wrong |= chunk.gained > _MOST_ADDED
     if not wrong.any():
         return None
     k = int(np.argmax(wrong))
     if turn[k] > math.pi:
-        return Refused(k, StepTooLarge(
+        return Rejection(k, StepTooLarge(
             f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
             f"{0.1 * h / turn[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.passed[k] > 0.0:
-        return Refused(k, StepTooLarge(
+        return Rejection(k, StepTooLarge(
             f"something passes through another within one step of {step:g}; take "
             f"{0.5 * h * chunk.passed[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
         # What is added goes with the square of the step.
-        part = math.sqrt(MOST_ADDED / chunk.gained[k])
-        return Refused(k, StepTooLarge(
+        part = math.sqrt(_MOST_ADDED / chunk.gained[k])
+        return Rejection(k, StepTooLarge(
             f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
             f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
             f"{0.1 * h * part:.1g} or less"
         ))  # fmt: skip
-    return Refused(k, StepTooLarge(
+    return Rejection(k, StepTooLarge(
         f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
         f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
         "or less"
@@ -98,7 +98,7 @@ class Squeezed:
 
     def found(
         self, chunk: Chunk, start: float, fastest: float, left: Callable[[Array, float], float]
-    ) -> Refused | None:
+    ) -> Rejection | None:
         """Return a step whose impulses are of no help, where something sinks.
 
         It is deeper than a step at the fastest approach; or no motion takes all out of each other
@@ -114,7 +114,7 @@ class Squeezed:
         if wrong.any():
             k = int(np.argmax(wrong))
             name = self._name(chunk, k)
-            return Refused(k, UnsolvedImpulses(
+            return Rejection(k, UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
                 f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest "
                 "approach; what is led or held leaves it no room, or the masses are too far apart"
@@ -138,7 +138,7 @@ class Squeezed:
         stuck = stuck[stuck <= k]
         k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
         name = self._name(chunk, k)
-        return Refused(k, _no_room(name, stays(k)), name)
+        return Rejection(k, _no_room(name, stays(k)), name)
 
     def _name(self, chunk: Chunk, k: int) -> str:
         """Return which region is the deepest in a step."""

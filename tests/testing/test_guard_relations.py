@@ -16,12 +16,12 @@ from statechart.formulas.relation import parse_relation
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret
 from statechart.testing.checking import examine
-from statechart.testing.properties import generic
-from statechart.testing.relation_truth import (
+from statechart.testing.guards import (
     assert_invariant_relations,
     assert_relations,
     truth,
 )
+from statechart.testing.properties import generic
 from statechart.testing.subject import Subject
 
 NAME = "relations hold where modes say so"
