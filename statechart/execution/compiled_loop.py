@@ -214,7 +214,7 @@ class LoopModes:
 
     def resume(
         self, setup: Setup, flow: Flow, now: Array, counts: tuple[int, int], state: Array,
-        buffer: TraceBuffer, series: Array, zeros: frozenset[int], floor: float,
+        buffer: TraceBuffer, series: Array, zeros: frozenset[int],
     ) -> Batch | None:  # fmt: skip
         """Let the loop take a run on from a flow; None where it cannot.
 
@@ -233,14 +233,13 @@ class LoopModes:
             Of jumps; brought up to date.
         zeros : frozenset of int
             Parameters that are exactly zero.
-        floor : float
-            What is smaller of a variable counts as so large.
         """
-        kind = flow.mode, flow.roles
+        kind, floor = (flow.mode, flow.roles), self._engine.floor
         if not self._laws.takes(setup, flow, state, now.item(T_HIGH)):
             return None
         if kind not in self._compiled or not self._worth.asked():
             return None
+        assert isinstance(floor, float)
         call = self._made()
         kinds = call.loop.kinds
         found = BatchResult.empty(1, 0, len(state), len(kinds))

@@ -147,7 +147,7 @@ class Execution:
                 now = np.array([*self.clock, self.until, self.horizon, since, 0.0])
                 made = loop.resume(
                     self.setup, self.flow, now, (jumps, self.max_jumps), self.state,
-                    self.record.buffer, self.accumulation.series, self.zeros, self.engine.floor,
+                    self.record.buffer, self.accumulation.series, self.zeros,
                 )  # fmt: skip
                 if made is None:
                     return None
