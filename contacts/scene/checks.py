@@ -15,10 +15,17 @@ from contacts.scene.joints import Path
 from contacts.scene.parts import Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
-from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, check_named_infinity, check_names, value_of
+from statechart.documents.fields import (
+    PIECES,
+    FormulaText,
+    check_derived,
+    check_named_infinity,
+    check_names,
+    check_smooth,
+    value_of,
+)
+from statechart.documents.validation import Loc
 from statechart.errors import DeclarationProblem, Findings, close_matches
-from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.tree import names_in
 

@@ -25,10 +25,9 @@ from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
-from statechart.documents.document import Loc
 from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
-from statechart.documents.uses import check_uses
+from statechart.documents.validation import Loc
 from statechart.errors import DeclarationProblem, Findings
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
@@ -297,7 +296,7 @@ class Scene(SceneFields):
             causes |= dict.fromkeys(self.owners(), causes_of_bodies)
         wrong = Findings()
         with wrong:
-            check_uses(self, names, found, causes, changing)
+            self.check_uses(names, found, causes, changing)
         for name, region in self.regions.items():
             found_here = list(declared_transitions(region, "regions", name))
             with wrong:

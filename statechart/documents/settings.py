@@ -27,7 +27,7 @@ Written = Annotated[Real, BeforeValidator(_number, json_schema_input_type=float 
 
 
 class Stop(Part):
-    """When a run ends: at a time, or when a condition becomes true."""
+    """End of a run: at a time, or when a condition becomes true."""
 
     OTHER_WORDS: ClassVar = {
         "duration": "time",
@@ -50,7 +50,7 @@ class Stop(Part):
 
 
 class Settings(Part):
-    """How a run is computed; everything has a sensible default."""
+    """Computation of a run; everything has a sensible default."""
 
     OTHER_WORDS: ClassVar = {
         "dt": "step",
