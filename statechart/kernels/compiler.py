@@ -13,7 +13,10 @@ from numba.extending import intrinsic, typeof_impl
 
 from statechart import compiling, interrupts
 from statechart.kernels import jit
-from statechart.kernels.lowering import KernelCompiler, Signature, from_bytes, plain, to_bytes
+from statechart.kernels.lowering import KernelCompiler, from_bytes, plain, to_bytes
+
+Signature = tuple[Any, ...]
+"""Types of arguments."""
 
 _njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler)
 

@@ -1,16 +1,14 @@
 """Lowering of kernels, with private classes of numba: `njit` as it is counts too many references.
 
-- A function counts references to arrays that it makes or returns: its caller holds its arguments,
-  and with them all views of them.
+- A function counts references to arrays that it makes or returns: its caller holds the others.
 - Tuples of arrays are hundreds of words. They are put together only where one value is needed.
-- A kernel that kernels call has no machine code of its own. LLVM optimises it once, as part of the
-  kernel that Python calls.
+- LLVM optimises a kernel that kernels call once, as part of the kernel that Python calls.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -28,9 +26,6 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.core.typed_passes import NativeLowering
 
-Signature = tuple[Any, ...]
-"""Types of arguments."""
-
 # Expressions that give an array, or a tuple of arrays, that somebody holds already.
 _VIEWS = ("getitem", "static_getitem", "getattr", "build_tuple", "cast", "exhaust_iter", "getiter",
           "iternext", "pair_first", "pair_second", "phi")  # fmt: skip
@@ -43,8 +38,8 @@ class _References:
     """
 
     def __init__(self, state: Any, *, may_lend: bool) -> None:
-        self._models, self._kinds = state.targetctx.data_model_manager, state.typemap
-        self._calls = state.calltypes
+        self._models = state.targetctx.data_model_manager
+        self._kinds, self._calls = state.typemap, state.calltypes
         blocks = state.func_ir.blocks.values()
         assigned = [
             one
@@ -120,7 +115,7 @@ class _Builder(llvm.IRBuilder):
     """Writes the code of a function; puts values together where an instruction needs them."""
 
     def insert_value(self, agg: Any, value: Any, idx: Any, name: str = "") -> Any:
-        first, *deeper = _indices(idx)
+        first, *deeper = [idx] if isinstance(idx, int) else idx
         if deeper:
             value = self.insert_value(self.extract_value(agg, first), value, deeper)
         if isinstance(agg, _Aggregate):
@@ -128,14 +123,12 @@ class _Builder(llvm.IRBuilder):
         return _Aggregate(agg, {first: value})
 
     def extract_value(self, agg: Any, idx: Any, name: str = "") -> Any:
-        indices = _indices(idx)
+        indices = [idx] if isinstance(idx, int) else idx
         for i, index in enumerate(indices):
             if not isinstance(agg, _Aggregate):
                 return super().extract_value(agg, indices[i:], name=name)
             if index in agg.members:
                 agg = agg.members[index]
-            elif isinstance(agg.base, llvm.Constant) and agg.base.constant is llvm.Undefined:
-                agg = llvm.Constant(agg.type.elements[index], llvm.Undefined)
             else:
                 agg = super().extract_value(agg.base, index)
         return agg
@@ -154,10 +147,6 @@ class _Builder(llvm.IRBuilder):
             super()._insert(made)
             whole = made
         return whole
-
-
-def _indices(index: int | Sequence[int]) -> list[int]:
-    return [index] if isinstance(index, int) else list(index)
 
 
 class _Lower(Lower):
@@ -182,12 +171,10 @@ class _Lower(Lower):
             super().delvar(name)
 
     def lower_inst(self, inst: Any) -> None:
-        name = inst.value if isinstance(inst, ir.Del) else None
-        if isinstance(inst, ir.Assign):
-            name = inst.target.name
+        # A `Del` has a name as its value.
+        name = inst.target.name if isinstance(inst, ir.Assign) else getattr(inst, "value", None)
         counting = self.context
-        if name in self._borrowing:
-            self.context = self._not_counting
+        self.context = self._not_counting if name in self._borrowing else counting
         super().lower_inst(inst)
         self.context = counting
 
@@ -235,25 +222,18 @@ class _Library(JITCodeLibrary):
 
 
 def _callers_first(libraries: list[Any]) -> list[Any]:
-    """Return libraries and those below them, each before those that it calls.
-
-    LLVM's linker leaves out what nothing calls that it has seen.
-    """
-    seen: set[Any] = set()
-    found: list[Any] = []
+    """Return libraries and those below: LLVM's linker leaves out what no one before it calls."""
+    found: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
-        if library in seen:
-            return
-        seen.add(library)
-        if getattr(library, "is_part", False):
-            for below in library._linking_libraries:
+        if library not in found:
+            for below in library._linking_libraries if getattr(library, "is_part", False) else ():
                 visit(below)
-        found.append(library)
+            found[library] = None
 
     for library in reversed(libraries):
         visit(library)
-    return found[::-1]
+    return list(found)[::-1]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -313,7 +293,7 @@ def from_bytes(data: bytes, context: Any) -> Any:
     return CompileResult._rebuild(context, *pickle.loads(data))
 
 
-def plain(signature: Signature) -> Signature:
+def plain(signature: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the types of arguments that a function is compiled for: no literals, one integer."""
     kinds = (types.unliteral(kind) for kind in signature)
     return tuple(types.int64 if isinstance(kind, types.Integer) else kind for kind in kinds)

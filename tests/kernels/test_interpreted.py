@@ -48,7 +48,7 @@ def interpreted(monkeypatch):
         return result
 
     for name in ("LOADING", "HOT", "LINKING"):
-        monkeypatch.setattr(jit, name, math.inf)
+        monkeypatch.setattr(jit, name, 1e9)
     monkeypatch.setattr(Kernel, "__call__", checked)
     monkeypatch.setattr(compiled_laws, "is_ready", lambda loop: False)
 
