@@ -42,7 +42,7 @@ def interpreted(monkeypatch):
     call = Kernel.__call__
 
     def checked(kernel, *arguments):
-        kernel._spent = 0.0
+        kernel._spent, kernel._hot = 0.0, kernel.py_func.__name__ in COMPILED
         result = call(kernel, *arguments)
         assert not kernel._hot or kernel.py_func.__name__ in COMPILED, f"{kernel} was compiled"
         return result
