@@ -24,7 +24,7 @@ from statechart.automaton.regions import happened
 from statechart.automaton.trace import Arc, Jump, Trace, visited_states
 from statechart.documents.outputs import Event, Moment, Value
 from statechart.documents.quantities import Dimension
-from statechart.execution.simulator import Batch
+from statechart.execution.compiled_loop import Batch
 from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
 from statechart.observation.observer import FormulaLike, Observer, include
 from statechart.observation.sampling import passed
