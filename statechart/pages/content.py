@@ -260,7 +260,7 @@ def _chart(
 ) -> dict[str, Any]:
     """Return the drawn statechart, and which node each instant is; nothing of a large one."""
     none: dict[str, Any] = {"svg": "", "nodes": [[]] * len(samples.modes), "states": []}
-    place = np.zeros(len(samples.t))
+    place = np.zeros(len(samples.t), dtype=np.intp)
     if diagram is not None:
         diagram, active = _followed(automaton, diagram, samples.modes)
     if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
