@@ -27,7 +27,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 # A key that is as like a known one as this is that one, misspelt.
-_NEARLY = 0.8
+_MISSPELT = 0.8
 
 _ARGUMENTS = {
     **dict.fromkeys(("dt", "h", "timestep", "time_step"), "step"),
@@ -107,7 +107,7 @@ def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collectio
     Those on the way to it come first. A key that is nearly a known one belongs here.
     """
     key = str(loc[-1])
-    if difflib.get_close_matches(key, known, cutoff=_NEARLY):
+    if difflib.get_close_matches(key, known, cutoff=_MISSPELT):
         return ""
     here = tuple(part for part, _, field in _followed(model, loc[:-1]) if field is not None)
     places = sorted(

@@ -25,7 +25,7 @@ from statechart.formulas.tree import (
     Number,
     Unary,
     children,
-    names_in,
+    is_constant,
     nodes,
 )
 
@@ -164,16 +164,16 @@ _ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
 # Every pass tells one more name at least; chains of formulas are short.
-_PASSES = 20
+_MAX_PASSES = 20
 _COUNTS = range(1, 13)
 # Operations of a formula that is looked at; sums of thousands of terms tell nothing new.
-_LONGEST = 200
+_MAX_OPERATIONS = 200
 
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
     """Return what names measure."""
     found, short = _Known(known), [fact for fact in facts if _short(fact)]
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         before = dict(found)
         for left, right in short:
             _alike(left, right, found)
@@ -185,7 +185,9 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
 def _short(fact: Fact) -> bool:
     """Whether formulas are no longer than what people write for a quantity."""
     trees = [part for part in fact if not isinstance(part, Powers)]
-    return all(sum(1 for _ in islice(nodes(tree), _LONGEST)) < _LONGEST for tree in trees)
+    return all(
+        sum(1 for _ in islice(nodes(tree), _MAX_OPERATIONS)) < _MAX_OPERATIONS for tree in trees
+    )
 
 
 def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
@@ -239,13 +241,8 @@ def _of_turn(node: Node) -> bool:
 def _first(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
     """Return what parts measure that are of one kind: numbers among them say nothing."""
     several = tuple(parts)
-    speaking = [part for part in several if not _number(part)] or several
+    speaking = [part for part in several if not is_constant(part)] or several
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)
-
-
-def _number(node: Node) -> bool:
-    """Whether a formula has no names: of its own it measures nothing that could be told."""
-    return next(names_in(node), None) is None
 
 
 class _Known(Known):
@@ -269,7 +266,7 @@ def _alike(left: Node, right: Node | Powers, known: _Known) -> None:
             continue
         _inside(one, known)
         powers = other if isinstance(other, Powers) else None
-        if not isinstance(other, Powers) and not _number(other):
+        if not isinstance(other, Powers) and not is_constant(other):
             powers = measured(other, known)
         if powers is not None:
             _expect(one, powers, known)

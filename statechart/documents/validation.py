@@ -16,6 +16,7 @@ from statechart.errors import (
     DeclarationError,
     DeclarationProblem,
     FormulaError,
+    Loc,
     Position,
     close_matches,
 )
@@ -363,9 +364,6 @@ def _located(
         return DeclarationError(message, advice=problem.advice)
     at = document.position(problem.loc, key=problem.key).shifted(problem.offset)
     return at.error(message, problem.advice)
-
-
-Loc = tuple[str | int, ...]
 
 
 def relations(value: object) -> bool:
