@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.scales import Scales
-from contacts.rigid_bodies.stiff_forces import Forces, stiffness
+from contacts.rigid_bodies.mechanics import Forces
 from statechart.arrays import Array
 
 # A step takes bodies this part of the least inner radius at the fastest speed, and lasts this part
@@ -87,7 +87,7 @@ def forced_speed(
             continue
         seen = forces.tape.table(np.tile(state, (len(times), 1)), forces.values, times)
         most = np.abs(seen).max(axis=0).reshape(-1, 3) * numbers.inverse[forces.bodies]
-        stiff = stiffness(forces, numbers.inverse, size, 1.0, state, 0.0)
+        stiff = forces.stiffness(numbers.inverse, size, 1.0, state, 0.0)
         own = stiff.rows == stiff.columns
         springs, dampers = (
             np.bincount(stiff.rows[own], np.maximum(part[own], 0.0), minlength=n).reshape(-1, 3)

@@ -29,8 +29,8 @@ from statechart.errors import EventLoop
 
 _TOLD = 4  # of those that follow each other for ever
 _MOST_TURNS = 100
-# What becomes true within this part of a step after its end is true at its end: times of steps, and
-# so timeouts that end with one, are rounded.
+# A guard that becomes true within this part of a step after its end is true at its end: times of
+# steps, and so timeouts that end with one, are rounded.
 _AT_END = 1e-6
 
 
@@ -109,7 +109,7 @@ class StepControl:
         pending: dict[str, tuple[Jump, ...]] = {}
         for _, together in groupby(jumps, key=lambda jump: jump.t):
             first, *others = together
-            # What several contacts do at one instant is one event, as with events.
+            # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._listening.heard(pending, jump)
         time = np.array([recorder.clock.high])
@@ -147,7 +147,9 @@ class StepControl:
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._scene.switch(self._states.named(self.states))
-        last = (f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.told[-_TOLD:])
+        last = (
+            f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
+        )
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )

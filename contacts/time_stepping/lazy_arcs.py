@@ -52,7 +52,7 @@ def struck(
     """
     kept = slice(2 * n, None)
     middle = 0.5 * (left[:, kept] + right[:, kept])
-    # Of the velocities as they were and will be, so that the ends of the step are exact.
+    # By the velocities before and after, so that the ends of the step are exact.
     rates, (before, after) = right[:, n : 2 * n], lengths
     second = np.empty_like(right)
     second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)

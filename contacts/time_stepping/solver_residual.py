@@ -89,7 +89,7 @@ class SolverResidual:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the impulses."""
+        """Warnings of impulses that miss the contact laws, or are not the only ones."""
         found: tuple[str, ...] = ()
         if self._softened:
             found += (
