@@ -45,18 +45,8 @@ def check_apart(
 ) -> tuple[float, tuple[str, ...]]:
     """Check that no body is deeper in another or a surface than steps leave what has landed.
 
-    Return how deep the deepest is, and what is said of that, where that is deeper than `near`.
-
-    Parameters
-    ----------
-    detect : callable
-        See `Detect`.
-    names, surfaces, owners : sequence of str
-        Of the bodies and of what they touch, and what bodies are declared by.
-    initial : (6 b,) array
-        Coordinates and rates at the start.
-    near : float
-        What is no deeper touches.
+    Bodies are declared by their `owners` and start at `initial` (6 b,); up to `near` deep they
+    touch. Return how deep the deepest is, and a warning where that is deeper than `near`.
 
     Raises
     ------
@@ -248,18 +238,9 @@ def _covered(
 def check_inside(
     scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, frames: Array
 ) -> None:
-    """Check that what collides with a hollow circle starts in it.
+    """Check that bodies that collide with a hollow circle start in it, at `initial` (6 b,).
 
-    Parameters
-    ----------
-    scene : Scene
-        Its bodies one by one.
-    owners : sequence of str
-        What they are declared by.
-    initial : (6 b,)
-        Coordinates and rates.
-    frames : (s, 3)
-        Of the surfaces, at the start.
+    The scene has its bodies one by one, which `owners` declare; surfaces have `frames` (s, 3).
 
     Raises
     ------

@@ -111,13 +111,8 @@ class Starts:
 class BodyMechanics(Mechanics):
     """The symbols of free bodies, of which there may be thousands; equations are not composed.
 
-    Attributes
-    ----------
-    scene : Scene
-        With its bodies one by one, whose starts are in `starts`.
-    owners : tuple of str
-        What each of them is a copy of, or itself.
-    starts : Starts
+    The `scene` has its bodies one by one, whose starts are in `starts`; `owners` are what each is a
+    copy of, or itself.
     """
 
     def __init__(self, scene: Scene) -> None:

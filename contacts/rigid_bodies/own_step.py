@@ -67,18 +67,8 @@ def forced_speed(
     """Return how fast forces may make a point of a body in a run.
 
     An acceleration a gives a speed of ``a end`` at most, of ``a/d`` against a damping d by mass, of
-    ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``.
-
-    Parameters
-    ----------
-    each : iterable of Forces
-        Under every state of a controller.
-    state : (6 b + w,)
-        Where the run starts.
-    end : float
-        Its end; infinite where it has none.
-    length : float
-        Of the scene.
+    ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``. There is
+    `each` set of forces under a state of a controller; the `end` may be infinite.
     """
     fastest, n, size = 0.0, numbers.inverse.size, float(numbers.sizes.max())
     times = np.linspace(0.0, end, _INSTANTS) if math.isfinite(end) else np.zeros(1)

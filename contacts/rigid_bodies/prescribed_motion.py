@@ -31,13 +31,7 @@ class Positions(NamedTuple):
 
 
 class Paths:
-    """The paths of a scene.
-
-    Attributes
-    ----------
-    any : bool
-        Whether there are any.
-    """
+    """The paths of a scene; `any` tells whether there are some."""
 
     def __init__(self, scene: Scene) -> None:
         surfaces = [scene.surfaces[name] for name in touched(scene)]
@@ -102,23 +96,10 @@ _SAME = 1e-6
 
 
 class PrescribedMotion:
-    """Prescribed motion and forces of one run.
+    """Prescribed motion and `forces` of one run, in the states of its controllers.
 
-    Parameters
-    ----------
-    mechanics : BodyMechanics
-    paths : Paths
-    known : mapping of str to float
-        Parameters.
-    values : (p,) array
-        Of the parameters and what follows from them.
-
-    Attributes
-    ----------
-    controlled : bool
-        Whether there are controllers.
-    forces : Forces
-        While these are in their states.
+    Parameters are `known` by name; `values` (p,) are theirs and those that follow from them.
+    `controlled` tells whether there are controllers.
     """
 
     def __init__(

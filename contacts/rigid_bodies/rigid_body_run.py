@@ -201,30 +201,12 @@ class DetectedContacts(NamedTuple):
 
 
 class RigidBodyRun(SteppedSystem):
-    """One run of colliding bodies: what lasts from step to step.
+    """One run of colliding bodies, whose simultaneous impacts follow a `law` (see `impact_order`).
 
-    Parameters
-    ----------
-    names, surfaces : sequence of str
-        Of the bodies, and of what they touch.
-    numbers : BodyNumbers
-    around : PrescribedMotion
-        What acts on them.
-    law : int
-        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
-    allowed : float
-        Residual of impulses that are good enough.
-    deepest : float
-        A gap that no step may close.
-    forces : bool
-        Whether somebody reads forces and accelerations.
-    start_depth : float
-        How deep bodies start in each other at most; they are kept no deeper.
-
-    Attributes
-    ----------
-    least : (n,) array
-        The least gap seen of every body; inf of one that was near nothing.
+    Impulses with the `allowed` residual are good enough. No step may close a gap of `deepest`.
+    Bodies start up to `start_depth` deep in each other, and are kept no deeper. Forces and
+    accelerations are found where `forces` are read. `least` (b,) is the least gap seen of every
+    body; inf of one that was near nothing.
     """
 
     def __init__(

@@ -35,20 +35,7 @@ _AT_END = 1e-6
 
 
 class StepControl:
-    """The controllers of one run.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    controllers : Controllers
-        Of the scene.
-    setup : SceneSetup
-        The run's numbers.
-    scene : SteppedSystem
-    regions : sequence of Region
-        All, those of the controllers last.
-    """
+    """The controllers of one run of a scene, whose regions stand behind all other `regions`."""
 
     def __init__(
         self,
@@ -91,15 +78,7 @@ class StepControl:
     ) -> Array:
         """Take the transitions that are due at the end of a step; return the state after them.
 
-        Parameters
-        ----------
-        recorder : Recorder
-            What they are recorded by.
-        jumps : sequence of Jump
-            Of the step.
-        state : (2 n,)
-        solved : (u,)
-            Unknowns of the step.
+        The step has these jumps, and unknowns `solved` (u,).
 
         Raises
         ------

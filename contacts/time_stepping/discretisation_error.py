@@ -38,17 +38,8 @@ def velocity_change(
 ) -> Array | None:
     """Return what Moreau's law of impact adds to the rates (n,); None where it is not solved.
 
-    Parameters
-    ----------
-    mass : (n, n) array
-    held : (r, n) array
-        Directions in which joints and pins hold.
-    pushes : (m, 2, n) array
-        Jacobians of what is struck.
-    velocities : (m, 2) array
-        Normal and tangential, before.
-    cones : (m, 2) array
-    restitution : (m,) array
+    Joints and pins hold in directions `held` (r, n). Struck contacts have Jacobians `pushes`
+    (m, 2, n), normal and tangential velocities (m, 2) before, cones (m, 2) and restitution (m,).
     """
     n, m, r = len(mass), len(pushes), len(held)
     rows = pushes.reshape(2 * m, n)
@@ -101,16 +92,9 @@ class DiscretisationError:
     def add(
         self, now: Equations, chunk: Chunk, start: float, codes: Ints, swings: Swings | None
     ) -> None:
-        """Add the errors of steps.
+        """Add the errors of steps from `start` on.
 
-        Parameters
-        ----------
-        start : float
-            When they begin.
-        codes : (c,) array of int
-            Modes before.
-        swings : Swings or None
-            Of the springs where they begin.
+        Contacts had the modes `codes` (c,) before; `swings` are those of the springs then.
         """
         n, h = now.source.size, chunk.h
         rates = chunk.states[:, n : 2 * n]

@@ -39,39 +39,15 @@ class _Tail(NamedTuple):
 
 @dataclass(eq=False)
 class Recorder:
-    """Collects steps as arcs and jumps.
+    """Collects steps as arcs and jumps; both are made when they are read.
 
-    Parameters
-    ----------
-    regions : sequence of str
-        Names of those that steps recognise.
-    start : (r,) array
-        Modes at the start.
-    controls : Key
-        States of further regions, which `Recorder.turn` changes.
-    sticks : (r,) array of bool
-        Whether the region has a pin beside slide.
-    again : str
-        Cause of an impact on a region that is not free.
-    forces : int or None
-        Place of the first region's V and H among the further unknowns; None: they have none.
-    energy : callable
-        (states, times) -> energies.
-    coordinates : int
-        How many there are; behind them and their rates stands what controllers remember.
-    modes : bool
-        Whether modes and jumps of regions are recorded; else jumps are counted,
-        and arcs end where they would.
-    arcs_too : bool
-        Whether somebody looks at arcs; else they are made of the last step of a run alone, in which
-        a stop condition may be met.
-
-    Attributes
-    ----------
-    arcs, jumps : sequence
-        Since they were last taken; each is made when it is looked at.
-    control_jumps : list of Jump
-        Those of further regions, as a trace tells them that has no others, and the stop.
+    Regions have modes (r,) at the start; `controls` are states of further regions, which `turn`
+    changes. `sticks` (r,) tells which regions have a pin beside slide. An impact on a region that
+    is not free has the cause `again`. `forces` is the place of the first region's V and H among
+    the further unknowns; None: they have none. Behind the `coordinates` and their rates stand
+    controller variables. Without `modes`, jumps of regions are only counted, and arcs end where
+    they would; without `arcs_too`, only the last step of a run becomes an arc, in which a stop
+    condition may be met. `control_jumps` are those of further regions and the stop.
     """
 
     regions: Sequence[str]

@@ -39,14 +39,8 @@ def too_large(
 ) -> Rejection | None:
     """Return the first step that is too large for what happens in it.
 
-    Parameters
-    ----------
-    angles : slice or (a,) array of int
-        Where the rates of angles are in a state; see `evenly`.
-    size : float
-        Of the scene.
-    step : float
-        As asked for, of which those of the chunk may be parts.
+    Rates of angles are at the places `angles` of a state (see `as_slice`); `size` is that of the
+    scene; the steps of the chunk may be parts of the declared `step`.
     """
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)

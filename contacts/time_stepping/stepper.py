@@ -418,18 +418,9 @@ RELATIVE = 1e-9
 class Stepper(ABC):
     """Steps a scene (see `statechart.automaton.time_stepper.TimeStepper`).
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations, or no more than its names and symbols.
-    stops : sequence of StopCondition
-    regions : sequence of Region
-        All, those of the controllers last.
-    controllers : Controllers
-    again : str
-        Cause of an impact on a region that is not free.
-    forces, sticks
-        See `Recorder`.
+    The mechanics have the scene's equations, or no more than its names and symbols; `regions` are
+    all, those of controllers last; `again` is the cause of an impact on a region that is not free;
+    for `forces` and `sticks` see `Recorder`.
     """
 
     def __init__(

@@ -44,18 +44,10 @@ class ActiveStates:
 
 
 class StopTapes:
-    """The stop conditions of a scene, on tape.
+    """The stop conditions of a scene, on tape: margins of their atoms, over variables and unknowns.
 
-    Attributes
-    ----------
-    stops : tuple of StopCondition
-    names : tuple of str
-    margins : Tape
-        Those of the atoms, over variables and unknowns.
-    counts : (2, a) array of bool
-        Which atoms hold on their boundary, too, where they stay there for a step; and at once, of
-        what jumps alone change, so that no motion tells the way it goes.
-    active : ActiveStates
+    `counts` (2, a) are the atoms that hold on their boundary, too, where they stay there for a
+    step; and at once, of numbers that jumps alone change, so that no motion tells the way they go.
     """
 
     def __init__(
