@@ -29,7 +29,7 @@ from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.own_step import forced_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
-from contacts.scene.checks import check_physical, check_shapes
+from contacts.scene.checks import check_physical
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
@@ -176,7 +176,6 @@ class BodyStepper(Stepper):
         known = self._constants.values(overrides)
         if overrides:
             check_physical(self._declared, known)
-            check_shapes(self._declared, known)
         moved = self._bodies.starts.at(values, known)
         bodies = body_numbers(self._declared, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)

@@ -178,7 +178,7 @@ class History(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Nesting:
-    """What was declared of the states of a flattened region, beside its superstates."""
+    """Declared states in states of a flattened region, beside its superstates."""
 
     names: tuple[str, ...] = ()  # States and superstates in the order of the document.
     # State of the region -> the innermost states that are active in it.
@@ -254,7 +254,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class State:
-    """What a region contributes to a mode."""
+    """Contribution of a region to a mode."""
 
     # Each = 0, linear in the automaton's unknowns and its carriers.
     equations: tuple[sp.Expr, ...] = ()

@@ -59,6 +59,20 @@ def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, In
 
 
 @part
+def evaluate(
+    program: Program,
+    row: NDArray[np.int64],
+    state: Array,
+    parameters: Array,
+    time: float,
+    result: Array,
+) -> None:
+    """Write the first outputs of a tape, as many as there is room for."""
+    code, constants, outputs, _, _ = tape_of(program, row)
+    tape_values(code, constants, outputs[: result.shape[0]], state, parameters, time, result)
+
+
+@part
 def stands(
     program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
 ) -> bool:

@@ -104,7 +104,7 @@ def _regions(
 ) -> list[dict[str, Any]]:
     unrecorded = len(automaton.regions) - len(keys[0])
     colours = automaton.colours
-    named = zip(automaton.region_names, automaton.states_told(keys[0]), strict=True)
+    named = zip(automaton.region_names, automaton.recorded_states(keys[0]), strict=True)
     return [
         {
             "name": name,
