@@ -27,8 +27,7 @@ from statechart.charts.transitions import check_listening, check_periods, declar
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
-from statechart.documents.validation import Loc
-from statechart.errors import DeclarationProblem, Findings
+from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
 
