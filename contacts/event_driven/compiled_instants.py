@@ -33,12 +33,13 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace_store import EVENTS, MADE, TraceBuffer
-from statechart.engines.flow_watch import SPEED, Watch
 from statechart.engines.mode_table import (
     ADDRESS,
     LAWS_AT,
     MARGINS_AT,
+    SPEED,
     Program,
+    Watch,
     evaluate,
     tape_of,
 )

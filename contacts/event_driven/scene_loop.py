@@ -41,16 +41,21 @@ from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
 from statechart.engines.engine import Pace
-from statechart.engines.flow_watch import FORCE, GAP, KINDS, PLAIN, SPEED, Watch
 from statechart.engines.mode_table import (
+    FORCE,
+    GAP,
+    KINDS,
     LAWS_AT,
     MARGINS,
     MARGINS_AT,
+    PLAIN,
+    SPEED,
     STOPS,
     TAPE,
     WATCHED,
     Program,
     Scratch,
+    Watch,
     evaluate,
     stands,
 )

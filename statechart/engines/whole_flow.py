@@ -13,33 +13,31 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
-from statechart.engines.flow_watch import (
-    EVALUATED,
-    FORCE,
-    JUMP,
-    PLAIN,
-    Watch,
-    first_tolerances,
-    usual_tolerances,
-)
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.mode_table import (
     ADDRESS,
     ANCHORS,
+    EVALUATED,
     FIXED,
+    FORCE,
+    JUMP,
     LIFT,
     MARGINS,
     MARGINS_AT,
     PARS,
     PLACES_AT,
+    PLAIN,
     RATES,
     TAPE,
     WATCHED,
     WITHIN,
     Program,
     Scratch,
+    Watch,
     evaluate,
+    first_tolerances,
     tape_of,
+    usual_tolerances,
 )
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
 from statechart.kernels.boxes import Along
