@@ -40,19 +40,19 @@ from contacts.collision_detection.time_of_impact import (
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
 """Bodies that cross less than this part of their size in a step are looked at once."""
 
 
 class CandidatePair(NamedTuple):
-    """A piece of a body, and what it may touch."""
+    """A piece of a body, and another piece or a surface that it may touch."""
 
     # The piece; another, or a surface, which stand behind all pieces.
     p: int
     q: int
-    # Of the piece; which other body it touches, also one that carries a surface, or -1.
+    # The piece's body; the other body, also one that carries a surface, or -1.
     body: int
     other: int
     key: int  # See `Memory`.
@@ -68,7 +68,7 @@ class CandidatePair(NamedTuple):
     size: float  # Of the smaller one.
 
 
-@part
+@kernel
 def candidate_pair(
     numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float
 ) -> CandidatePair:
@@ -92,18 +92,16 @@ def candidate_pair(
     return CandidatePair(p, q, b, other, key, material, False, False, moves, True, False, size)
 
 
-# What is past another, within this part of their radii, since the last detection has missed it; and
-# of what crosses much of its size in a step, where farther out it approaches at a tenth of its
-# speed.
+# Part of the radii within which a piece that has passed another since the last detection has missed
+# it; and the same of pieces that cross much of their size in a step, which farther out approach at
+# a tenth of their speed.
 _CORE, _WHOLE = 0.9, 0.995
-# Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
+# Depth of an impact, relative to the smaller piece, from which the step is taken in parts.
 _SUNK = 0.25
-# Of that size: so much deeper than it starts, which is checked before the run, something may be at
-# the first detection.
+# Penetration, relative to that size, that the first detection may find beyond the checked start.
 _STARTED = 1e-5
 LANDED = 0.5
-"""What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
-fastest goes in a step."""
+"""Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
 
 
 APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
@@ -134,7 +132,7 @@ class _Times(NamedTuple):
     # lines.
     h: float
     since: float
-    fall: float  # What gravity makes of rest in a step.
+    fall: float  # Speed that gravity gives in a step.
     first: bool  # Whether there was no detection before.
     lowest: float  # A contact is kept no deeper; where the run starts it may be.
 
@@ -151,20 +149,20 @@ class _Points(NamedTuple):
     worst: Array
 
 
-@part
+@kernel
 def _note(points: _Points, what: int, value: float) -> None:
     """Keep the largest that a detection has found."""
     points.worst[what] = max(points.worst[what], value)
 
 
-@part
+@kernel
 def _of_pieces(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
 ) -> int:
     """Find the points where two pieces are near each other, and whether they have passed."""
     pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
-    # Of what grazes the approach is slow.
+    # A grazing piece approaches slowly.
     core = _CORE if pair.slowly else _WHOLE
     if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
         begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
@@ -181,7 +179,7 @@ def _of_pieces(
     )  # fmt: skip
 
 
-@part
+@kernel
 def _met(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
     points: _Points, near: Neighbours,
@@ -207,7 +205,7 @@ def _met(
     return count
 
 
-@part
+@kernel
 def _bared(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
     points: _Points, near: Neighbours, count: int,
@@ -235,7 +233,7 @@ def _bared(
     return count
 
 
-@part
+@kernel
 def _strikes(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
     nearing: float, alike: bool, points: _Points,
@@ -263,7 +261,7 @@ def _strikes(
     return meets
 
 
-@part
+@kernel
 def _kept_up(
     memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
     above: float, active: ActiveContacts,
@@ -289,7 +287,7 @@ def _kept_up(
     return turn
 
 
-@part
+@kernel
 def _takes_part(
     numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
@@ -356,7 +354,7 @@ def _takes_part(
     return True
 
 
-@beside
+@kernel
 def find_contacts(
     numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,

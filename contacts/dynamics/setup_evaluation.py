@@ -32,7 +32,7 @@ from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import beside
+from statechart.kernels.jit import kernel
 from statechart.kernels.ranges import tape_ranges
 from statechart.kernels.tapes import tape_values
 
@@ -276,7 +276,7 @@ LIMITS, SCALES, MOTIONS, STOPS = range(4)
 
 
 class Rules(NamedTuple):
-    """How the numbers of a run follow from the values of a scene's parameters."""
+    """Places and limits by which `run_numbers` computes the numbers of a run."""
 
     # (b,): Place of every body's moment of inertia among the values; -1 where it has none
     inertias: Ints
@@ -328,7 +328,7 @@ def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
     )
 
 
-@beside
+@kernel
 def run_numbers(
     program: Program,
     tapes: NDArray[np.int64],

@@ -82,7 +82,7 @@ class Controller(ControlRegion):
 
 @dataclass(frozen=True)
 class Controls:
-    """What the controllers of a scene set."""
+    """Controls of a scene, and the controllers that set them."""
 
     declared: Mapping[str, FormulaText]  # Control -> its value where no state sets it
     regions: Mapping[str, Controller]  # Name -> controller

@@ -85,7 +85,9 @@ class SciPy(Engine):
             end[:] = moved
             if self.method != "LSODA":  # Its state is part of its history, and is near enough.
                 solver.y[:] = moved
-        return bool(solver.status == "finished")
+        if finished := bool(solver.status == "finished"):
+            path.times[path.count] = until
+        return finished
 
     def _step(
         self,

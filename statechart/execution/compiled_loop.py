@@ -19,8 +19,15 @@ from statechart.automaton.laws import CompiledLaws, Flow, Setup, roles_in
 from statechart.automaton.trace import Jump, Key, Outcome, Roles
 from statechart.automaton.trace_store import Kind, RecordedEvent, TraceBuffer
 from statechart.engines.engine import Engine, Entry, Pace
-from statechart.engines.flow_watch import KINDS
-from statechart.engines.mode_table import COLUMNS, LAWS_AT, TAPE, Program, Scratch, scratch
+from statechart.engines.mode_table import (
+    COLUMNS,
+    KINDS,
+    LAWS_AT,
+    TAPE,
+    Program,
+    Scratch,
+    scratch,
+)
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 

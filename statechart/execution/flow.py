@@ -24,10 +24,11 @@ from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.finding import decided, noise
-from statechart.execution.shallow_falls import (
+from statechart.execution.finding import (
+    decided,
     first_tolerances,
     judge,
+    noise,
     path_sizes,
     relative_error,
 )

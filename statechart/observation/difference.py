@@ -240,7 +240,7 @@ def paired(
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            again = _again(a, b, i, j, window) if window > 0.0 else None
+            again = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
             if again is None:
                 return pairs, min(one.t, other.t)
             i, j = again
@@ -252,7 +252,7 @@ def paired(
     return pairs, None if passed else ended
 
 
-def _again(
+def _next_common_mode(
     a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
 ) -> tuple[int, int] | None:
     """Return the next places in both runs from which on their modes are the same again.
@@ -261,22 +261,24 @@ def _again(
     follows in both is no farther apart in time.
     """
     limit = min(a[i].t, b[j].t) + window
-    after_a = [a[i].source, *(jump.target for jump in _until(a, i, limit))]
-    after_b = [b[j].source, *(jump.target for jump in _until(b, j, limit))]
+    after_a = [a[i].source, *(jump.target for jump in _jumps_until(a, i, limit))]
+    after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
     for total in range(1, len(after_a) + len(after_b) - 1):
         for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p] and _together(a, b, i + p, j + total - p, window):
+            if after_a[p] == after_b[total - p] and _resumes_together(
+                a, b, i + p, j + total - p, window
+            ):
                 return i + p, j + total - p
     return None
 
 
-def _together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
+def _resumes_together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
     if i < len(a) and j < len(b):
         return abs(a[i].t - b[j].t) <= window
     return i == len(a) and j == len(b)
 
 
-def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
+def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
     for jump in islice(jumps, start, start + _MAX_PASSED_OVER):
         if jump.t > limit:
             return

@@ -139,8 +139,8 @@ def _compare(
         if mine and its:
             error = bare + mine.rounded
         if not (mine and its and mine.what == its.what):
-            _within_tolerance(loosened, other, i, mine or its)
-            _part(first, second, near, i, error, residual, (reference, other))
+            _raise_if_tolerances_decide(loosened, other, i, mine or its)
+            _raise_difference(first, second, near, i, error, residual, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
@@ -149,15 +149,15 @@ def _compare(
         # What is found a little later has moved on until then.
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
-            _hit_otherwise(first, second, i)
-        _close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
+            _raise_undecidable_hit(first, second, i)
+        _assert_close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
     if any(len(sequence.events) != len(first.events) for sequence in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = Event(("", "end", (), ()), first.end, 0.0)
     allowed = _allowed(last, [sequence.end for sequence in near], first, error, floor)
-    _close(first.end, second.end, allowed, reference, "the end")
+    _assert_close(first.end, second.end, allowed, reference, "the end")
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
@@ -191,7 +191,7 @@ def _allowed(
     return allowed + floor
 
 
-def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) -> None:
+def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) -> None:
     off = np.abs(mine - its)
     worst = int(np.argmax(np.where(allowed > 0, off / np.where(allowed > 0, allowed, 1), off)))
     if not (off <= allowed).all():
@@ -202,7 +202,7 @@ def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) ->
         )
 
 
-def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
+def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) -> None:
     """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
 
     Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
@@ -226,7 +226,7 @@ def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
         )
 
 
-def _within_tolerance(
+def _raise_if_tolerances_decide(
     loosened: Callable[[], Trace] | None, other: Trace, i: int, event: Event
 ) -> None:
     """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
@@ -243,7 +243,7 @@ def _within_tolerance(
         )
 
 
-def _part(
+def _raise_difference(
     first: EventSequence,
     second: EventSequence,
     near: Sequence[EventSequence],
