@@ -95,7 +95,7 @@ def test_every_kernel_has_one_signature():
     assert {
         "statechart.kernels.jets.run_jets",
         "statechart.kernels.boxes.enclose",
-        "contacts.modes.classification.classify",
+        "contacts.solvers.mode_solver.solve_modes",
         "contacts.time_stepping.scene_step.step_scene",
         "contacts.rigid_bodies.body_step.step_bodies",
     } <= compiled.keys()
