@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -250,12 +250,18 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
             with found:
                 if shape.polygon is None:
                     continue
+                several = (place,) if len(body.shape) > 1 else ()
+                at = ("bodies", name, "shape", *several, "polygon")
                 corners = [[parse(text).value(values) for text in c] for c in shape.polygon]
+                for number, axis in product(range(len(corners)), range(2)):
+                    if not math.isfinite(value := corners[number][axis]):
+                        raise DeclarationProblem(
+                            f"must be finite, not {value:g}", loc=(*at, number, axis)
+                        )
                 try:
                     check_polygon([(x, y) for x, y in corners])
                 except DeclarationProblem as problem:
-                    several = (place,) if len(body.shape) > 1 else ()
-                    problem.loc = ("bodies", name, "shape", *several, "polygon", *problem.loc)
+                    problem.loc = (*at, *problem.loc)
                     raise
     found.check()
 

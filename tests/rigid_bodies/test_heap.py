@@ -298,7 +298,7 @@ def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, caps
         (["--budget", "1"], 2, "give a step"),
         (["--set", "n=0"], 2, "whole number"),
         (["--set", "e=2"], 2, "between 0 and 1"),
-        (["--set", "mu=-1"], 2, "between 0 and inf"),
+        (["--set", "mu=-1"], 2, "must be zero or positive, not -1"),
         (["--set", "a=-0.01"], 2, "must be positive"),
     ],
 )
