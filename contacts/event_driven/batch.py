@@ -157,7 +157,8 @@ def _memory(
         np.empty((contacts, 2)),
         np.empty(contacts),
         scene.meanings,
-        *[0.0] * 12,
+        numbers.gap_offsets,
+        *[0.0] * 10,
     )
     series = np.empty((max(len(CAUSES) * contacts, 4), WIDTH))
     return run_buffer(parameters, variables, rules), watch, instants, series

@@ -115,7 +115,7 @@ class CompiledSceneLaws:
         return self._projection.unseen(mode)
 
     def ready(
-        self, setup: Setup, loop: Loop, floors: Array
+        self, setup: Setup, loop: Loop, floors: Array, values: Array
     ) -> Callable[..., tuple[int, int, float]]:
         """Return the loop for the numbers of a run."""
         assert isinstance(setup, SceneSetup)
@@ -123,7 +123,7 @@ class CompiledSceneLaws:
         numbers, constraints, conditions = loop.tapes[:INSTANTS]
         count = len(self._projection.tape.outputs)
         watch = Watch(
-            setup.values,
+            values,
             np.array([tolerances[kind] for kind in KINDS]),
             np.array([setup.bands.get(name, -1.0) for name in loop.margins]),
             floors,
@@ -144,10 +144,9 @@ class CompiledSceneLaws:
             rules.cones,
             np.array([law.restitution for law in setup.contacts]),
             np.array([meaning(law) for law in setup.contacts], np.int64),
+            self._numbers.gap_offsets,
             *rules[2:],
             setup.short,
-            setup.fast,
-            setup.lowest,
             setup.capture,
         )
         return partial(run_compiled, loop.program, loop.pace, watch, loop.memory, scene)

@@ -199,7 +199,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
         return _Struck(laws, result, after, following, rests)
 
     made = under(setup.contacts, {})
-    rests = rests_of_bounces(setup, made.snapshot, made.state, closed)
+    rests = rests_of_bounces(setup, made.snapshot, closed)
     if not rests:
         return made
     plastic = tuple(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.gates import conditions_at
 from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
-from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import hovers
 from contacts.event_driven.hit import SceneWatch, classified
@@ -111,7 +110,6 @@ def _watches(
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     rounding = numbers.scales[4]
-    lowest, fast = bounce_limits(speed, acceleration, rounding)
     gap = max(scene.gap * length, rounding)
     slow, weak = scene.speed * speed, scene.force * force
     put(numbers.values, watch.parameters)
@@ -137,9 +135,9 @@ def _watches(
     ), SceneWatch(
         instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         instants.relative, instants.allowed,
-        instants.cones, instants.restitution, instants.meanings, scene.near * gap,
+        instants.cones, instants.restitution, instants.meanings, instants.offsets, scene.near * gap,
         scene.creep * slow, gap, slow, scene.tie * weak / force, scene.doubtful, force,
-        acceleration, scene.short, fast, lowest, scene.doubtful * speed,
+        acceleration, scene.short, scene.doubtful * speed,
     )  # fmt: skip
 
 

@@ -108,6 +108,8 @@ class Flow(NamedTuple):
     # (n,): where to flow on from, where a mode holds but its state is brought back onto its
     # constraints; None where it is the state that the laws were asked about.
     start: Array | None = None
+    # (p,): the parameters of this flow; None where they are those of the run.
+    values: Array | None = None
     # Whether forces may begin beyond their bounds, by what the run is off by: then they fall from
     # where they begin.
     doubted: bool = False
@@ -249,9 +251,12 @@ class CompiledLaws(Protocol):
         ...
 
     def ready(
-        self, setup: Setup, loop: Any, floors: Array
+        self, setup: Setup, loop: Any, floors: Array, values: Array
     ) -> Callable[..., tuple[int, int, float]]:
-        """Return the loop for the numbers of a run; see `statechart.execution.compiled_loop`."""
+        """Return the loop for the numbers of a run; see `statechart.execution.compiled_loop`.
+
+        `values` (p,) are the parameters of a flow, which the loop brings up to date.
+        """
         ...
 
     def batch_compiled(self) -> bool:

@@ -52,6 +52,7 @@ class LoopResult(NamedTuple):
     place: Ints  # shape (6,)
     state: Array  # shape (n,)
     entered: Bools  # (k,): the kinds that the run has been in.
+    values: Array | None = None  # (p,): the parameters of the flow there, see `Flow.values`.
 
 
 class LoopStart(NamedTuple):
@@ -324,6 +325,7 @@ class CompiledLoop:
         self._loop: Loop | None = None
         self._call: Callable[..., tuple[int, int, float]] | None = None
         self._entered: Bools = np.zeros(0, np.bool_)
+        self._values = setup.values.copy()
 
     def advance(
         self, flow: Flow, now: Array, counts: tuple[int, int], state: Array, buffer: TraceBuffer,
@@ -351,11 +353,14 @@ class CompiledLoop:
             return None
         if loop is not self._loop or self._call is None:
             self._loop = loop
-            self._call = self._laws.ready(self._setup, loop, self._floors)
+            self._call = self._laws.ready(self._setup, loop, self._floors, self._values)
             self._entered = np.zeros(len(loop.kinds), np.bool_)
+        self._values[:] = self._setup.values if flow.values is None else flow.values
         place = np.array([loop.kinds.index((flow.mode, flow.roles)), *counts, 0, 0, 0])
         reason, margin, now[T_REST] = self._call(buffer, now, place, state, series, self._entered)
-        return LoopResult(loop.kinds, reason, margin, now, place, state, self._entered)
+        return LoopResult(
+            loop.kinds, reason, margin, now, place, state, self._entered, self._values.copy()
+        )
 
     def flow(self, kind: Kind, state: Array, time: float, *, settled: bool = True) -> Flow:
         """Return an unambiguous flow in a mode, from a state."""

@@ -207,6 +207,7 @@ class Execution:
             settled = place.item(N_ASKED) == 0
             kind = made.kinds[place.item(N_MODE)]
             flow = loop.flow(kind, self.state, self.clock.high, settled=settled)
+            flow = flow._replace(values=made.values)
         if made.reason == OVER or (made.reason == FELL and made.margin >= 0):
             terms = flow.terms
             if flew and record.arcs[-1].j == place.item(N_JUMPS):
@@ -265,8 +266,9 @@ class Execution:
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
         reconstruction = compiled.reconstruction.begun(self.state, setup.values, start)
+        values = setup.values if flow.values is None else flow.values
         return FlowWatch(
-            compiled.guards, np.array(allowed), constraints, setup.values, start, reconstruction
+            compiled.guards, np.array(allowed), constraints, values, start, reconstruction
         )
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
@@ -292,7 +294,9 @@ class Execution:
             self.horizon = LOOK_AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
-        self.flow = following._replace(held=flow.held, tolerances=flow.tolerances, terms=terms)
+        self.flow = following._replace(
+            held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values
+        )
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""
