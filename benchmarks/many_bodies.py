@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import scipy.spatial
 
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text

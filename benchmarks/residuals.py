@@ -35,7 +35,7 @@ from many_bodies import (
     starts,
 )
 
-from contacts.rigid_bodies.bodies import SteppedHeap
+from contacts.rigid_bodies.body_stepper import RigidBodyRun
 from statechart.arrays import Array
 from statechart.running.runner import Runner
 
@@ -108,7 +108,7 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
     def steps() -> Iterator[Step]:
         begun = runner.automaton.stepper()._begin(values, STEP, tolerance, forces=False)
         heap = begun.stepped
-        assert isinstance(heap, SteppedHeap)
+        assert isinstance(heap, RigidBodyRun)
         # What is in the way after a step is not looked at: contacts are those of the step.
         heap._deepest = math.inf
         state = begun.setup.initial
@@ -119,7 +119,7 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
     return taken, steps()
 
 
-def ours(heap: SteppedHeap, count: int) -> Step:
+def ours(heap: RigidBodyRun, count: int) -> Step:
     """Return the step that bodies have just taken."""
     touches, m = heap._room.touches, int(heap._memory.many[0])
     rows, impulses = np.zeros((m, 2, 3 * count)), heap._room.pressed[:m].copy()

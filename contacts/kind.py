@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def automaton(scene: Scene) -> Automaton:
     """Compose the automaton of a scene; modes are built when a run enters them."""
     if scene.collisions:
-        from contacts.rigid_bodies.bodies import bodies_automaton
+        from contacts.rigid_bodies.body_stepper import bodies_automaton
 
         return bodies_automaton(scene)
     return _composed(scene)[0]
@@ -31,7 +31,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.control_guards import given, memory_rates
+    from contacts.dynamics.controllers import given, memory_rates
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -81,7 +81,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     """Return a region for every contact, then one for every controller."""
-    from contacts.dynamics.control_guards import controller
+    from contacts.dynamics.controllers import controller
     from contacts.scene.regions import edges, region
 
     scene = mechanics.scene

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from statechart.automaton.sampling import Sample
+    from statechart.automaton.time_stepper import Sample
     from statechart.automaton.trace import Arc, Jump, Motion, Outcome, Trace
     from statechart.charts.chart import Chart, Region, State
     from statechart.charts.transitions import Transition
@@ -110,7 +110,7 @@ __all__ = [
 
 # Nothing is imported before it is used: the command line starts as fast as without this page.
 _HOMES = {
-    "automaton.sampling": ("Sample",),
+    "automaton.time_stepper": ("Sample",),
     "automaton.trace": ("Arc", "Jump", "Motion", "Outcome", "Trace"),
     "charts.chart": ("Chart", "Region", "State"),
     "charts.transitions": ("Transition",),

@@ -1,9 +1,7 @@
-"""Which bodies with shapes touch in a step, and where.
+"""Collision detection at the middle of a step: which bodies touch, and where.
 
-A `look` is taken at the bodies in the middle of a step, moved by what is `applied` from outside;
-`body_numbers` say what they are. The `broad_phase` finds who is near whom, `touching` which
-`touches` take part, `pair` by `pair`, for which `convex` finds where convex pieces touch,
-`surfaces` and `ground` where they touch what is no body, and `meeting` when fast ones do.
-`internal_edges` leaves out contacts that `obstacles` among the `neighbours` cover. `joints` are
-rows beside these.
+Bodies are moved to their `midpoint` configuration; `body_numbers` describe them. The `broad_phase`
+lists candidate pairs, `convex` finds contact points of convex pieces, `surfaces` and `ground` those
+on surfaces, and `time_of_impact` the fast ones. `find_contacts` chooses the `active_contacts`;
+`internal_edges` removes contacts that `obstacles` cover. `joints` are rows behind these.
 """

@@ -80,7 +80,7 @@ class Memory(NamedTuple):
     landed: Array
 
     @classmethod
-    def room(cls, numbers: BodyNumbers) -> Memory:
+    def allocate(cls, numbers: BodyNumbers) -> Memory:
         """Return that of bodies that have not touched yet."""
         most = _PER_PIECE * max(len(numbers.pieces.sizes), len(numbers.sizes)) + 1
         return cls(

@@ -20,7 +20,7 @@ _LARGE = 4.0
 # Cells for each body.
 _CELLS = 2
 # How much wider the circles of listed pairs are: by this part of a body's size, and by so many
-# times how far it may go until the next look, which is its size at most.
+# times how far it may go until the next detection, which is its size at most.
 _WIDER, _FARTHER = 0.1, 4.0
 # Multiplier of a cell's column (Teschner and others, Optimized spatial hashing, 2003).
 _ACROSS = 73856093
@@ -40,7 +40,7 @@ class Grid(NamedTuple):
     many: Ints  # (1,): how many; -1: none are listed.
 
     @classmethod
-    def room(cls, count: int, most: int) -> Grid:
+    def allocate(cls, count: int, most: int) -> Grid:
         """Return place for so many bodies and pairs."""
         cells = 1 << (_CELLS * count).bit_length()
         return cls(

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.convex import FOUND, norm, place
-from contacts.collision_detection.look import Look
+from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
     HOLLOW,
     ROUND,
@@ -20,7 +21,6 @@ from contacts.collision_detection.surfaces import (
     distance,
     seen_from,
 )
-from contacts.collision_detection.touches import Touches
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import late, part
 
@@ -47,68 +47,68 @@ class Ground(NamedTuple):
 
 
 @part
-def _swung(ground: Ground, s: int, carrier: int, look: Look, h: float) -> None:
+def _swung(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
     """Write the frames (3, 3) of a surface that moves."""
     for at in range(3):
         for d in range(3):
             if carrier >= 0:
-                moved = (at - 1) * h * look.old[carrier, d]
-                ground.frames[at, d] = look.places[carrier, d] + moved
+                moved = (at - 1) * h * mid.old[carrier, d]
+                ground.frames[at, d] = mid.places[carrier, d] + moved
             else:
                 ground.frames[at, d] = ground.paths[at, s, d]
 
 
 @part
-def pose_of(numbers: BodyNumbers, ground: Ground, look: Look, s: int) -> Array:
-    """Return the frame (3,) of a surface at this look."""
+def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Array:
+    """Return the frame (3,) of a surface at this detection."""
     if numbers.surfaces.carriers[s] >= 0:
-        return look.places[numbers.surfaces.carriers[s]]
+        return mid.places[numbers.surfaces.carriers[s]]
     return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
 
 
 @part
-def _moved(frames: Array, x: float, y: float, look: int) -> tuple[float, float]:
-    """Return where the point of a surface that now is at x, y is at a look."""
+def _moved(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
+    """Return where the point of a surface that now is at x, y is at a detection."""
     u, v = seen_from(frames[1], x, y)
-    return carried(frames[look], u, v)
+    return carried(frames[mid], u, v)
 
 
 @part
 def is_far(
-    surfaces: SurfaceNumbers, ground: Ground, look: Look, p: int, s: int, size: float
+    surfaces: SurfaceNumbers, ground: Ground, mid: Midpoint, p: int, s: int, size: float
 ) -> bool:
     """Whether a piece is out of the reach of a surface that stands still."""
     if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
         return False
-    x, y = look.centres[p, 0], look.centres[p, 1]
-    return distance(surfaces, s, ground.still[1], x, y) > size + look.reach[p]
+    x, y = mid.centres[p, 0], mid.centres[p, 1]
+    return distance(surfaces, s, ground.still[1], x, y) > size + mid.reach[p]
 
 
 @part
 def on_surface(
-    numbers: BodyNumbers, ground: Ground, look: Look, p: int, s: int, h: float, found: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, p: int, s: int, h: float, found: Array,
     features: Ints,
 ) -> tuple[int, float]:  # fmt: skip
     """Find the points of a piece near a surface; return their number, and `crossed`."""
-    surfaces, x, y = numbers.surfaces, look.centres[p, 0], look.centres[p, 1]
-    pieces, carrier, within = numbers.pieces, surfaces.carriers[s], look.reach[p]
+    surfaces, x, y = numbers.surfaces, mid.centres[p, 0], mid.centres[p, 1]
+    pieces, carrier, within = numbers.pieces, surfaces.carriers[s], mid.reach[p]
     moves = carrier >= 0 or surfaces.moves[s]
     frames = ground.frames if moves else ground.still
     if moves:
-        _swung(ground, s, carrier, look, h)
+        _swung(ground, s, carrier, mid, h)
         u, v = _moved(frames, x, y, 2)
         within += 2.0 * norm(u - x, v - y)
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
-    before = seen_from(frames[0], x - h * look.drifts[p, 0], y - h * look.drifts[p, 1])
+    before = seen_from(frames[0], x - h * mid.drifts[p, 0], y - h * mid.drifts[p, 1])
     after = seen_from(frames[1], x, y)
     passed = crossed(surfaces, s, before, after, pieces.cores[p])
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
-        surfaces, s, frames[1], ground.registers, look.world[first:end], look.centres[p],
+        surfaces, s, frames[1], ground.registers, mid.world[first:end], mid.centres[p],
         pieces.radii[p], within, found, features,
     )  # fmt: skip
-    turned = h * look.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
+    turned = h * mid.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
     way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
     if passed == 0.0 and way > _STRIDE * pieces.cores[p]:
         clear = True
@@ -116,13 +116,13 @@ def on_surface(
             clear = clear and found[at, 4] >= 0.0
         if clear:
             looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _LOOKS))
-            passed = _passed_over(numbers, ground, look, (p, s), h, frames, looks)
+            passed = _passed_over(numbers, ground, mid, (p, s), h, frames, looks)
     return points, passed
 
 
 @late
 def _passed_over(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], h: float,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], h: float,
     frames: Array, looks: int,
 ) -> float:  # fmt: skip
     """Return the part of a step for which a piece was in a surface that it is clear of now.
@@ -136,7 +136,7 @@ def _passed_over(
     frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
     for i in range(looks):
         back = 1.0 - i / looks
-        x, y, angle = look.places[b] - back * h * look.old[b]
+        x, y, angle = mid.places[b] - back * h * mid.old[b]
         for d in range(3):
             frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
         points = against_surface(
@@ -157,25 +157,25 @@ def _passed_over(
 @part
 def carried_along(
     ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
-    touches: Touches,
+    active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Take the motion of a surface from a contact's velocities; return its pull.
 
-    It moves from look to look, as the bodies do. A circle nears only as its centre does, and slips
-    along its rim.
+    It moves from midpoint to midpoint, as the bodies do. A circle nears only as its centre does,
+    and slips along its rim.
     """
     nx, ny, x, y = found[0], found[1], found[2], found[3]
-    before, free, frames = touches.before, touches.free, ground.frames
+    before, free, frames = active.before, active.free, ground.frames
     a, b = x, y
     if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:
         a, b = carried(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
     arm = nx * (x - a) + ny * (y - b)
-    for look in (0, 2):
-        way, turned = (look - 1.0) / h, frames[look, 2] - frames[1, 2]
-        u, v = _moved(frames, a, b, look)
+    for mid in (0, 2):
+        way, turned = (mid - 1.0) / h, frames[mid, 2] - frames[1, 2]
+        u, v = _moved(frames, a, b, mid)
         nearing = way * (nx * (u - a) + ny * (v - b))
         along = way * (ny * (u - a) - nx * (v - b) - turned * arm)
-        if look == 0:
+        if mid == 0:
             before[m, 0] -= nearing
             before[m, 1] -= along
         else:

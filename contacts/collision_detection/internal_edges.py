@@ -19,7 +19,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.convex import against_faces, write
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.look import Look
+from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.obstacles import (
     DISC,
     FLUSH,
@@ -86,24 +86,20 @@ def _face(
 
 @late
 def _covered_to(
-    numbers: BodyNumbers, ground: Ground, look: Look, one: Obstacle, which: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, one: Obstacle, which: int, covering: Ints,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
 ) -> float:  # fmt: skip
     """Return how far solid obstacles cover a face from its end on.
 
-    Parameters
-    ----------
-    start, way
-        The end of the face, and the direction from there along it.
-    along_face : float
-        1 where that is the direction of the face, in which its solid is on the left; else -1.
+    `start`, `way`: the end of the face, and the direction from there along it; `along_face`: 1
+    where that is the direction of the face, in which its solid is on the left; else -1.
     """
     (x, y), (ux, uy), covered, gained = start, way, 0.0, True
     while gained and covered < length - FLUSH * one.size:
         gained = False
         for q in covering:
             at = x + covered * ux, y + covered * uy
-            other = obstacle(numbers, ground, look, q, at[0], at[1])
+            other = obstacle(numbers, ground, mid, q, at[0], at[1])
             near = FLUSH * min(one.size, other.size)
             if q == which or goes_on(other, x, y, along_face * ux, along_face * uy, near):
                 continue
@@ -115,24 +111,24 @@ def _covered_to(
 
 @late
 def _is_covered(
-    numbers: BodyNumbers, ground: Ground, look: Look, which: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, which: int, covering: Ints,
     place: tuple[float, float], outward: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Return whether a point is on a face that solid obstacles cover all along."""
-    one = obstacle(numbers, ground, look, which, place[0], place[1])
+    one = obstacle(numbers, ground, mid, which, place[0], place[1])
     i = _face(one, place, outward)
     if i < 0:
         return False
     ax, ay, ux, uy, length = edge_of(one, i)
     covered = _covered_to(
-        numbers, ground, look, one, which, covering, (ax, ay), (ux, uy), 1.0, length
+        numbers, ground, mid, one, which, covering, (ax, ay), (ux, uy), 1.0, length
     )
     return covered >= length - FLUSH * one.size
 
 
 @late
 def _stands_between(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     i: int, place: tuple[float, float], middle: tuple[float, float], rays: Array,
 ) -> bool:  # fmt: skip
     """Return whether an obstacle at an end of a face stands between the face and a body.
@@ -142,18 +138,18 @@ def _stands_between(
     or what goes on behind that.
     """
     which = pair[0]
-    one = obstacle(numbers, ground, look, which, place[0], place[1])
+    one = obstacle(numbers, ground, mid, which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
         covered = _covered_to(
-            numbers, ground, look, one, which, covering, (x, y), (tx, ty), way, length
+            numbers, ground, mid, one, which, covering, (x, y), (tx, ty), way, length
         )
         x, y, many = x + covered * tx, y + covered * ty, 0
         for q in covering:
-            other = obstacle(numbers, ground, look, q, x, y)
+            other = obstacle(numbers, ground, mid, q, x, y)
             near = FLUSH * min(one.size, other.size)
             # A disc curves away from its rays: what is beyond them may see the face.
             if q != which and other.sort != DISC and distance_to(other, x, y) <= near:
@@ -191,8 +187,8 @@ def _crosses(
 
 
 @late
-def exposed(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
+def drop_internal_edges(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     side: float, found: Array, features: Ints, count: int,
 ) -> tuple[int, bool]:  # fmt: skip
     """Leave out contacts with internal edges; return how many are left.
@@ -201,11 +197,10 @@ def exposed(
 
     Parameters
     ----------
-    numbers, ground, look
     pair : (int, int)
         What is touched, a piece or a plate, and what touches it.
     covering : (c,) array of int
-        See `contacts.collision_detection.neighbours.near_obstacles`.
+        See `contacts.collision_detection.obstacles.near_obstacles`.
     side : float
         Whether normals point away from it (1) or into it (-1).
     found : (m, FOUND), features : (m,) array of int, count : int
@@ -214,7 +209,7 @@ def exposed(
     kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
     barred = math.inf
     for i in range(count):
-        how[i] = _how(numbers, ground, look, pair, covering, side, found[i], rays)
+        how[i] = _how(numbers, ground, mid, pair, covering, side, found[i], rays)
         if how[i] == _BARRED:
             barred = min(barred, found[i, 4])
     for i in range(count):
@@ -228,7 +223,7 @@ def exposed(
 
 @part
 def _how(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     side: float, point: Array, rays: Array,
 ) -> int:  # fmt: skip
     """Return how a point of contact is on what is touched; see `_OF_FACE`."""
@@ -236,7 +231,7 @@ def _how(
     body = numbers.pieces.bodies[which] if which < all_pieces else -1
     nx, ny, x, y, gap = point
     out = side * nx, side * ny
-    one = obstacle(numbers, ground, look, which, x, y)
+    one = obstacle(numbers, ground, mid, which, x, y)
     # The point is on the one or on the other.
     u, v = x - gap * out[0], y - gap * out[1]
     here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
@@ -251,7 +246,7 @@ def _how(
     for q in covering:
         if q == which:
             continue
-        other = obstacle(numbers, ground, look, q, u, v)
+        other = obstacle(numbers, ground, mid, q, u, v)
         near = FLUSH * min(one.size, other.size)
         away = distance_to(other, u, v)
         if away > near:
@@ -260,7 +255,7 @@ def _how(
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and between_normals(other, (u, v), out):
             # What both pieces have is that of the first, where no other covers that.
-            if q < which and not _is_covered(numbers, ground, look, q, covering, (u, v), out):
+            if q < which and not _is_covered(numbers, ground, mid, q, covering, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
             # What touches a rim beside another obstacle is as deep in that as its place is.
@@ -273,10 +268,10 @@ def _how(
     if face < 0:
         # Of two faces that lie on each other the normal is that of one.
         return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
-    if beside and _is_covered(numbers, ground, look, which, covering, (u, v), out):
+    if beside and _is_covered(numbers, ground, mid, which, covering, (u, v), out):
         return _COVERED
-    middle = _beyond(obstacle(numbers, ground, look, pair[1], u, v), (u, v), out, one.size)
-    if _stands_between(numbers, ground, look, pair, covering, face, (u, v), middle, rays):
+    middle = _beyond(obstacle(numbers, ground, mid, pair[1], u, v), (u, v), out, one.size)
+    if _stands_between(numbers, ground, mid, pair, covering, face, (u, v), middle, rays):
         return _COVERED
     return _OF_FACE
 
@@ -298,14 +293,13 @@ def _in_cone(
 
 @late
 def met_by_faces(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], side: float,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], side: float,
     whole: bool, found: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find where one of a pair is overlapped through its faces; return how many points there are.
 
     Parameters
     ----------
-    numbers, ground, look
     pair : (int, int)
         What is touched, and what touches it.
     side : float
@@ -315,8 +309,8 @@ def met_by_faces(
     found : (m, FOUND), features : (m,) array of int
         To be filled.
     """
-    one = obstacle(numbers, ground, look, pair[0], 0.0, 0.0)
-    other = obstacle(numbers, ground, look, pair[1], 0.0, 0.0)
+    one = obstacle(numbers, ground, mid, pair[0], 0.0, 0.0)
+    other = obstacle(numbers, ground, mid, pair[1], 0.0, 0.0)
     if len(one.corners) == 0 or len(other.corners) == 0 or HALF in (one.sort, other.sort):
         return 0
     # Plates are the first, where they are met by others (`contacts.collision_detection.surfaces`).

@@ -1,14 +1,16 @@
 """Joints of bodies with shapes, to each other and to places in the world, as rows of a step.
 
 A joint holds at the midpoints of steps: the velocities after a step take its two points onto each
-other at the next look, their turning counted in. Nothing is pushed back afterwards, so that nothing
-drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti and Berendsen 1977).
+other at the next detection, their turning counted in. Nothing is pushed back afterwards, so that
+nothing drifts; what is held so is Verlet's scheme with constraints (Ryckaert, Ciccotti and
+Berendsen 1977).
 """
 
 from __future__ import annotations
 
 import math
 
+from contacts.collision_detection.active_contacts import ActiveContacts, warm_start
 from contacts.collision_detection.body_numbers import (
     ALONG_Y,
     BOTH,
@@ -16,9 +18,8 @@ from contacts.collision_detection.body_numbers import (
     JointNumbers,
     Memory,
 )
-from contacts.collision_detection.look import Look
+from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import carried
-from contacts.collision_detection.touches import Touches, recalled
 from contacts.solvers.contact_rows import GUIDED, HELD
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
@@ -45,11 +46,10 @@ def _joint_rows(
 
     Parameters
     ----------
-    joints, j
     places, old, loose : (b, 3)
-        Where bodies are at this look, their rates before it, and after it without impulses.
+        Where bodies are at this detection, their rates before it, and after it without impulses.
     paths : (3, j, 2)
-        Where the places of all joints in the world were at the last look, are, and are next.
+        Where the places of all joints in the world were at the last detection, are, and are next.
     h, past : float
         Lengths of this step and of the one before.
     rows : (2, 6)
@@ -59,7 +59,7 @@ def _joint_rows(
     wanted : (2,)
         What these may not differ from, negated.
     closing : (2, 2)
-        How far it may be open at the next look, and by how much less with time; in place.
+        How far it may be open at the next detection, and by how much less with time; in place.
     """
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
@@ -94,8 +94,8 @@ def _joint_rows(
         if not abs(apart) > _ROUNDING * size:
             closing[0, d] = 0.0
             continue
-        # Between looks arms are open by what they bend, as they are where a step is taken in parts:
-        # closed in the first of these, that would throw what they bear.
+        # Between detections arms are open by what they bend, as they are where a step is taken in
+        # parts: closed in the first of these, that would throw what they bear.
         if h < _SHORTER * past:
             closing[0, d], closing[1, d] = apart, apart / past
         closed = h * closing[1, d]
@@ -107,18 +107,18 @@ def _joint_rows(
 
 
 @late
-def joined(
-    numbers: BodyNumbers, places: Array, memory: Memory, look: Look, h: float, count: int,
-    touches: Touches,
+def add_joints(
+    numbers: BodyNumbers, places: Array, memory: Memory, mid: Midpoint, h: float, count: int,
+    active: ActiveContacts,
 ) -> int:  # fmt: skip
     """Append the joints to the contacts of a step; return how many there are in all.
 
     Parameters
     ----------
-    numbers, memory, look, h, touches
-        See `contacts.collision_detection.touching`.
+    numbers, memory, mid, h, active
+        See `contacts.collision_detection.find_contacts`.
     places : (3, j, 2)
-        Where what they hold points to is at this look, the one before and the next.
+        Where what they hold points to is at this midpoint, the one before and the next.
     count : int
         Contacts.
     """
@@ -127,23 +127,23 @@ def joined(
     past = memory.past[0]
     for j in range(len(joints.holds)):
         b = joints.bodies[j, 0]
-        touches.bodies[m, 0], touches.bodies[m, 1] = b, joints.bodies[j, 1]
-        touches.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
-        touches.materials[m, 1] = touches.materials[m, 2] = 0.0
-        touches.hit[m] = False
+        active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
+        active.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
+        active.materials[m, 1] = active.materials[m, 2] = 0.0
+        active.hit[m] = False
         while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
             at_old += 1
-        _, _, place = recalled(memory, at_old, first + j, 0, h, m, touches)
+        _, _, place = warm_start(memory, at_old, first + j, 0, h, m, active)
         for d in range(2):
-            touches.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
-            touches.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
+            active.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
+            active.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
         bent = _joint_rows(
-            joints, j, look.places, look.old, look.loose, places, h, past, touches.rows[m],
-            touches.before[m], touches.free[m], touches.wanted[m], touches.closing[m],
+            joints, j, mid.places, mid.old, mid.loose, places, h, past, active.rows[m],
+            active.before[m], active.free[m], active.wanted[m], active.closing[m],
         )  # fmt: skip
-        look.pull[b] += bent
-        touches.keys[m, 0], touches.keys[m, 1] = first + j, 0
-        touches.memory[m, 0] = touches.memory[m, 1] = 0.0
+        mid.pull[b] += bent
+        active.keys[m, 0], active.keys[m, 1] = first + j, 0
+        active.memory[m, 0] = active.memory[m, 1] = 0.0
         m += 1
     return m
 

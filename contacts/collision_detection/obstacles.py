@@ -11,13 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import norm
 from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import held
-from contacts.collision_detection.look import Look
-from contacts.collision_detection.surfaces import PLATE, ROUND, carried, seen_from, tangent_at
-from statechart.arrays import Array
+from contacts.collision_detection.midpoint import Midpoint
+from contacts.collision_detection.surfaces import (
+    PLATE,
+    ROUND,
+    carried,
+    distance,
+    seen_from,
+    tangent_at,
+)
+from statechart.arrays import Array, Ints
 from statechart.kernels.jit import part
 
 POLYGON, DISC, HALF, SHEET = range(4)
@@ -45,16 +52,16 @@ class Obstacle(NamedTuple):
 
 @part
 def obstacle(
-    numbers: BodyNumbers, ground: Ground, look: Look, q: int, x: float, y: float
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float
 ) -> Obstacle:
     """Return a piece, or a surface (these stand behind all pieces), as an obstacle near a point."""
     pieces, surfaces = numbers.pieces, numbers.surfaces
     if q < len(pieces.sizes):
-        corners = look.world[pieces.firsts[q] : pieces.firsts[q + 1]]
+        corners = mid.world[pieces.firsts[q] : pieces.firsts[q + 1]]
         sort = DISC if pieces.radii[q] > 0.0 else POLYGON
-        return Obstacle(sort, corners, look.centres[q], pieces.radii[q], pieces.sizes[q])
+        return Obstacle(sort, corners, mid.centres[q], pieces.radii[q], pieces.sizes[q])
     s = q - len(pieces.sizes)
-    pose, two, centre = pose_of(numbers, ground, look, s), np.zeros((2, 2)), np.zeros(2)
+    pose, two, centre = pose_of(numbers, ground, mid, s), np.zeros((2, 2)), np.zeros(2)
     a, b, c, d = surfaces.numbers[s]
     if surfaces.kinds[s] == PLATE:
         two[0, 0], two[0, 1] = carried(pose, a, b)
@@ -216,15 +223,15 @@ def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
 
 @part
 def _velocity(
-    numbers: BodyNumbers, ground: Ground, look: Look, q: int, x: float, y: float, h: float
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
 ) -> tuple[float, float, float]:
     """Return the velocity of the point of a piece or surface that is at x, y, and its turning."""
     count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
     b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
     if b >= 0:
-        turning = look.old[b, 2]
-        u, v = x - look.places[b, 0], y - look.places[b, 1]
-        return look.old[b, 0] - turning * v, look.old[b, 1] + turning * u, turning
+        turning = mid.old[b, 2]
+        u, v = x - mid.places[b, 0], y - mid.places[b, 1]
+        return mid.old[b, 0] - turning * v, mid.old[b, 1] + turning * u, turning
     if not surfaces.moves[q - count]:
         return 0.0, 0.0, 0.0
     now, then = ground.paths[1, q - count], ground.paths[2, q - count]
@@ -235,12 +242,172 @@ def _velocity(
 
 @part
 def rest_together(
-    numbers: BodyNumbers, ground: Ground, look: Look, pair: tuple[int, int], x: float, y: float,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
     h: float, near: float,
 ) -> bool:  # fmt: skip
     """Return whether two obstacles move at x, y by less than `near` in a step, relatively."""
-    u, v, turning = _velocity(numbers, ground, look, pair[0], x, y, h)
-    other_u, other_v, other_turning = _velocity(numbers, ground, look, pair[1], x, y, h)
+    u, v, turning = _velocity(numbers, ground, mid, pair[0], x, y, h)
+    other_u, other_v, other_turning = _velocity(numbers, ground, mid, pair[1], x, y, h)
     along, across = u - other_u, v - other_v
     turned = near / FLUSH * (turning - other_turning)
     return h * h * (along * along + across * across + turned * turned) <= near * near
+
+
+COVERING = 64
+"""Obstacles at a contact that are looked at."""
+
+# Obstacles this near to a point of contact, relative to what is touched, are looked at: points of
+# contact nearer than half of that are one.
+_AROUND = 2e-3
+
+
+class Neighbours(NamedTuple):
+    """The pieces near each piece."""
+
+    # (p + 1,): of every piece those near it that stand before it: where they begin, and which they
+    # are.
+    heads: Ints
+    lower: Ints
+    # (p,): those near one piece, and how many they are.
+    others: Ints
+    many: Ints
+    covering: Ints  # (c,): is overwritten; see `near_obstacles`.
+
+
+@part
+def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
+    """Sort pairs by their second piece, by counting."""
+    heads = near.heads
+    for p in range(count + 1):
+        heads[p] = 0
+    for i in range(many):
+        heads[pairs[i, 1]] += 1
+    for p in range(count):
+        heads[p + 1] += heads[p]
+    for i in range(many - 1, -1, -1):
+        q = pairs[i, 1]
+        heads[q] -= 1
+        near.lower[heads[q]] = pairs[i, 0]
+
+
+@part
+def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
+    """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
+    many = 0
+    for i in range(near.heads[p], near.heads[p + 1]):
+        near.others[many] = near.lower[i]
+        many += 1
+    for i in range(begin, end):
+        near.others[many] = pairs[i, 1]
+        many += 1
+    near.many[0] = many
+
+
+@part
+def near_obstacles(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int],
+    near_pieces: Neighbours, h: float, found: Array, count: int,
+) -> int:  # fmt: skip
+    """List the obstacles at points of contact of one of a pair; return how many there are.
+
+    Parameters
+    ----------
+    pair : (int, int)
+        What is touched, and what touches it.
+    near_pieces : Neighbours
+        Its `covering` is filled with the first, and with pieces and surfaces that do not move
+        against it and touch the second.
+    found : (m, FOUND), count : int
+        Points of contact.
+    """
+    pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
+    all_pieces, many = len(pieces.sizes), 1
+    others, covering, count_others = near_pieces.others, near_pieces.covering, near_pieces.many[0]
+    covering[0] = one
+    plate = one >= all_pieces
+    body = -1 if plate else pieces.bodies[one]
+    size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
+    if not plate:
+        first, end = pieces.begins[body], pieces.begins[body + 1]
+        beside = False
+        for q in range(first, end):
+            beside = beside or (q != one and _near_circle(mid, pieces, q, found, count, size) >= 0)
+        # A face may be covered by several.
+        for q in range(first, end if beside else first):
+            if q != one and many < len(covering):
+                covering[many] = q
+                many += 1
+    solid = touched_by >= all_pieces and surfaces.kinds[touched_by - all_pieces] not in (
+        PLATE,
+        ROUND,
+    )
+    if solid or (not plate and pieces.radii[one] > 0.0):
+        # A half-plane has one normal, and so has a rim: others beside it take none away.
+        return many
+    for k in range(count_others + len(surfaces.kinds)):
+        is_piece = k < count_others
+        q = others[k] if is_piece else all_pieces + k - count_others
+        if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
+            continue
+        if is_piece:
+            at = _near_circle(mid, pieces, q, found, count, size)
+        else:
+            at = _near_obstacle(numbers, ground, mid, q, found, count, size)
+        near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
+        if (
+            at < 0
+            or many == len(covering)
+            or not rest_together(
+                numbers, ground, mid, (one, q), found[at, 2], found[at, 3], h, near
+            )
+        ):
+            continue
+        if is_piece and _near_obstacle(numbers, ground, mid, q, found, count, size) < 0:
+            continue
+        if collide(numbers, touched_by, q):
+            covering[many] = q
+            many += 1
+    return many
+
+
+@part
+def _near_circle(
+    mid: Midpoint, pieces: PieceNumbers, q: int, found: Array, count: int, size: float
+) -> int:
+    """Return the first point of contact that is near the circle around a piece; -1: none."""
+    for i in range(count):
+        x, y = found[i, 2] - mid.centres[q, 0], found[i, 3] - mid.centres[q, 1]
+        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(found[i, 4])
+        if x * x + y * y <= reach * reach:
+            return i
+    return -1
+
+
+@part
+def _near_obstacle(
+    numbers: BodyNumbers,
+    ground: Ground,
+    mid: Midpoint,
+    q: int,
+    found: Array,
+    count: int,
+    size: float,
+) -> int:
+    """Return the first point of contact that is near a piece or surface; -1: none."""
+    s = q - len(numbers.pieces.sizes)
+    still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
+    for i in range(count):
+        x, y = found[i, 2], found[i, 3]
+        if still:
+            away = distance(numbers.surfaces, s, ground.still[1], x, y)
+        else:
+            away = distance_to(obstacle(numbers, ground, mid, q, x, y), x, y)
+        if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
+            return i
+    return -1
+
+
+@part
+def _half_length(numbers: BodyNumbers, s: int) -> float:
+    a, b, c, d = numbers.surfaces.numbers[s]
+    return 0.5 * norm(c - a, d - b)

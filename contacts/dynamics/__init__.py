@@ -1,11 +1,10 @@
 """Equations of motion of a scene, and their numbers at a state: M(q) a + b(q, v) = Q + J^T f.
 
-Expressions: `geometry` has frames, surfaces and points, `rolling_disc` the anchors of discs that
-roll; `mechanics` derives the equations in the `parameters`, `joints` the rows of joints, `minimal`
-the equations of the coordinates that a mode leaves. `gates` are the relations that keep contacts
-on, and `conditions` judges them; `control_guards` are those of controllers, `controller_state`
-their variables.
-Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`,
-`run_numbers` those of a batch; `snapshot` evaluates the equations at a state, `projection` brings
-a state onto the constraints, `starting` checks the start. `components` are uncoupled bodies.
+Expressions: `geometry` has frames, surfaces, points and rolling discs; `mechanics` derives the
+equations in the `parameters`, `joints` the rows of joints, `minimal` the equations of the
+coordinates that a mode leaves. `gates` are the relations that keep contacts on, and `conditions`
+judges them; `controllers` has regions of controllers, their guards and variables.
+Numbers: `setup_evaluation` makes the `setup` of a run, with its `scales` and each `contact_law`;
+`snapshot` evaluates the equations at a state, `projection` brings a state onto the constraints,
+`starting` checks the start. `components` are uncoupled bodies.
 """

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.control_guards import given_in, memory_rates
+from contacts.dynamics.controllers import given_in, memory_rates
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,
@@ -66,22 +66,8 @@ class _Condition(NamedTuple):
 class Conditions:
     """Judges the conditions of a scene's contacts.
 
-    Attributes
-    ----------
-    present : bool
-        Whether any contact has a condition.
-    names, back : tuple of str
-        Of the atoms of all gates: names of the margins that fall as one ceases to hold, and as it
-        begins to.
-    gaps : tuple of str
-        Of every contact: name of the margin that falls as its gap opens while it is off, or "".
-    nodes : (m, 3) array of int64
-        The gates' trees; see `contacts.dynamics.gates.tree`.
-    points : tuple of int
-        Of every contact: the first contact of the same point.
-    tape : Tape
-        Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
-        of each atom; then as many of each contact, of which the first is its gap.
+    The `tape` computes, from the state (2 n,) and the sizes of its entries, `PER_CONDITION` numbers
+    of each atom; then as many of each contact, of which the first is its gap.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
@@ -98,10 +84,13 @@ class Conditions:
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
+        # Of every contact the first contact of the same point.
         touching = [mechanics.scene.contacts[name] for name in contacts]
         self.points = tuple(
             next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
         )
+        # The margins that fall as atoms cease to hold, as they begin to, and as the gap of a
+        # contact opens that is off ("" without a gate).
         self.names = tuple(one.atom.name for one in self._conditions)
         self.back = tuple(one.atom.back for one in self._conditions)
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
@@ -252,20 +241,10 @@ class Conditions:
     ) -> list[int]:
         """Return the verdict of every atom.
 
-        Parameters
-        ----------
-        setup : SceneSetup
-            The numbers of the run.
-        state, time
-            Where and when.
-        fired : collection of str
-            Margins that fell: they decide where all derivatives are zero.
-        motion : callable, optional
-            Contacts (c,) whose conditions fail -> the roles in which the scene then moves; None
-            where that is not known. Further derivatives are taken along it, until what holds and
-            how it moves agree.
-        on : sequence of bool, optional
-            Contacts (c,) that are on: their conditions hold where all derivatives are zero.
+        Where all derivatives are zero the margins decide that `fired`, and the conditions of
+        contacts hold that are `on` (c,). `motion` returns, for the contacts (c,) whose conditions
+        fail, the roles in which the scene then moves, or None: further derivatives are taken along
+        it, until what holds and how it moves agree.
         """
         found, unsure = [], []
         for k, verdict in enumerate(self._judged(setup, self._at(setup, state, time)).tolist()):

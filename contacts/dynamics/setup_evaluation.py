@@ -1,31 +1,40 @@
-"""Evaluation of the setup of a run from its parameters: coefficients, scales, tolerances."""
+"""Evaluation of the setup of a run from its parameters: coefficients, scales, tolerances.
+
+The kernel `run_numbers` does it for runs that are made many at a time.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
-from contacts.dynamics.scales import Scales, ScaleTape, mass_unit
+from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
-from contacts.scene.checks import check_finite, check_physical, physical_limits
+from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.lint import lint
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
 from contacts.states import implied_joints
-from statechart.arrays import Array
+from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
+from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
+from statechart.kernels.jit import beside
+from statechart.kernels.ranges import tape_ranges
+from statechart.kernels.tapes import tape_values
 
 _Reader = Callable[[Sequence[float]], ContactLaw]
 
@@ -39,34 +48,14 @@ LOOK_AHEAD = 64.0
 
 
 class SceneNumbers:
-    """Evaluates the numbers of a run from its parameters.
-
-    Attributes
-    ----------
-    scene : Scene
-    parameters : Parameters
-        What the values follow from.
-    places : mapping
-        Parameter -> its place among the values.
-    scale_tape : ScaleTape
-    conditions : Conditions
-    stops, of_forces : collection of str
-        Margins of stop conditions; those that have no value before forces are known.
-    disjoint : bool
-        Whether every stop condition holds as soon as one of its margins falls.
-    stop_tape : Tape
-        Outputs: their margins.
-    inertias : list of (str, int or None)
-        Body and the place of its moment of inertia among the values.
-    limits : Tape or None
-        What is surely physical between `bounds` (2, l); None where that cannot be told so.
-    """
+    """Evaluates the numbers of a run from its parameters."""
 
     def __init__(self, mechanics: Mechanics, stops: Sequence[StopCondition]) -> None:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
         self._remembered = len(mechanics.memory)
+        # Parameter -> its place among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
         self.gap_offsets = np.array(offsets, np.int64)
@@ -75,9 +64,11 @@ class SceneNumbers:
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
+        # Whether every stop condition holds as soon as one of its margins falls.
         self.disjoint = all(stop.condition.disjoint for stop in stops)
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
+        # Margins that have no value before forces are known.
         self.of_forces = {
             margin.name for margin in margins if margin.expression.free_symbols.intersection(forces)
         }
@@ -91,25 +82,26 @@ class SceneNumbers:
         self._joint_tape = mechanics.tape(
             [entry for row in rows for entry in row.jacobian],
         )
+        # Bodies, and the places of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self._unlikely = (*lint(scene), *_unpressed(mechanics))
+        # Physical between `bounds` (2, l); None where states of controllers set some of it.
         self.limits: Tape | None = None
-        limits = physical_limits(scene)
-        if limits is not None:
-            # What is a number was checked when it was read.
-            varying = [limit for limit in limits if parse(limit[0]).names]
-            bounded = [parse(text).to_sympy(mechanics.known) for text, _, _ in varying]
+        # What is a number was checked when it was read.
+        varying = [limit for limit in limits(scene) if parse(limit.text).names]
+        if all(scene.controlled.region_of(limit.text) is None for limit in varying):
+            bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
             if not any(expression.has(sp.oo) for expression in bounded):
                 self.limits = mechanics.tape(bounded)
-                self.bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
+                self.bounds = (
+                    np.array([(limit.least, limit.most) for limit in varying]).reshape(-1, 2).T
+                )
 
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
 
-        Raises
-        ------
-        DeclarationProblem, FormulaError
-            If a parameter is unknown, or a number has no value or is not physical.
+        Raises `DeclarationProblem` or `FormulaError` if a parameter is unknown, or a number has no
+        value or is not physical.
         """
         values, further = self.parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self.inertias) :])
@@ -276,3 +268,135 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
             "that presses does not follow from the motion, and neither does its friction; let the "
             "body move that way, too"
         )
+
+
+LIMITS, SCALES, MOTIONS, STOPS = range(4)
+"""Rows of the tapes that they are computed from, behind those of the instants."""
+
+
+class Rules(NamedTuple):
+    """How the numbers of a run follow from the values of a scene's parameters."""
+
+    # (b,): Place of every body's moment of inertia among the values; -1 where it has none
+    inertias: Ints
+    # `least`, `most`: (l,): Between which limits lie
+    least: Array
+    most: Array
+    begins: Ints  # (g + 1,)
+    # `places`, `gravity`, `paths`: See `contacts.dynamics.scales.ScaleTape`
+    places: int
+    gravity: int
+    paths: int
+    forced: Bools  # (s,): Which stop conditions have no value before forces are known
+
+
+class Numbers(NamedTuple):
+    """The numbers of a run."""
+
+    values: Array  # (p,): Of the parameters
+    initial: Array  # (n,)
+    scales: Array  # (5,), sizes : (n,): See `contacts.dynamics.scales.Scales`
+    sizes: Array
+    bands: Array  # (s,): How near zero stop conditions count as met
+
+
+def rules(numbers: SceneNumbers) -> Rules | None:
+    """Return the rules of a scene without joints; None where each run is set up alone."""
+    if numbers.limits is None or MASS_UNIT in numbers.places:
+        return None
+    return Rules(
+        np.array([-1 if place is None else place for _, place in numbers.inertias], np.int64),
+        np.ascontiguousarray(numbers.bounds[0]),
+        np.ascontiguousarray(numbers.bounds[1]),
+        numbers.scale_tape.begins,
+        numbers.scale_tape.places,
+        numbers.scale_tape.gravity,
+        numbers.scale_tape.paths,
+        np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
+    )
+
+
+def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
+    """Return memory for the numbers of a run."""
+    return Numbers(
+        np.empty(parameters),
+        np.empty(variables),
+        np.empty(5),
+        np.empty(variables),
+        np.empty(len(rules.forced)),
+    )
+
+
+@beside
+def run_numbers(
+    program: Program,
+    tapes: NDArray[np.int64],
+    rules: Rules,
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    inputs: Array,
+    made: Numbers,
+) -> bool:
+    """Write the numbers of a run; False where something is wrong with them, or to be told.
+
+    Parameters
+    ----------
+    program : Program
+        Holds the tapes.
+    tapes : (4, 9) array of int64
+        Limits, scales, motions, stops.
+    rules : Rules
+    code, constants, outputs
+        Tape of the parameters, the initial state and the levers of bodies.
+    inputs : (i,) array
+        What it takes.
+    made : Numbers
+        To be filled.
+    """
+    values, initial, bodies = made.values, made.initial, rules.inertias.shape[0]
+    found = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, np.empty(0), inputs, 0.0, found)
+    p, n = values.shape[0], initial.shape[0]
+    for i in range(p):
+        values[i] = found[i]
+        if values[i] != values[i]:
+            return False
+    for i in range(n):
+        initial[i] = found[p + i]
+        if not abs(initial[i]) < math.inf:
+            return False
+    for b in range(bodies):
+        lever, place = found[p + n + b], rules.inertias[b]
+        if lever != lever:
+            return False
+        if place >= 0 and 0.0 < values[place] < POINT_MASS * lever:
+            return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[LIMITS])
+    limits = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, initial, values, 0.0, limits)
+    for i in range(limits.shape[0]):
+        if not rules.least[i] <= limits[i] <= rules.most[i]:
+            return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[SCALES])
+    numbers = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, initial, values, 0.0, numbers)
+    duration = horizon(numbers, rules.begins)
+    code, constants, outputs, _, _ = tape_of(program, tapes[MOTIONS])
+    ranges = np.empty((outputs.shape[0], 2))
+    tape_ranges(code, constants, outputs, initial, values, duration, ranges)
+    if not measure(
+        numbers, rules.begins, rules.places, rules.gravity, rules.paths, ranges, made.scales,
+        made.sizes,
+    ):  # fmt: skip
+        return False
+    if made.scales[4] > FAR * made.scales[0]:
+        return False
+    code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
+    bands = made.bands
+    tape_values(code, constants, outputs, initial, values, 0.0, bands)
+    for i in range(bands.shape[0]):
+        if bands[i] != bands[i] and not rules.forced[i]:
+            return False
+        bands[i] = ROUNDING * abs(bands[i]) if abs(bands[i]) < math.inf else 0.0
+    return True

@@ -9,13 +9,12 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.run_numbers import Numbers, Rules, run_buffer
 from contacts.dynamics.setup import SHORT, TIE, doubtful, tolerated
-from contacts.dynamics.setup_evaluation import LOOK_AHEAD, SceneNumbers
+from contacts.dynamics.setup_evaluation import LOOK_AHEAD, Numbers, Rules, SceneNumbers, run_buffer
 from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.run_batch import SceneBatch, run_batch
 from contacts.event_driven.run_compiled import CAUSES
-from contacts.modes.fast_classification import allowed
+from contacts.modes.classification import allowed
 from contacts.states import CODES, OFF, OFF_CODE, superstates_of
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace_store import TraceBuffer

@@ -11,9 +11,8 @@ import numpy as np
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection, unseen_room
-from contacts.dynamics.run_numbers import rules
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.setup_evaluation import SceneNumbers
+from contacts.dynamics.setup_evaluation import SceneNumbers, rules
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.batch import BatchCall
 from contacts.event_driven.decision import cause, explained
@@ -24,7 +23,7 @@ from contacts.event_driven.run_compiled import CAUSES, run_compiled
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
-from contacts.modes.fast_classification import mode_rules
+from contacts.modes.classification import mode_rules
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock

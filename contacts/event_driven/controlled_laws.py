@@ -1,7 +1,7 @@
 """Controllers on the executor: a scene's own regions beside its contacts, and their jumps.
 
 Contacts are classified from the state first; then the controllers are asked in the order of their
-declaration (`statechart.charts.firing`). A controller that changes state changes forces and
+declaration (`statechart.charts.guard_watch`). A controller that changes state changes forces and
 coefficients, never the motion, and the contacts are classified again at that instant: a push may
 make a pinned foot slip there.
 """
@@ -14,24 +14,21 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions
-from contacts.dynamics.control_guards import Controllers
-from contacts.dynamics.controller_state import ControllerState
+from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.candidates import Candidate, Case, candidates
+from contacts.modes.classification import Case, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.feasibility import Feasibility
-from statechart.automaton.laws import Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.laws import Feasibility, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives
 from statechart.automaton.regions import Region, active_in
 from statechart.automaton.trace import Arc, Jump, Key, Roles
-from statechart.charts.firing import Listening, considered
-from statechart.charts.guard_watch import Judgement
+from statechart.charts.guard_watch import Judgement, Listening, considered
 
 
 class ControlledLaws:
@@ -216,7 +213,7 @@ class ControlledLaws:
         case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
         (solved,) = candidates(case, [(mode,) for mode in modes])
         found = None
-        if isinstance(solved, Candidate):
+        if not solved.undetermined:
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
             captured = np.array([role.captured for role in flow.roles[: self._count]])
             forces = np.where(captured[:, None], 0.0, solved.forces)

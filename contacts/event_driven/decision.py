@@ -10,11 +10,8 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.impacts.jamming import Jam, jammed
-from contacts.modes.classification import Before, Choice, choose
-from contacts.modes.fast_classification import ENDLESS
-from contacts.modes.force_uncertainty import ForceUncertainty
-from contacts.modes.painleve import paradoxes
+from contacts.impacts.jamming import Jam, jammed, paradoxes
+from contacts.modes.classification import ENDLESS, Before, Choice, ForceUncertainty, choose
 from contacts.scene.parts import Resolution
 from contacts.states import OFF, cause_of, superstates_of
 from statechart.automaton.trace import Key

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.control_guards import given_in
+from contacts.dynamics.controllers import given_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import NEARLY_MEETING, stays_off

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
-from contacts.impacts.plastic import strike_group
-from contacts.modes.fast_classification import ModeRules, classify
+from contacts.impacts.impulses import strike_group
+from contacts.modes.classification import ModeRules, classify
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
@@ -22,7 +22,7 @@ from statechart.kernels.tapes import tape_values
 
 
 class SceneWatch(NamedTuple):
-    """Constants of a run for compiled instants (see `fast_classification.classify`)."""
+    """Constants of a run for compiled instants (see `contacts.modes.classification.classify`)."""
 
     # (9,): tapes of the scene's numbers, and of the margins of contacts' conditions.
     numbers: NDArray[np.int64]

@@ -17,8 +17,7 @@ from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
-from contacts.modes.classification import Before
-from contacts.modes.force_uncertainty import ForceUncertainty
+from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array

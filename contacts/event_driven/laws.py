@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -31,17 +31,16 @@ from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
 from contacts.modes.classification import Before, Choice
-from contacts.modes.fast_classification import fast_mode
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.feasibility import Feasibility
 from statechart.automaton.laws import (
     UNBOUNDED,
     CompiledLaws,
+    Feasibility,
     Flow,
     Instant,
     Setup,
@@ -49,7 +48,6 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
-from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -69,8 +67,6 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
         self.conditions = self.numbers.conditions
-        # Without joints and conditions, an instant may be a usual one.
-        self._plain = not mechanics.joint_rows and not self.conditions.present
         self._switching = Switching(self._names, self.conditions, self._paradox)
         self.remarks = Handovers(mechanics).remarks
 
@@ -113,12 +109,7 @@ class SceneLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
-        state = setup.initial
-        if self._plain and not self._modes:
-            mode = fast_mode(setup, self._tape, state, 0.0, None)
-            if mode is not None and not self._hovering(setup, state, mode[0]):
-                return flow_in(setup, mode[0]), state
-        flow, state = self._begun(setup, state)
+        flow, state = self._begun(setup, setup.initial)
         if self.conditions.present:
             _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
         return flow, state
@@ -195,9 +186,9 @@ class SceneLaws:
         self, at: Instant, made: tuple[Jump | None, Flow] | None
     ) -> tuple[Jump | None, Flow] | None:
         """Measure the flights that begin with a jump from where round-off has left their gaps."""
-        if made is None or made[0] is None:
+        if made is None or (jump := made[0]) is None:
             return made
-        (jump, flow), setup, offsets = made, at.setup, self.numbers.gap_offsets
+        flow, setup, offsets = made[1], at.setup, self.numbers.gap_offsets
         # What controllers remember stands before the parameters here.
         parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
         known = parameters if at.flow.values is None else at.flow.values
@@ -224,11 +215,6 @@ class SceneLaws:
     def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
-        if usual and fired != (UNBOUNDED,):
-            mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
-            if mode is not None and not (mode[0] == flow.mode and self._of_forces(fired)):
-                return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
         strike = partial(self._strike, at, setup, snapshot)
         switched = self._switching.switched(at, setup, snapshot, strike)
@@ -355,28 +341,6 @@ class SceneLaws:
             else state
             for name, state, contact in zip(self._names, moving, snapshot.contacts, strict=True)
         )
-
-    def _usual(
-        self, at: Instant, setup: SceneSetup, target: Key, energy: float
-    ) -> tuple[Jump, Flow] | None:
-        """Return the jump to the one mode that agrees with the state."""
-        if target == at.flow.mode:
-            return None
-        jump = at.jump(
-            *cause(self._names, at.flow.mode, target, False),
-            target,
-            considered=LazyMapping(partial(self._considered, setup, at.state, at.clock.high)),
-            energy=(energy, energy),
-        )
-        return jump, flow_in(setup, target)
-
-    def _considered(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, str]:
-        """Return every mode considered at a usual instant, and why it was taken or not."""
-        snapshot = self._tape.at(setup.values, state, time)
-        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-        touching = [c.gap <= near and c.gap_rate <= slow for c in snapshot.contacts]
-        choice = decide(setup, snapshot, touching, self._paradox)
-        return {} if isinstance(choice, Jam) else choice.considered
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.gates import conditions_at
-from contacts.dynamics.run_numbers import Numbers, Rules, run_numbers
+from contacts.dynamics.setup_evaluation import Numbers, Rules, run_numbers
 from contacts.dynamics.snapshot import SCALARS
 from contacts.dynamics.starting import hovers
 from contacts.event_driven.hit import SceneWatch, classified

@@ -1,41 +1,538 @@
-"""From a state to the mode of every contact, and why: complementarity on accelerations.
+"""Contact modes of a state: complementarity on accelerations, by enumeration or Lemke's algorithm.
 
 The answer depends on the state alone, never on which event fired. Up to four contacts that touch,
 every mode is tried (enumeration is the one method that can prove that there is none, one, or
-several), and judged by its own inequalities; above, Lemke's algorithm finds one.
+several), and judged by its own inequalities; above, Lemke's algorithm finds one. Where contacts can
+stand in for each other, a mode is judged by whether some forces in the cones explain its motion
+(`contacts.modes.load_sharing`). States are known to the tolerance of a run only: where the force
+that a contact's rest takes is just what friction gives, the contact sticks (`ForceUncertainty`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.projection import landing
 from contacts.dynamics.scales import Scales
-from contacts.dynamics.snapshot import PerContact, Snapshot
-from contacts.modes.candidates import (
-    OPEN_LOAD,
-    SINGULAR,
-    Candidate,
-    Case,
-    Undetermined,
-    by_lemke,
-    candidates,
-    consistent,
-    openness,
-    same_motion,
-)
-from contacts.modes.force_uncertainty import ForceUncertainty
-from contacts.modes.load_sharing import Share, bearing, pressed_together, rank
+from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot
+from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, share
 from contacts.scene.modes import OWN
-from contacts.states import OFF, OPEN, SLIDING, declared_state, undetermined
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, judge_forces, solve_modes
+from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
+from contacts.states import (
+    CODES,
+    FREE,
+    OFF,
+    OFF_CODE,
+    OPEN,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIDING,
+    declared_state,
+    undetermined,
+)
+from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.laws import roles_in
 from statechart.automaton.lazy import LazyMapping
-from statechart.automaton.trace import Roles
+from statechart.automaton.trace import Key, Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
+from statechart.kernels.jit import part, seldom
+
+_WORDS = {
+    INTO: "it would accelerate at {:.3g} into the surface",
+    PULLS: "V = {:.3g} < 0",
+    OUTSIDE: "|H| = {:.6g} > mu V",
+    AGAINST: "slip would accelerate at {:.3g} against it",
+}
+SINGULAR = "its equations do not determine the motion"
+"""Why a mode is undetermined in which a body without mass or inertia is held by nothing."""
+OPEN_LOAD = "how the contacts share the load changes the motion"
+"""Why a mode is undetermined that more than geometry leaves open: feet of different friction."""
+_UNSOLVED = {
+    CONTRADICTORY: "its contacts cannot move like that together",
+    UNDETERMINED: OPEN_LOAD,
+}
+_DETERMINED = (SOLVED, REDUNDANT)
+_UNEXPLAINED = "no forces within the cones explain its motion"
+_LESS = "moves like a mode that keeps more contacts closed or pinned"
+# Besides what `contacts.states` numbers: forces in no cone.
+_NOWHERE = -1
+# Two motions are the same when their accelerations agree to this.
+_SAME_MOTION = 1e-9
+# Relative to the scene's force: smaller forces cannot be told from none.
+_EXACT = 1e-13
+
+
+class Case(NamedTuple):
+    """A state whose mode is asked for."""
+
+    snapshot: Snapshot  # Its numbers
+    laws: Sequence[ContactLaw]  # One per contact
+    # `closed`, `still`: Whether the contact's gap is closed; whether its slip is zero
+    closed: Sequence[bool]
+    still: Sequence[bool]
+    scales: Scales  # For judging inequalities
+    tie: float = 0.0  # Violations up to this (relative) count as boundary cases, not as violations
+
+
+class Candidate(NamedTuple):
+    """One assignment of modes to the contacts, solved as far as it determines a motion."""
+
+    states: tuple[str, ...]  # Per contact
+    accelerations: Array  # (n,)
+    forces: Array  # (c, 2): V and H per contact
+    # The largest inequality it breaks, in units of the scales; <= 0: none; inf: no motion is
+    # determined, or none that forces explain
+    violation: float
+    # That inequality: contact, which (as `contacts.states` numbers them), its number
+    broken: tuple[str, int, float]
+    # How the contacts share the forces, where the motion does not determine them
+    share: Share | None = None
+    undetermined: str = ""  # Why it determines no motion
+
+    @property
+    def roles(self) -> Roles:
+        """The states, and how the forces are shared: what a flow's equations follow from."""
+        return roles_in(self.states) if self.share is None else self.share.roles(self.states)
+
+    @property
+    def reason(self) -> str:
+        """The inequality it is judged by, in words."""
+        contact, which, number = self.broken
+        if self.undetermined:
+            return self.undetermined
+        if which == _NOWHERE:
+            return _UNEXPLAINED
+        return f"{contact}: " + _WORDS[which].format(number)
+
+
+def consistent(tried: Iterable[Candidate], tie: float) -> list[Candidate]:
+    """Return the candidates that break no inequality by more than `tie`."""
+    return [c for c in tried if c.violation <= tie]
+
+
+def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
+    """Solve every combination of `options` (states per contact).
+
+    Where contacts can stand in for each other, a combination is judged by whether some forces in
+    the cones explain its motion; of those with one motion, the one that keeps most contacts closed,
+    then most of them pinned, stands for all.
+    """
+    return _solved_combinations(case, *_combinations(tuple(options)))
+
+
+def _solved_combinations(
+    case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
+) -> list[Candidate]:
+    snapshot, laws, closed, still, scales, tie = case
+    edges = cones(tuple(laws))
+    count, contacts = codes.shape
+    status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
+    accelerations = np.empty((count, len(snapshot.forces)))
+    forces = np.empty((count, contacts, 2))
+    several, _ = solve_modes(
+        snapshot.mass,
+        snapshot.forces,
+        snapshot.jacobians,
+        snapshot.biases,
+        edges,
+        codes,
+        _flags(tuple(closed)),
+        _flags(tuple(still)),
+        scales.force,
+        scales.acceleration,
+        status,
+        accelerations,
+        forces,
+        verdicts,
+        tie,
+    )
+    found: list[Candidate] = []
+    for k, (states, outcome) in enumerate(zip(combinations, status.tolist(), strict=True)):
+        violation, contact, which, number = verdicts[k].tolist()
+        broken = (laws[int(contact)].name if laws else "", int(which), number)
+        one = Candidate(states, accelerations[k], forces[k], violation, broken)
+        if outcome not in _DETERMINED:
+            one = _refused(one, _UNSOLVED.get(outcome, SINGULAR))
+        found.append(one)
+    if several:
+        _explain(case, edges, codes, found, np.flatnonzero(status == REDUNDANT).tolist())
+    return found
+
+
+def _refused(candidate: Candidate, why: str) -> Candidate:
+    return candidate._replace(violation=math.inf, undetermined=why)
+
+
+def _explain(
+    case: Case,
+    edges: Array,
+    codes: Ints,
+    found: list[Candidate],
+    redundant: Sequence[int],
+) -> None:
+    """Replace candidates judged by their motion alone, by whether forces explain it."""
+    snapshot, scales, tie = case.snapshot, case.scales, case.tie
+    inward = 0.25 * max(tie, _EXACT) * scales.force
+    moving = [(k, found[k]) for k in redundant if found[k].violation <= max(tie, _SAME_MOTION)]
+    taken: list[Candidate] = []
+    failed: list[tuple[Candidate, Ints]] = []
+    for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
+        if any(same_motion(one, candidate, scales) for one in taken):
+            found[k] = _refused(candidate, _LESS)
+            continue
+        given = None
+        if not any(
+            _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
+            for one, code in failed
+        ):
+            given = share(codes[k], snapshot, edges, candidate.forces, inward)
+        if given is None or given.violation > tie * scales.force:
+            failed.append((candidate, codes[k]))
+            found[k] = _refused(candidate, _UNEXPLAINED)
+            continue
+        outside = given.violation / scales.force
+        shared = candidate._replace(forces=given.forces, share=given)
+        if outside > shared.violation:
+            shared = shared._replace(violation=outside, broken=("", _NOWHERE, outside))
+        found[k] = shared
+        taken.append(shared)
+
+
+def _within(code: Ints, other: Ints) -> bool:
+    """Whether what every contact may bear in one mode it may bear in the other."""
+    return bool(((code == other) | (code == FREE) | (other == PIN)).all())
+
+
+@lru_cache(maxsize=1024)
+def _flags(marks: tuple[bool, ...]) -> Bools:
+    return np.array(marks, dtype=np.bool_)
+
+
+@lru_cache(maxsize=1024)
+def _combinations(
+    options: tuple[Sequence[str], ...],
+) -> tuple[tuple[tuple[str, ...], ...], Ints]:
+    """Return every combination of states, in names and as the kernel numbers them."""
+    combinations = tuple(product(*options))
+    return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
+
+
+def same_motion(
+    one: Candidate, other: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
+) -> bool:
+    """Whether two candidates move the bodies alike."""
+    size = max(scales.acceleration, float(np.abs(other.accelerations).max()))
+    difference = np.abs(one.accelerations - other.accelerations).max()
+    return bool(difference <= tolerance * size)
+
+
+def openness(candidate: Candidate) -> tuple[int, int, str]:
+    """Most contacts closed first, then most of them pinned; names make ties deterministic."""
+    states = candidate.states
+    return (
+        sum(state == "free" for state in states),
+        sum(state != "pin" for state in states),
+        " ".join(states),
+    )
+
+
+def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
+    """Solve the modes that Lemke's algorithm ends in (see `candidates`).
+
+    The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
+    form; where there is slip, the force is along the edge that opposes it). It serves to find the
+    modes only; they are solved and judged as any others. None: it found no solution.
+    """
+    snapshot, laws, closed, still, scales, _ = case
+    group = [i for i, shut in enumerate(closed) if shut]
+    edges = cones(tuple(laws[i] for i in group))
+    slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
+    contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
+    free = snapshot.biases[group] + alone
+    solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
+    # A candidate that its residual does not verify may still name the right modes.
+    if solution.status not in (LcpStatus.SOLVED, LcpStatus.UNVERIFIED):
+        return []
+    forces = contact_impulses(solution.z, edges, slides)
+    after = free + (contacts @ forces.ravel()).reshape(-1, 2)
+    at_rest = np.abs(after) <= _SAME_MOTION * max(scales.acceleration, float(np.abs(after).max()))
+    least = _SAME_MOTION * float(np.abs(forces).max())
+    found = []
+    # What bears no force may be closed, what is on the edge of its cone may be pinned.
+    for closer, firmer in product((True, False), repeat=2):
+        states = [several[0] if len(several) == 1 else "free" for several in options]
+        for k, i in enumerate(group):
+            V, H = forces[k].tolist()
+            bears = max(V, abs(H)) > least
+            if not at_rest[k, 0] or not (bears or closer):
+                continue
+            inside = edges[k, 1] * V - edges[k, 0] * abs(H) > least
+            along = slides[k] or (-H if bears and at_rest[k, 1] else after[k, 1])
+            if still[i] and at_rest[k, 1] and (firmer or inside) and "pin" in options[i]:
+                states[i] = "pin"
+            elif edges[k, 1] == 0.0:
+                states[i] = "slide"
+            else:
+                states[i] = "slide+" if along > 0.0 else "slide-"
+        if all(state in several for state, several in zip(states, options, strict=True)):
+            found.append(tuple(states))
+    combinations = tuple(dict.fromkeys(found))
+    if not combinations:
+        return []
+    codes = np.array([[CODES[state] for state in states] for states in combinations])
+    return _solved_combinations(case, combinations, codes)
+
+
+_NAMES = {code: name for name, code in CODES.items() if name != OFF}
+
+
+class ModeRules(NamedTuple):
+    """Inputs of the classification of contacts."""
+
+    allowed: Bools  # (c, 5): Whether a contact may be in the state of that code
+    cones: Array  # (c, 2): cone_n, cone_t
+    # `near`, `creep`: A closed contact's gap and velocities that need no projection; tolerances
+    near: float
+    creep: float
+    gap: float
+    speed: float
+    tie: float  # See `contacts.solvers.mode_solver.solve_modes`
+    # Forces of a contact that comes to rest are no nearer to a bound (`ForceUncertainty`)
+    doubtful: float
+    # `force`, `acceleration`: The scales
+    force: float
+    acceleration: float
+
+
+def mode_rules(setup: SceneSetup) -> ModeRules:
+    """Return the rules of a run."""
+    return ModeRules(
+        allowed(tuple([law.states for law in setup.contacts])),
+        cones(setup.contacts),
+        *landing(setup.tolerances),
+        setup.tolerances["gap"],
+        setup.tolerances["speed"],
+        setup.tie,
+        setup.doubtful,
+        setup.scales.force,
+        setup.scales.acceleration,
+    )
+
+
+@lru_cache(maxsize=1024)
+def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
+    """Return (c, 5): whether a contact's region has the state of that code."""
+    allowed = np.zeros((len(states), len(_NAMES)), np.bool_)
+    for i, several in enumerate(states):
+        for name in several:
+            if name != OFF:
+                allowed[i, CODES[name]] = True
+    return allowed
+
+
+# In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.
+ENDLESS = 1e13
+# More combinations of states are left to the laws.
+_MAX_COMBINATIONS = 64
+
+
+@part
+def _doubted(
+    codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
+) -> bool:
+    """Whether a mode in which a contact comes to rest is close to the bounds of its forces."""
+    for k in range(codes.shape[0]):
+        if abs(verdicts[k, 0]) <= doubtful:
+            for c in range(codes.shape[1]):
+                if codes[k, c] == PIN and kept[c] != PIN and closed[c] and still[c]:
+                    return True
+    return False
+
+
+@seldom
+def classify(
+    rules: ModeRules,
+    numbers: Array,
+    n: int,
+    under_way: bool,
+    kept: Ints,
+    lowest: Array,
+    taken: Ints,
+) -> bool:
+    """Classify every contact; False where that is not as simple.
+
+    Parameters
+    ----------
+    rules : ModeRules
+    numbers : (o,) array
+        The scene's.
+    n : int
+        Number of coordinates.
+    under_way, kept
+        Whether a flow led here, and in which state (c,) it kept each contact; what is off stays so.
+    lowest : (c,) array
+        Of the gaps.
+    taken : (c,) array
+        To be filled: the state of every contact.
+    """
+    allowed, near, creep, slow, tie = (
+        rules.allowed, rules.near, rules.creep, rules.speed, rules.tie,
+    )  # fmt: skip
+    contacts = taken.shape[0]
+    at = n * n + n + 1
+    biases_at = at + 2 * n * contacts
+    scalars = biases_at + 2 * contacts
+    closed, still = np.empty(contacts, np.bool_), np.empty(contacts, np.bool_)
+    options, counts = np.empty((contacts, 5), np.int64), np.empty(contacts, np.int64)
+    total = 1
+    for c in range(contacts):
+        if kept[c] == OFF_CODE:
+            closed[c] = still[c] = False
+            options[c, 0], counts[c] = FREE, 1
+            continue
+        place = scalars + SCALARS * c
+        gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
+        shut = gap <= rules.gap
+        if not gap >= lowest[c] or (shut and rate < -slow):
+            return False
+        lasting = kept[c] != FREE
+        off = gap > near or abs(rate) > creep
+        if lasting and (off or (kept[c] == PIN and abs(slip) > creep)):
+            return False
+        closed[c], still[c] = shut and rate <= slow, abs(slip) <= 2.0 * slow
+        if not closed[c] and not allowed[c, FREE]:
+            return False
+        if closed[c] and off and not under_way:
+            return False
+        counts[c] = 0
+        for s in range(5):
+            if not closed[c]:
+                free = s == FREE
+            elif s in (FREE, SLIDE) or still[c]:
+                free = allowed[c, s]
+            else:
+                free = allowed[c, s] and s == (SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS)
+            if free:
+                options[c, counts[c]] = s
+                counts[c] += 1
+        total *= counts[c]
+    if total == 0 or total > _MAX_COMBINATIONS:
+        return False
+    codes = np.empty((total, contacts), np.int64)
+    for k in range(total):
+        left = k
+        for c in range(contacts):
+            codes[k, c] = options[c, left % counts[c]]
+            left //= counts[c]
+    status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
+    forces = np.empty((total, contacts, 2))
+    redundant, agreeing = solve_modes(
+        numbers[: n * n].reshape((n, n)),
+        numbers[n * n : n * n + n],
+        numbers[at:biases_at].reshape((contacts, 2, n)),
+        numbers[biases_at:scalars].reshape((contacts, 2)),
+        rules.cones,
+        codes,
+        closed,
+        still,
+        rules.force,
+        rules.acceleration,
+        status,
+        np.empty((total, n)),
+        forces,
+        verdicts,
+        tie,
+    )
+    if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
+        return False
+    if _doubted(codes, kept, closed, still, verdicts, rules.doubtful):
+        return False
+    for c in range(contacts):
+        for force in forces[agreeing, c]:
+            if abs(force) > ENDLESS * rules.force:
+                return False
+        place = scalars + SCALARS * c
+        taken[c] = OFF_CODE if kept[c] == OFF_CODE else codes[agreeing, c]
+        if taken[c] != FREE and taken[c] != OFF_CODE:
+            if abs(numbers[place]) > near or abs(numbers[place + 1]) > creep:
+                return False
+            if taken[c] == PIN and abs(numbers[place + 2]) > creep:
+                return False
+    return True
+
+
+class ForceUncertainty(NamedTuple):
+    """Uncertainty of friction forces where contacts come to rest."""
+
+    at: Callable[[Array, float], Snapshot]  # The scene's numbers at a state, so much later
+    setup: SceneSetup  # Of the run
+    state: Array  # (2 n,): As far as the run knows it
+    # How contacts were kept, as far as that was in no doubt: what was pinned does not come to rest
+    sure: Key
+    # Contacts of which a force has just passed its bound: that is in no doubt either
+    fell: Collection[int] = ()
+
+    def sticking(
+        self, case: Case, options: Sequence[Sequence[str]], taken: Candidate
+    ) -> Candidate | None:
+        """Return the mode that may hold as well as not.
+
+        None where what the run is off by decides nothing.
+        """
+        if not any(map(_comes_to_rest, options, self.sure)):
+            return None
+        near = self.setup.doubtful
+        for one in sorted(candidates(case._replace(tie=near), options), key=openness):
+            if openness(one)[:2] > openness(taken)[:2]:
+                break
+            rests = any(map(_comes_to_rest, one.states, self.sure))
+            close = rests and abs(one.violation) <= near and not self._passed(case, one)
+            if close and max(abs(one.violation), case.tie) <= self._spread(case, one):
+                return one
+        return None
+
+    def _passed(self, case: Case, one: Candidate) -> bool:
+        """Whether a mode is broken by a force that has just passed its bound."""
+        fell = [*self.fell]
+        if not fell:
+            return False
+        if one.share is not None:
+            return True
+        verdict, codes = np.full(4, -np.inf), np.array([CODES[one.states[i]] for i in fell])
+        edges = cones(tuple(case.laws))[fell]
+        judge_forces(verdict, one.forces[fell], edges, codes, case.scales.force)
+        return bool(verdict[0] > case.tie)
+
+    def _spread(self, case: Case, one: Candidate) -> float:
+        """Return by how much, in the scales, what a mode breaks may be off."""
+        setup, near, total = self.setup, self.setup.doubtful, 0.0
+        slow = setup.tolerances["speed"]
+        off = slow / setup.scales.speed * np.maximum(setup.scales.sizes, np.abs(self.state))
+        later = slow / setup.scales.acceleration
+        moved = [(self.state + step, 0.0) for step in np.diag(off)]
+        for state, time in [*moved, (self.state, later)]:
+            there = case._replace(snapshot=self.at(state, time), tie=near)
+            (found,) = candidates(there, [(role,) for role in one.states])
+            total += near if found.undetermined else abs(found.violation - one.violation)
+        return total
+
+
+def _comes_to_rest(may: Collection[str] | str, was: str) -> bool:
+    return "pin" in may and was != "pin"
+
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
 _ENUMERATED = 4
@@ -56,13 +553,10 @@ _UNCHECKED = (
 
 
 def _verdicts(
-    laws: Sequence[ContactLaw],
-    tried: Iterable[Candidate | Undetermined],
-    taken: Candidate | None,
-    tie: float,
+    laws: Sequence[ContactLaw], tried: Iterable[Candidate], taken: Candidate | None, tie: float
 ) -> dict[str, str]:
-    found = {_label(laws, c): _verdict(c, tie) for c in tried}
-    return found if taken is None else {**found, _label(laws, taken): "taken"}
+    found = {_label(laws, c.states): _verdict(c, tie) for c in tried}
+    return found if taken is None else {**found, _label(laws, taken.states): "taken"}
 
 
 class Choice(NamedTuple):
@@ -106,19 +600,16 @@ def choose(
     Where contacts share a load the mode of `before` goes on as long as some forces explain it,
     whatever else agrees, if these are of contacts that bore; without `before` all may.
 
-    Raises
-    ------
-    NoConsistentMode, AmbiguousMode
-        With every candidate and its reason.
-    NonFinite
-        If the state has no finite forces.
+    Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason. Raises
+    `NonFinite` if the state has no finite forces.
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
     case = Case(snapshot, laws, closed, still, scales, tie)
     before = before or Before(bearing=frozenset(range(len(laws))))
-    tried: Iterable[Candidate | Undetermined] = ()
-    count, agreeing = sum(closed), []
+    tried: list[Candidate] = []
+    agreeing: list[Candidate] = []
+    count = sum(closed)
     many = count > _ENUMERATED
     if many:
         tried = by_lemke(case, options)
@@ -148,7 +639,7 @@ def choose(
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
-        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
+        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
@@ -166,7 +657,7 @@ def choose(
 
 def _continuing(
     agreeing: list[Candidate],
-    tried: Iterable[Candidate | Undetermined],
+    tried: Iterable[Candidate],
     scales: Scales,
     before: Before,
 ) -> list[Candidate]:
@@ -177,7 +668,7 @@ def _continuing(
     """
     left = None
     if len(agreeing) > 1 and before.mode is not None:
-        left = next((c for c in tried if c[0] == before.mode and isinstance(c, Candidate)), None)
+        left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
     return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
@@ -186,10 +677,7 @@ def _continuing(
 def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
     """Return the one taken of the candidates that agree with the state, and why not another.
 
-    Raises
-    ------
-    AmbiguousMode
-        Where they move it apart, and all keep every contact closed.
+    Raises `AmbiguousMode` where they move it apart, and all keep every contact closed.
     """
     _, laws, closed, _, scales, tie = case
     taken = agreeing[0]
@@ -210,7 +698,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         others = [c for c in less if not same_motion(c, taken, scales, _GOES_ON)]
     if not others:
         return taken, ""
-    labels = ", ".join(_label(laws, c) for c in [taken, *others])
+    labels = ", ".join(_label(laws, c.states) for c in [taken, *others])
     opened = [
         c
         for c in [taken, *others]
@@ -225,7 +713,10 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     bearing = [_bearing(c) for c in opened]
     free = [c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)]
     taken = min(free, key=openness)
-    return taken, f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
+    return (
+        taken,
+        f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+    )
 
 
 def _without_new_loads(
@@ -257,7 +748,7 @@ def _without_new_loads(
 
 
 def _advice(
-    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate | Undetermined]
+    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate]
 ) -> Iterator[str]:
     """Yield what in the declaration keeps a state from having a mode, and what to do."""
     rough = [
@@ -279,7 +770,7 @@ def _advice(
         if shut and lacks and law.name not in rough:
             unlisted = True
             yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
-    if not unlisted and any(not isinstance(c, Candidate) and c[1] == SINGULAR for c in tried):
+    if not unlisted and any(c.undetermined == SINGULAR for c in tried):
         yield "what no contact holds has no mass or inertia of its own: give it some"
 
 
@@ -287,11 +778,11 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
     return frozenset(i for i, state in enumerate(candidate.states) if state not in OPEN)
 
 
-def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[bool]) -> bool:
+def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
     """Whether the mode taken is one of several that leave out contacts of a mode left open."""
-    if isinstance(other, Candidate) or other[1] != OPEN_LOAD:
+    if other.undetermined != OPEN_LOAD:
         return False
-    pairs = zip(taken.states, other[0], closed, strict=True)
+    pairs = zip(taken.states, other.states, closed, strict=True)
     return all(mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs)
 
 
@@ -343,14 +834,11 @@ def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, .
     )
 
 
-def _label(laws: Sequence[ContactLaw], candidate: Candidate | Undetermined) -> str:
-    states = candidate.states if isinstance(candidate, Candidate) else candidate[0]
+def _label(laws: Sequence[ContactLaw], states: Sequence[str]) -> str:
     return " ".join(f"{law.name}:{state}" for law, state in zip(laws, states, strict=True))
 
 
-def _verdict(candidate: Candidate | Undetermined, tie: float) -> str:
-    if not isinstance(candidate, Candidate):
-        return candidate[1]
+def _verdict(candidate: Candidate, tie: float) -> str:
     if candidate.violation <= 0.0:
         return "consistent"
     if candidate.violation <= tie:

@@ -27,7 +27,7 @@ from contacts.dynamics.snapshot import Snapshot
 from contacts.solvers.dependence import GIVEN, null_space
 from contacts.states import declared_state
 from statechart.arrays import Array
-from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.laws import Feasibility
 from statechart.automaton.regions import Region
 from statechart.errors import StatechartError
 from statechart.tabular import several

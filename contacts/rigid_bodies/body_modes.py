@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts, velocity
 from contacts.collision_detection.body_numbers import BodyNumbers, Memory
 from contacts.collision_detection.surfaces import LINE, PLATE
-from contacts.collision_detection.touches import Touches, velocity
-from contacts.rigid_bodies.room import Room
+from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import Chunk
@@ -75,7 +75,7 @@ def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
 
 
 @part
-def _count_contacts(numbers: BodyNumbers, touches: Touches, count: int, counts: Ints) -> None:
+def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, counts: Ints) -> None:
     """Write how many contacts bodies (b,) have; -1: some that are not read from accelerations."""
     for b in range(len(counts)):
         counts[b] = 0
@@ -84,8 +84,8 @@ def _count_contacts(numbers: BodyNumbers, touches: Touches, count: int, counts: 
             if numbers.joints.bodies[j, side] >= 0:
                 counts[numbers.joints.bodies[j, side]] = -1
     for i in range(count):
-        b, other = touches.bodies[i]
-        alone = other < 0 and _is_straight(numbers, touches.keys[i, 0], touches.rows[i, 0])
+        b, other = active.bodies[i]
+        alone = other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
         if other >= 0:
             counts[other] = -1
         if not alone:
@@ -96,53 +96,59 @@ def _count_contacts(numbers: BodyNumbers, touches: Touches, count: int, counts: 
 
 @part
 def _write_accelerations(
-    numbers: BodyNumbers, touches: Touches, i: int, turning: float, h: float, found: Array,
+    numbers: BodyNumbers, active: ActiveContacts, i: int, turning: float, h: float, found: Array,
     sizes: Array,
 ) -> None:  # fmt: skip
     """Write the accelerations (2,) of contact i without forces of contacts, and their sizes."""
-    p, _ = _piece_on_surface(numbers, touches.keys[i, 0])
-    rows = touches.rows[i]
+    p, _ = _piece_on_surface(numbers, active.keys[i, 0])
+    rows = active.rows[i]
     for d in range(2):
         arm = numbers.pieces.radii[p] - rows[1, 2] if d == 0 else rows[0, 2]
-        forced, bias = (touches.free[i, d] - touches.before[i, d]) / h, -(turning**2) * arm
+        forced, bias = (active.free[i, d] - active.before[i, d]) / h, -(turning**2) * arm
         found[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
 
 
 @part
 def _remember_landing(
-    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, i: int, size: float, h: float
+    numbers: BodyNumbers,
+    memory: Memory,
+    space: Workspace,
+    rates: Array,
+    i: int,
+    size: float,
+    h: float,
 ) -> None:
     """Remember how far from a surface contact i lands, where its body has landed no farther off."""
-    touches, b = room.touches, room.touches.bodies[i, 0]
-    above = touches.memory[i, 3]
-    stops = velocity(touches.bodies, touches.rows, rates, i, 0) <= LEFT * h * size
+    active, b = space.active, space.active.bodies[i, 0]
+    above = active.memory[i, 3]
+    stops = velocity(active.bodies, active.rows, rates, i, 0) <= LEFT * h * size
     landed = memory.landed[b]
-    if not (touches.hit[i] and stops and above > landed[0]):
+    if not (active.hit[i] and stops and above > landed[0]):
         return
-    p, _ = _piece_on_surface(numbers, touches.keys[i, 0])
-    (nx, ny), x, y = touches.rows[i, 0, :2], room.look.places[b, 0], room.look.places[b, 1]
-    along, across = numbers.pieces.radii[p] - touches.rows[i, 1, 2], touches.rows[i, 0, 2]
+    p, _ = _piece_on_surface(numbers, active.keys[i, 0])
+    (nx, ny), x, y = active.rows[i, 0, :2], space.mid.places[b, 0], space.mid.places[b, 1]
+    along, across = numbers.pieces.radii[p] - active.rows[i, 1, 2], active.rows[i, 0, 2]
     u, v = along * nx + across * ny, along * ny - across * nx
-    c, s = math.cos(room.look.places[b, 2]), math.sin(room.look.places[b, 2])
+    c, s = math.cos(space.mid.places[b, 2]), math.sin(space.mid.places[b, 2])
     landed[0], landed[1], landed[2], landed[3] = above, nx, ny, nx * (x + u) + ny * (y + v) - above
     landed[4], landed[5] = c * u + s * v, c * v - s * u
 
 
 @part
-def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float, alone: bool) -> bool:
+def _hovers(memory: Memory, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
     """Return whether a corner falls over no more than the gap at which it landed.
 
     What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
     """
     above, nx, ny, zero, u, v = memory.landed[b]
-    look, turning = room.look, rates[b, 2]
-    x, y = look.places[b, 0], look.places[b, 1]
-    c, s = math.cos(look.places[b, 2]), math.sin(look.places[b, 2])
+    mid, turning = space.mid, rates[b, 2]
+    x, y = mid.places[b, 0], mid.places[b, 1]
+    c, s = math.cos(mid.places[b, 2]), math.sin(mid.places[b, 2])
     u, v = c * u - s * v, s * u + c * v
     along, across = nx * u + ny * v, ny * u - nx * v
     rate = nx * rates[b, 0] + ny * rates[b, 1] + turning * across
-    forced = nx * (look.loose[b, 0] - look.old[b, 0]) + ny * (look.loose[b, 1] - look.old[b, 1])
-    forced = (forced + across * (look.loose[b, 2] - look.old[b, 2])) / h
+    forced = nx * (mid.loose[b, 0] - mid.old[b, 0]) + ny * (mid.loose[b, 1] - mid.old[b, 1])
+    forced = (forced + across * (mid.loose[b, 2] - mid.old[b, 2])) / h
     bias = -(turning**2) * along
     left = LEFT * h * (abs(forced) + abs(bias))
     gap = nx * (x + u) + ny * (y + v) - zero
@@ -153,28 +159,26 @@ def _hovers(memory: Memory, room: Room, rates: Array, b: int, h: float, alone: b
 
 @beside
 def settle_bodies(
-    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, count: int, k: int,
+    numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, k: int,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling bodies in step k.
 
     Parameters
     ----------
-    numbers : BodyNumbers
     memory : Memory
         Of this step. Changed in place.
-    room : Room
+    space : Workspace
         Its `local` is overwritten.
     rates : (b, 3)
         After the step.
     count : int
         Contacts.
-    k : int
     chunk : Chunk
         Its step k is changed in place.
     """
-    counts = room.local
-    _count_contacts(numbers, room.touches, count, counts)
+    counts = space.local
+    _count_contacts(numbers, space.active, count, counts)
     for b in range(len(counts)):
         if memory.shown[b, 1] == 0:
             continue
@@ -183,9 +187,9 @@ def settle_bodies(
             continue
         mode = FREE
         if counts[b] > 0:
-            mode = _body_mode(numbers, memory, room, rates, count, b, counts[b], k, chunk)
+            mode = _body_mode(numbers, memory, space, rates, count, b, counts[b], k, chunk)
         lands = memory.shown[b, 0] != FREE and not chunk.struck[k, b]
-        if lands and _hovers(memory, room, rates, b, chunk.h, mode == FREE):
+        if lands and _hovers(memory, space, rates, b, chunk.h, mode == FREE):
             mode, memory.shown[b, 1] = memory.shown[b, 0], HOVERS
         chunk.modes[k, b] = mode
 
@@ -203,35 +207,35 @@ def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
 
 @part
 def _body_mode(
-    numbers: BodyNumbers, memory: Memory, room: Room, rates: Array, count: int, b: int, most: int,
-    k: int, chunk: Chunk,
+    numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, b: int,
+    most: int, k: int, chunk: Chunk,
 ) -> int:  # fmt: skip
     """Return the mode of body b, which has `most` contacts."""
-    touches, h, shown, m = room.touches, chunk.h, memory.shown[b, 0], 0
+    active, h, shown, m = space.active, chunk.h, memory.shown[b, 0], 0
     which = np.empty(most, np.int64)
     free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
     cones, slips, slides = np.zeros((most, 2)), np.zeros(most), np.zeros(most)
     guess = np.zeros(UNKNOWNS * most, np.bool_)
     for i in range(count):
-        if touches.bodies[i, 0] != b:
+        if active.bodies[i, 0] != b:
             continue
-        presses = room.pressed[i, 0] > 0.0
-        _write_accelerations(numbers, touches, i, rates[b, 2], h, free[m], sizes[m])
-        rate, left = velocity(touches.bodies, touches.rows, rates, i, 0), LEFT * h * sizes[m, 0]
-        above = 0.0 if touches.hit[i] else touches.memory[i, 3]
+        presses = space.pressed[i, 0] > 0.0
+        _write_accelerations(numbers, active, i, rates[b, 2], h, free[m], sizes[m])
+        rate, left = velocity(active.bodies, active.rows, rates, i, 0), LEFT * h * sizes[m, 0]
+        above = 0.0 if active.hit[i] else active.memory[i, 3]
         near = above <= LEFT * h * left and rate <= left
         if presses:
-            _remember_landing(numbers, memory, room, rates, i, sizes[m, 0], h)
-        if not (near and (presses or (shown != FREE and not touches.hit[i]))):
+            _remember_landing(numbers, memory, space, rates, i, sizes[m, 0], h)
+        if not (near and (presses or (shown != FREE and not active.hit[i]))):
             continue
         which[m], guess[UNKNOWNS * m] = i, presses
-        put(touches.materials[i, :2], cones[m])
-        slip = velocity(touches.bodies, touches.rows, rates, i, 1) + touches.wanted[i, 1]
+        put(active.materials[i, :2], cones[m])
+        slip = velocity(active.bodies, active.rows, rates, i, 1) + active.wanted[i, 1]
         slips[m] = slip
-        if abs(slip) > room.known[i] and cones[m, 1] > 0.0:
+        if abs(slip) > space.known[i] and cones[m, 1] > 0.0:
             mu = cones[m, 1] / cones[m, 0]
             left = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
-            goes_on = shown == SLIDE and slip * touches.before[i, 1] > 0.0
+            goes_on = shown == SLIDE and slip * active.before[i, 1] > 0.0
             if shown == FREE or goes_on or abs(slip) > left:
                 slides[m] = 1.0 if slip > 0.0 else -1.0
         m += 1
@@ -243,8 +247,8 @@ def _body_mode(
             for c in range(m):
                 for e in range(2):
                     for j in range(3):
-                        row = touches.rows[which[a], d, j] * numbers.inverse[b, j]
-                        delassus[2 * a + d, 2 * c + e] += row * touches.rows[which[c], e, j]
+                        row = active.rows[which[a], d, j] * numbers.inverse[b, j]
+                        delassus[2 * a + d, 2 * c + e] += row * active.rows[which[c], e, j]
     per_speed = ALIKE * h / max(memory.past[1], h * sizes[:m].max())
     sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]

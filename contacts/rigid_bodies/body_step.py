@@ -11,18 +11,21 @@ import math
 
 import numpy as np
 
-from contacts.collision_detection.applied import Ahead
+from contacts.collision_detection.active_contacts import ActiveContacts, velocity
 from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.joints import joined
-from contacts.collision_detection.look import fastest_turn, look_at, pushed
-from contacts.collision_detection.touches import Touches, velocity
-from contacts.collision_detection.touching import Seen, touching
+from contacts.collision_detection.joints import add_joints
+from contacts.collision_detection.midpoint import (
+    Prescribed,
+    apply_forces,
+    fastest_turn,
+    move_to_midpoint,
+)
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
-from contacts.rigid_bodies.island_step import solved
-from contacts.rigid_bodies.islands import push
-from contacts.rigid_bodies.order import PLASTIC
-from contacts.rigid_bodies.room import Room
+from contacts.rigid_bodies.impact_order import PLASTIC
+from contacts.rigid_bodies.island_step import push, solve_islands
+from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
@@ -40,18 +43,18 @@ LEAST = 1e-9
 
 
 @beside
-def _kept(
-    numbers: BodyNumbers, memory: Memory, room: Room, seen: Seen, allowed: float, rates: Array,
-    k: int, chunk: Chunk,
+def _store(
+    numbers: BodyNumbers, memory: Memory, space: Workspace, seen: DetectionResult, allowed: float,
+    rates: Array, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Remember a step's contacts, and write how bodies touch."""
-    touches, pressed = room.touches, room.pressed
+    active, pressed = space.active, space.pressed
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * chunk.h
     for b in range(len(numbers.sizes)):
-        chunk.gaps[k, b] = room.look.gaps[b]
+        chunk.gaps[k, b] = space.mid.gaps[b]
         chunk.struck[k, b] = False
         chunk.codes[k, b] = FREE
-        room.borne[b] = 0.0
+        space.borne[b] = 0.0
         chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
     chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
     chunk.passed[k] = seen.passed
@@ -60,40 +63,40 @@ def _kept(
     memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
     for i in range(seen.contacts):
         for side in range(2):
-            b = touches.bodies[i, side]
-            if b >= 0 and not room.bounces[i]:
-                room.borne[b] = max(room.borne[b], pressed[i, 0])
+            b = active.bodies[i, side]
+            if b >= 0 and not space.bounces[i]:
+                space.borne[b] = max(space.borne[b], pressed[i, 0])
     least = max(allowed, LEAST)
     for i in range(seen.contacts):
         pn, pt = pressed[i]
-        lasts = pn > 0.0 and not room.bounces[i]
-        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
-        closed = 0.0 if touches.hit[i] else -1.0
-        memory.contacts[i, 0] = touches.memory[i, 0]
+        lasts = pn > 0.0 and not space.bounces[i]
+        memory.keys[i, 0], memory.keys[i, 1] = active.keys[i]
+        closed = 0.0 if active.hit[i] else -1.0
+        memory.contacts[i, 0] = active.memory[i, 0]
         memory.contacts[i, 1] = 1.0 if lasts else closed
-        memory.contacts[i, 2], memory.contacts[i, 3] = touches.pushes[i]
+        memory.contacts[i, 2], memory.contacts[i, 3] = active.pushes[i]
         for d in range(2):
-            pushed_by = velocity(touches.bodies, touches.rows, rates, i, d)
-            pushed_by -= velocity(touches.bodies, touches.rows, room.look.loose, i, d)
-            memory.contacts[i, 4 + d] = touches.free[i, d] + pushed_by
-            memory.contacts[i, 6 + d] = touches.rows[i, 0, d]
-        if lasts and not touches.hit[i]:
-            chunk.closing[k] = max(chunk.closing[k], touches.memory[i, 1])
-        slip = memory.contacts[i, 5] + touches.wanted[i, 1]
-        none = max(room.known[i], touches.memory[i, 2], allowed * fall)
-        memory.contacts[i, 8] = room.known[i]
-        sticks = touches.materials[i, 1] > 0.0 and abs(slip) <= none
+            pushed_by = velocity(active.bodies, active.rows, rates, i, d)
+            pushed_by -= velocity(active.bodies, active.rows, space.mid.loose, i, d)
+            memory.contacts[i, 4 + d] = active.free[i, d] + pushed_by
+            memory.contacts[i, 6 + d] = active.rows[i, 0, d]
+        if lasts and not active.hit[i]:
+            chunk.closing[k] = max(chunk.closing[k], active.memory[i, 1])
+        slip = memory.contacts[i, 5] + active.wanted[i, 1]
+        none = max(space.known[i], active.memory[i, 2], allowed * fall)
+        memory.contacts[i, 8] = space.known[i]
+        sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none
         for side in range(2):
-            b = touches.bodies[i, side]
+            b = active.bodies[i, side]
             if b < 0:
                 continue
-            if touches.hit[i] and pn > 0.0:
+            if active.hit[i] and pn > 0.0:
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
             # What bears less of what presses or pulls a body most is rounding: it touches not.
-            pulled = room.look.pull[b] / numbers.inverse[b, 0]
-            bears = lasts and pn > max(least * room.borne[b], LEAST * pulled)
+            pulled = space.mid.pull[b] / numbers.inverse[b, 0]
+            bears = lasts and pn > max(least * space.borne[b], LEAST * pulled)
             if bears and sticks:
                 chunk.codes[k, b] = PIN
             elif bears and chunk.codes[k, b] == FREE:
@@ -101,12 +104,12 @@ def _kept(
 
 
 @part
-def _may_land(touches: Touches, law: int, count: int) -> bool:
+def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
     """Whether all that is struck in a step may land, after the middle of the step."""
     found = False
     for i in range(count):
-        if touches.hit[i]:
-            if touches.memory[i, 1] <= 0.0 or (touches.materials[i, 2] > 0.0 and law != PLASTIC):
+        if active.hit[i]:
+            if active.memory[i, 1] <= 0.0 or (active.materials[i, 2] > 0.0 and law != PLASTIC):
                 return False
             found = True
     return found
@@ -114,7 +117,7 @@ def _may_land(touches: Touches, law: int, count: int) -> bool:
 
 @part
 def _without_impacts(
-    numbers: BodyNumbers, touches: Touches, loose: Array, count: int, early: Array
+    numbers: BodyNumbers, active: ActiveContacts, loose: Array, count: int, early: Array
 ) -> None:
     """Write rates as forces alone make them, of which those of contacts are as in the step before.
 
@@ -123,73 +126,73 @@ def _without_impacts(
     put_rows(loose, early)
     for i in range(count):
         for d in range(2):
-            if not touches.hit[i] and touches.pushes[i, d] != 0.0:
-                push(
-                    touches.bodies, touches.rows, numbers.inverse, early, i, d, touches.pushes[i, d]
-                )
+            if not active.hit[i] and active.pushes[i, d] != 0.0:
+                push(active.bodies, active.rows, numbers.inverse, early, i, d, active.pushes[i, d])
 
 
 @part
-def _landing(room: Room, rates: Array, early: Array, h: float, fall: float, count: int) -> float:
+def _landing(
+    space: Workspace, rates: Array, early: Array, h: float, fall: float, count: int
+) -> float:
     """Return how long after the middle of a step the first of what lands in it touches.
 
     Forces alone would make rates `early`. Impulses that act later keep the bound of the energy
-    (`contacts.time_stepping.loop`). Earlier ones, of what is inside, do not, and would move what is
-    struck on farther than was looked at.
+    (`contacts.time_stepping.stepper`). Earlier ones, of what is inside, do not, and would move what
+    is struck on farther than was looked at.
     """
-    touches, first = room.touches, _LATEST * h
+    active, first = space.active, _LATEST * h
     for i in range(count):
         for d in range(2):
-            change = velocity(touches.bodies, touches.rows, rates, i, d)
-            change -= velocity(touches.bodies, touches.rows, early, i, d)
-            if not touches.hit[i]:
+            change = velocity(active.bodies, active.rows, rates, i, d)
+            change -= velocity(active.bodies, active.rows, early, i, d)
+            if not active.hit[i]:
                 # What lasts was to go on as it did, but for forces that change.
                 if abs(change) > fall:
                     return 0.0
-            elif room.bounces[i] != 0:
+            elif space.bounces[i] != 0:
                 return 0.0
-            elif d == 0 and change * first > touches.memory[i, 1]:
-                first = touches.memory[i, 1] / change
+            elif d == 0 and change * first > active.memory[i, 1]:
+                first = active.memory[i, 1] / change
     return first
 
 
 @late
-def _kept_joints(
-    numbers: BodyNumbers, memory: Memory, room: Room, first: int, k: int, rates: Array,
+def _store_joints(
+    numbers: BodyNumbers, memory: Memory, space: Workspace, first: int, k: int, rates: Array,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Remember the impulses of joints, which stand behind the contacts, and write their forces.
 
-    And what these add to the energy beyond the bound of the scheme; see `SteppedHeap`.
+    And what these add to the energy beyond the bound of the scheme; see `RigidBodyRun`.
     """
-    holds, at, touches, look = numbers.joints.holds, 3 * len(numbers.sizes), room.touches, room.look
+    holds, at, active, mid = numbers.joints.holds, 3 * len(numbers.sizes), space.active, space.mid
     for b in range(len(numbers.sizes)):
-        room.local[b] = 0
+        space.local[b] = 0
     for j in range(len(holds)):
         i = first + j
         for side in range(2):
-            b = touches.bodies[i, side]
-            if b < 0 or room.local[b] == 1:
+            b = active.bodies[i, side]
+            if b < 0 or space.local[b] == 1:
                 continue
-            room.local[b] = 1
+            space.local[b] = 1
             for d in range(3):
-                pulled = look.loose[b, d] - look.old[b, d]
+                pulled = mid.loose[b, d] - mid.old[b, d]
                 chunk.gained[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
-        memory.keys[i, 0], memory.keys[i, 1] = touches.keys[i]
+        memory.keys[i, 0], memory.keys[i, 1] = active.keys[i]
         for d in range(2):
-            both = touches.before[i, d] + touches.free[i, d]
-            both += velocity(touches.bodies, touches.rows, rates, i, d)
-            both -= velocity(touches.bodies, touches.rows, look.loose, i, d)
-            chunk.gained[k] += 0.5 * room.pressed[i, d] * both
+            both = active.before[i, d] + active.free[i, d]
+            both += velocity(active.bodies, active.rows, rates, i, d)
+            both -= velocity(active.bodies, active.rows, mid.loose, i, d)
+            chunk.gained[k] += 0.5 * space.pressed[i, d] * both
         memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
         for d in range(2):
-            memory.contacts[i, 2 + d] = room.pressed[i, d]
-            memory.contacts[i, 4 + d] = touches.closing[i, 0, d]
-            memory.contacts[i, 6 + d] = touches.closing[i, 1, d]
+            memory.contacts[i, 2 + d] = space.pressed[i, d]
+            memory.contacts[i, 4 + d] = active.closing[i, 0, d]
+            memory.contacts[i, 6 + d] = active.closing[i, 1, d]
             if d == 0 or holds[j] == BOTH:
-                chunk.solved[k, at] = room.steady[i, d] / chunk.h
+                chunk.solved[k, at] = space.steady[i, d] / chunk.h
                 at += 1
-    if room.apart[0] > 0.0:
+    if space.apart[0] > 0.0:
         # The work of all impulses is within the bound: what wedges takes what joints add.
         chunk.gained[k] = 0.0
     memory.many[0] = first + len(holds)
@@ -209,14 +212,14 @@ def _shown(rates: Array, old: Array, forced: Array) -> None:
 
 
 @part
-def _shown_approach(touches: Touches, old: Array, forced: Array, count: int) -> float:
+def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: int) -> float:
     """Return how fast what is hit in the middle of a step approaches as it is shown until then."""
     fastest = 0.0
     for i in range(count):
-        if touches.hit[i]:
-            change = velocity(touches.bodies, touches.rows, forced, i, 0)
-            change -= velocity(touches.bodies, touches.rows, old, i, 0)
-            fastest = max(fastest, -touches.before[i, 0] - 0.5 * change)
+        if active.hit[i]:
+            change = velocity(active.bodies, active.rows, forced, i, 0)
+            change -= velocity(active.bodies, active.rows, old, i, 0)
+            fastest = max(fastest, -active.before[i, 0] - 0.5 * change)
     return fastest
 
 
@@ -250,13 +253,13 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
 @stepwise
 def step_bodies(
     numbers: BodyNumbers,
-    around: Ahead,
+    around: Prescribed,
     start: float,
     done: int,
     law: int,
     forces: bool,
     memory: Memory,
-    room: Room,
+    space: Workspace,
     bounds: tuple[float, float],
     chunk: Chunk,
 ) -> tuple[int, int]:
@@ -264,18 +267,16 @@ def step_bodies(
 
     Parameters
     ----------
-    numbers : BodyNumbers
-    around : Ahead
+    around : Prescribed
         What acts on the bodies.
     start, done : float, int
         When steps began, and how many were taken before these.
     law : int
-        What is hit together follows; see `contacts.rigid_bodies.order`.
+        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
     forces : bool
         Whether somebody reads the unknowns, which else are not written.
     memory : Memory
         Where it has too little place the status is `FULL`. Changed in place.
-    room : Room
     bounds : (float, float)
         Residual of impulses that are good enough; a step that closes a larger gap, or in which
         bodies pass or sink into each other or turn by more than half a turn, or which leaves
@@ -287,7 +288,7 @@ def step_bodies(
     """
     h, n, (allowed, deepest) = chunk.h, 3 * len(numbers.sizes), bounds
     state = chunk.states[0].copy()
-    old, loose, touches = room.look.old, room.look.loose, room.touches
+    old, loose, active = space.mid.old, space.mid.loose, space.active
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
@@ -301,64 +302,64 @@ def step_bodies(
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
             break
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
-        look_at(numbers, state, h, memory.past[0], room.look)
+        move_to_midpoint(numbers, state, h, memory.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
-            pushed(numbers, applied, acting, around.memories[k + 1], time, h, room.look)
+            apply_forces(numbers, applied, acting, around.memories[k + 1], time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
-        seen = touching(numbers, ground, memory, room.look, room.grid, h, touches)
-        full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(touches.hit)
+        seen = find_contacts(numbers, ground, memory, space.mid, space.grid, h, active)
+        full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(active.hit)
         if full and k < steps:
             return k, FULL
         coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
         if deepest < math.inf and coarse:
             if k == 0 or not _hurry(numbers, state, h):
                 return k, COARSE
-            _remember(room.earlier, memory)
+            _remember(space.earlier, memory)
             return k - 1, COARSE
         if k == steps:
             break
-        _remember(memory, room.earlier)
+        _remember(memory, space.earlier)
         count, joins = seen.contacts, len(numbers.joints.holds) > 0
         if joins:
             places = around.places[k : k + 3]
-            count = joined(numbers, places, memory, room.look, h, count, touches)
-        lands = _may_land(touches, law, seen.contacts)
+            count = add_joints(numbers, places, memory, space.mid, h, count, active)
+        lands = _may_land(active, law, seen.contacts)
         if lands:
-            _without_impacts(numbers, touches, loose, count, early)
-        room.apart[1] = 1.0 if deepest < math.inf else 0.0
-        solved(numbers, law, forces, h, room, count, allowed, chunk.efforts[k])
+            _without_impacts(numbers, active, loose, count, early)
+        space.apart[1] = 1.0 if deepest < math.inf else 0.0
+        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.efforts[k])
         put_rows(loose, rates)
         put_rows(loose, forced)
         for i in range(count):
             for d in range(2):
-                if room.pressed[i, d] != 0.0:
+                if space.pressed[i, d] != 0.0:
                     push(
-                        touches.bodies, touches.rows, numbers.inverse, rates, i, d,
-                        room.pressed[i, d],
+                        active.bodies, active.rows, numbers.inverse, rates, i, d,
+                        space.pressed[i, d],
                     )  # fmt: skip
-                if forces and room.steady[i, d] != 0.0:
+                if forces and space.steady[i, d] != 0.0:
                     push(
-                        touches.bodies, touches.rows, numbers.inverse, forced, i, d,
-                        room.steady[i, d],
+                        active.bodies, active.rows, numbers.inverse, forced, i, d,
+                        space.steady[i, d],
                     )  # fmt: skip
-        open_joints = joins and room.apart[0] > 0.0
+        open_joints = joins and space.apart[0] > 0.0
         if deepest < math.inf and (open_joints or h * fastest_turn(rates) > math.pi):
             return k, COARSE
         if forces:
             _shown(rates, old, forced)
         # What lands has gone on as it did until it touched.
-        chunk.late[k] = _landing(room, rates, early, h, fall, count) if lands else 0.0
-        _kept(numbers, memory, room, seen, allowed, rates, k, chunk)
+        chunk.late[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
+        _store(numbers, memory, space, seen, allowed, rates, k, chunk)
         if unsettle_bodies(memory, k, chunk):
-            settle_bodies(numbers, memory, room, rates, seen.contacts, k, chunk)
+            settle_bodies(numbers, memory, space, rates, seen.contacts, k, chunk)
         finish_settling(memory, k, chunk)
         if forces:
-            chunk.approach[k] = max(chunk.approach[k], _shown_approach(touches, old, forced, count))
+            chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
-            _kept_joints(numbers, memory, room, seen.contacts, k, rates, chunk)
+            _store_joints(numbers, memory, space, seen.contacts, k, rates, chunk)
         for b in range(len(numbers.sizes)):
             for d in range(3):
                 at = 3 * b + d

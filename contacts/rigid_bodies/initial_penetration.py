@@ -9,15 +9,15 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
-from contacts.rigid_bodies.declared_surfaces import touched
-from contacts.rigid_bodies.stepped_heap import SteppedHeap
+from contacts.rigid_bodies.declared_numbers import touched
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
 # Of the inner circle of a body: about so far goes what is fast in a step that is chosen by the
-# scales of a scene (`contacts.rigid_bodies.bodies`), and half as deep stays what has landed. So a
-# packing that steps have left can be a start.
+# scales of a scene (`contacts.rigid_bodies.body_stepper`), and half as deep stays what has landed.
+# So a packing that steps have left can be a start.
 _LEFT = 0.1
 # Depths that are equal but for rounding.
 _SAME = 1e-9
@@ -30,7 +30,7 @@ _PAIR = 2
 _NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
 
 
-Tried = Callable[[BodyNumbers, Array], SteppedHeap]
+Tried = Callable[[BodyNumbers, Array], RigidBodyRun]
 """Numbers, coordinates and rates -> what has taken a step of no length, which finds overlaps."""
 
 
@@ -50,7 +50,6 @@ def check_apart(
     ----------
     tried : callable
         See `Tried`.
-    numbers : BodyNumbers
     names, owners : sequence of str
         Of the bodies, and what they are declared by.
     initial : (6 b,) array
@@ -163,7 +162,7 @@ def _in_rows(numbers: BodyNumbers, b: int) -> str:
     return f'such as x: "{apart}*mod(index, {row})" and y: {apart}*floor(index/{row})'
 
 
-def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: float) -> str:
+def _way_out(tried: Tried, trial: RigidBodyRun, initial: Array, b: int, near: float) -> str:
     """Return how a body gets out of all that it is in, and of what it would get into then, or "".
 
     The least move out of all that was met so far (least distance programming, Lawson and Hanson
@@ -195,7 +194,7 @@ def _way_out(tried: Tried, trial: SteppedHeap, initial: Array, b: int, near: flo
 
 def _covered(
     tried: Tried,
-    trial: SteppedHeap,
+    trial: RigidBodyRun,
     names: Sequence[str],
     initial: Array,
     b: int,
@@ -249,7 +248,6 @@ def check_inside(
         Its bodies one by one.
     owners : sequence of str
         What they are declared by.
-    numbers : BodyNumbers
     initial : (6 b,)
         Coordinates and rates.
     frames : (s, 3)

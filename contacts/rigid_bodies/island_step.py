@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.rigid_bodies.islands import gathered, grouped, spread
+from contacts.rigid_bodies.impact_order import (
+    CAPPED,
+    PLASTIC,
+    SEQUENTIAL,
+    impacts_in_turn,
+    is_ambiguous,
+)
 from contacts.rigid_bodies.joint_closing import close_joints
-from contacts.rigid_bodies.mass_ratios import note_worst
-from contacts.rigid_bodies.order import CAPPED, PLASTIC, SEQUENTIAL, carried_out, is_ambiguous
-from contacts.rigid_bodies.room import Room
-from contacts.solvers.contact_rows import scale, scale_beside
+from contacts.rigid_bodies.workspace import Workspace
+from contacts.solvers.contact_rows import ContactRows, complete, scale, scale_beside
 from contacts.solvers.contact_solver import solve_rows
+from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
@@ -25,7 +32,181 @@ from contacts.time_stepping.chunk import (
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import beside, late, part
+
+# Contacts that are next to each other are of the same body: where they are solved so many apart
+# impulses get through an island in a tenth fewer sweeps, and none waits for the one before.
+_STRIDE = 5
+
+
+@part
+def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: Ints) -> None:
+    """Write which contacts belong together, by a counting sort.
+
+    Parameters
+    ----------
+    bodies : (m, 2) array of int
+        Which bodies touch, -1 for a surface.
+    count : int
+        Contacts, of those that there is place for.
+    parents : (b,) array of int
+        Is overwritten.
+    begins : (b + 1,), order : (m,)
+        Island i has the contacts ``order[begins[i] : begins[i + 1]]``.
+    """
+    for b in range(len(parents)):
+        parents[b] = b
+        begins[b] = 0
+    begins[len(parents)] = 0
+    for i in range(count):
+        if bodies[i, 1] >= 0:
+            one = root(parents, bodies[i, 0])
+            parents[one] = root(parents, bodies[i, 1])
+    for i in range(count):
+        begins[root(parents, bodies[i, 0]) + 1] += 1
+    for b in range(len(parents)):
+        begins[b + 1] += begins[b]
+    for i in range(count - 1, -1, -1):
+        island = root(parents, bodies[i, 0]) + 1
+        begins[island] -= 1
+        order[begins[island]] = i
+    for b in range(len(parents)):
+        begins[b] = begins[b + 1]
+    begins[len(parents)] = count
+
+
+@part
+def spread(members: Ints, spare: Ints) -> None:
+    """Put the contacts of an island in the order in which they are solved, in place."""
+    count, at = len(members), 0
+    if count <= _STRIDE:
+        return
+    for a in range(count):
+        spare[a] = members[a]
+    for first in range(_STRIDE):
+        for a in range(first, count, _STRIDE):
+            members[at] = spare[a]
+            at += 1
+
+
+@part
+def island_rows(
+    members: Ints, bodies: Ints, rows: Array, inverse: Array, cones: Array, local: Ints,
+    space: ContactRows,
+) -> ContactRows:  # fmt: skip
+    """Return contacts as rows of their own, in the rates of the bodies that they move.
+
+    Parameters
+    ----------
+    members : (m,) array of int
+    bodies : (c, 2), rows : (c, 2, 6)
+        Of all contacts: which bodies touch; velocities, normal and tangential, per unit rates of
+        the two.
+    inverse : (b, 3)
+        See `contacts.collision_detection.body_numbers.BodyNumbers`.
+    cones : (c, 2)
+    local : (b,) array of int
+        Is overwritten.
+    space : ContactRows
+        Of as many contacts; where they are written.
+    """
+    count, moved = len(members), 0
+    for i in members:
+        for side in range(2):
+            if bodies[i, side] >= 0:
+                local[bodies[i, side]] = -1
+    for a in range(count):
+        i = members[a]
+        for side in range(2):
+            b = bodies[i, side]
+            if b >= 0 and local[b] < 0:
+                local[b] = moved
+                moved += 1
+            space.bodies[a, side] = local[b] if b >= 0 else -1
+            for k in range(3 * side, 3 * side + 3):
+                for d in range(2):
+                    row = rows[i, d, k] if b >= 0 else 0.0
+                    space.rows[a, d, k] = row
+                    space.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
+        space.cones[a, 0], space.cones[a, 1] = cones[i, 0], cones[i, 1]
+    for a in range(count):
+        for side in range(2):
+            if space.bodies[a, side] < 0:
+                space.bodies[a, side] = moved
+    contacts = ContactRows(
+        space.bodies[:count], moved, space.rows[:count], space.columns[:count], space.own[:count],
+        space.cones[:count], space.laws[:count], space.rates, space.spare,
+    )  # fmt: skip
+    complete(contacts)
+    return contacts
+
+
+@part
+def push(
+    bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
+) -> None:
+    """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place."""
+    for side in range(2):
+        b, k = bodies[i, side], 3 * side
+        if b >= 0:
+            rates[b, 0] += inverse[b, 0] * rows[i, d, k] * amount
+            rates[b, 1] += inverse[b, 1] * rows[i, d, k + 1] * amount
+            rates[b, 2] += inverse[b, 2] * rows[i, d, k + 2] * amount
+
+
+# What impulses are known to: a stack of twelve under a body of 1e8 times their mass misses 1e-6 in
+# half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
+_ROUNDING = 64.0 * 2.0**-52
+# Impulses that miss by a tenth of the fastest approach hold nothing apart.
+_HOLDS_NOTHING = 0.1
+
+
+@late
+def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst: Array) -> None:
+    """Note an island if its masses differ by more than those of islands noted before.
+
+    Parameters
+    ----------
+    inverse : (b, 3)
+        See `contacts.collision_detection.body_numbers.BodyNumbers`.
+    bodies : (c, 2) array of int
+        Which touch, -1 for a surface.
+    members : (m,) array of int
+        The island's contacts.
+    missed : float
+        Residual of their impulses.
+    worst : (4,)
+        Ratio of masses, the lightest body, the heaviest, and the residual; in place.
+    """
+    light = heavy = -1
+    for i in members:
+        for side in range(2):
+            b = bodies[i, side]
+            if b >= 0 and (light < 0 or inverse[b, 0] > inverse[light, 0]):
+                light = b
+            if b >= 0 and (heavy < 0 or inverse[b, 0] < inverse[heavy, 0]):
+                heavy = b
+    ratio = inverse[light, 0] / inverse[heavy, 0]
+    if ratio > worst[0]:
+        worst[0], worst[1], worst[2], worst[3] = ratio, light, heavy, missed
+
+
+def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[str, ...]:
+    """Return what is said of masses at which a tolerance cannot be met."""
+    ratio, light, heavy, missed = worst.tolist()
+    # Beside bodies of one mass it is the tolerance that is below rounding.
+    if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:
+        return ()
+    reached = max(ratio * _ROUNDING, missed)
+    looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
+    return (
+        f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "
+        f"together, are 1 to {ratio:.2g}: rounding of the heavy one's impulses moves the light one "
+        f"by more than the tolerance of impulses, {allowed:g}; they miss the contact laws by "
+        f"{missed:.2g} of the fastest approach. Take masses within 1 to "
+        f"{allowed / _ROUNDING:.0e}{looser}",
+    )
+
 
 # Forces beside impacts are found to this part of what falls in a step at least.
 _NEAR = 1e-2
@@ -41,24 +222,24 @@ def _near(allowed: float, slow: float, fast: float) -> float:
 
 
 @part
-def _with_impacts(room: Room, members: Ints, sudden: Array, chosen: Array) -> int:
+def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array) -> int:
     """Add the impulses of impacts in turn to those after them; return how many are not struck."""
-    touches, quiet = room.touches, 0
+    active, quiet = space.active, 0
     for a in range(len(members)):
         i = members[a]
         # What is pressed together again does not rebound.
         rebounds = sudden[a, 0] > 0.0 >= chosen[a, 0]
-        room.bounces[i] = rebounds and touches.materials[i, 2] > 0.0
-        quiet += 0 if touches.hit[i] else 1
+        space.bounces[i] = rebounds and active.materials[i, 2] > 0.0
+        quiet += 0 if active.hit[i] else 1
         for d in range(2):
             chosen[a, d] += sudden[a, d]
     return quiet
 
 
 @beside
-def solved(
-    numbers: BodyNumbers, law: int, forces: bool, h: float, room: Room, count: int, allowed: float,
-    effort: Array,
+def solve_islands(
+    numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
+    allowed: float, effort: Array,
 ) -> None:  # fmt: skip
     """Find the impulses of a step, island by island.
 
@@ -68,59 +249,59 @@ def solved(
         See `contacts.rigid_bodies.body_step.step_bodies`.
     h : float
         Length of the step.
-    room : Room
+    space : Workspace
         Its impulses are written, and where the next step starts to look for its own.
     count : int
         Contacts.
     effort : (e,)
         See `Chunk.efforts`.
     """
-    touches, inverse, local, order = room.touches, numbers.inverse, room.local, room.order
-    bodies, rows, materials = touches.bodies, touches.rows, touches.materials
-    room.apart[0] = 0.0
+    active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
+    bodies, rows, materials = active.bodies, active.rows, active.materials
+    space.apart[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
     effort[CONTACTS] = count
-    grouped(bodies, count, room.parents, room.begins, order)
+    find_islands(bodies, count, space.parents, space.begins, order)
     for island in range(len(numbers.sizes)):
-        members = order[room.begins[island] : room.begins[island + 1]]
+        members = order[space.begins[island] : space.begins[island + 1]]
         size = len(members)
         if size == 0:
             continue
-        spread(members, room.spare)
-        contacts = gathered(members, bodies, rows, inverse, materials, local, room.contacts)
-        start, unforced = room.island[0, :size], room.island[1, :size]
-        asked, chosen = room.island[2, :size], room.island[3, :size]
-        rebounds, quiet, lively, touching = room.rebounds[:size], 0, False, 0
+        spread(members, space.spare)
+        contacts = island_rows(members, bodies, rows, inverse, materials, local, space.contacts)
+        start, unforced = space.island[0, :size], space.island[1, :size]
+        asked, chosen = space.island[2, :size], space.island[3, :size]
+        rebounds, quiet, lively, touching = space.rebounds[:size], 0, False, 0
         for a in range(size):
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
             i = members[a]
-            put(touches.before[i], start[a])
-            put(touches.free[i], unforced[a])
-            put(touches.pushes[i], chosen[a])
-            rebounds[a] = touches.hit[i] and materials[i, 2] > 0.0
+            put(active.before[i], start[a])
+            put(active.free[i], unforced[a])
+            put(active.pushes[i], chosen[a])
+            rebounds[a] = active.hit[i] and materials[i, 2] > 0.0
             if law == PLASTIC and touching > 1 and rebounds[a]:
-                rebounds[a], touches.wanted[i, 0] = False, 0.0
-            put(touches.wanted[i], asked[a])
-            room.bounces[i] = rebounds[a]
+                rebounds[a], active.wanted[i, 0] = False, 0.0
+            put(active.wanted[i], asked[a])
+            space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
-            quiet += 0 if touches.hit[i] else 1
+            quiet += 0 if active.hit[i] else 1
         bound = 0.0
         for a in range(size):
             for side in range(2):
                 b = bodies[members[a], side]
                 # Once for each body.
                 if b >= 0 and local[b] >= 0:
-                    bound += 0.125 * room.look.pull[b] ** 2 / inverse[b, 0]
+                    bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
                     local[b] = -1
         in_turn = law == SEQUENTIAL and size > 1 and quiet < size
-        sudden, near, turns, left = room.island[4, :size], allowed, 0, 0.0
+        sudden, near, turns, left = space.island[4, :size], allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
         fast = scale_beside(contacts, unforced, asked)
         if in_turn:
-            turns, missed_turn, left = carried_out(
-                numbers, touches, members, contacts, h, start, unforced, asked, rebounds, sudden,
+            turns, missed_turn, left = impacts_in_turn(
+                numbers, active, members, contacts, h, start, unforced, asked, rebounds, sudden,
                 allowed,
             )  # fmt: skip
             slow = scale_beside(contacts, unforced, asked)
@@ -130,33 +311,33 @@ def solved(
         )
         if touching < size:
             missed, further, softened = close_joints(
-                numbers, room, members, contacts, h, rebounds, sudden, in_turn, near, bound,
+                numbers, space, members, contacts, h, rebounds, sudden, in_turn, near, bound,
                 allowed, missed, softened,
             )  # fmt: skip
             done += further
         missed, done = max(share * missed, missed_turn), done + turns
         if missed > allowed:
-            note_worst(numbers.inverse, touches.bodies, members, missed, room.worst)
+            note_worst(numbers.inverse, active.bodies, members, missed, space.worst)
         if in_turn:
-            quiet = _with_impacts(room, members, sudden, chosen)
+            quiet = _with_impacts(space, members, sudden, chosen)
         if (
             lively
             and law == CAPPED
             and size > 1
-            and is_ambiguous(numbers, touches, members, contacts, h, chosen, local)
+            and is_ambiguous(numbers, active, members, contacts, h, chosen, local)
         ):
             effort[AMBIGUOUS] = 1.0
         effort[UNENDED] = max(effort[UNENDED], left)
         for a in range(size):
             i = members[a]
-            room.known[i] = max(missed, allowed) * fast
-            put(chosen[a], room.pressed[i])
-            put(chosen[a], room.steady[i])
+            space.known[i] = max(missed, allowed) * fast
+            put(chosen[a], space.pressed[i])
+            put(chosen[a], space.steady[i])
             # What lasts is nearer to what it was than to what others' impacts made it bear.
-            if quiet == size or touches.hit[i]:
-                put(chosen[a], touches.pushes[i])
+            if quiet == size or active.hit[i]:
+                put(chosen[a], active.pushes[i])
         if forces and quiet < size:
-            _forces(numbers, room, members, quiet, allowed, fast)
+            _forces(numbers, space, members, quiet, allowed, fast)
         effort[RESIDUAL] = max(effort[RESIDUAL], missed)
         effort[ITERATIONS] += done
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)
@@ -165,17 +346,17 @@ def solved(
 
 @beside
 def _forces(
-    numbers: BodyNumbers, room: Room, members: Ints, quiet: int, allowed: float, fast: float
+    numbers: BodyNumbers, space: Workspace, members: Ints, quiet: int, allowed: float, fast: float
 ) -> None:
     """Write what is force of an island's impulses: those without what strikes.
 
     `quiet` of its contacts are not struck; `fast` is the `scale` of all.
     """
-    touches = room.touches
+    active = space.active
     others, last = np.empty(quiet, np.int64), 0
     for i in members:
-        room.steady[i, 0] = room.steady[i, 1] = 0.0
-        if not touches.hit[i]:
+        space.steady[i, 0] = space.steady[i, 1] = 0.0
+        if not active.hit[i]:
             others[last] = i
             last += 1
     if quiet == 0:
@@ -183,13 +364,13 @@ def _forces(
     alone, least = np.empty((quiet, 2)), np.empty((quiet, 2))
     for a in range(quiet):
         for d in range(2):
-            least[a, d] = touches.free[others[a], d] + touches.wanted[others[a], d]
-        put(touches.pushes[others[a]], alone[a])
-    contacts = gathered(
-        others, touches.bodies, touches.rows, numbers.inverse, touches.materials, room.local,
-        room.contacts,
+            least[a, d] = active.free[others[a], d] + active.wanted[others[a], d]
+        put(active.pushes[others[a]], alone[a])
+    contacts = island_rows(
+        others, active.bodies, active.rows, numbers.inverse, active.materials, space.local,
+        space.contacts,
     )  # fmt: skip
     near = _near(allowed, scale(contacts, least), fast)
     solve_rows(contacts, least, alone, near, False, False)
     for a in range(quiet):
-        put(alone[a], room.steady[others[a]])
+        put(alone[a], space.steady[others[a]])

@@ -1,6 +1,6 @@
 """Whether forces grow so fast with places and speeds that steps swing ever farther under them.
 
-The tension of joints is no such force: what it adds is told by `SteppedHeap`.
+The tension of joints is no such force: what it adds is told by `RigidBodyRun`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.applied import ForceProgram
+from contacts.collision_detection.midpoint import ForceProgram
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
@@ -73,14 +73,11 @@ def stiffness(
 
     Parameters
     ----------
-    forces : Forces
     inverse : (b, 3)
         See `contacts.collision_detection.body_numbers.BodyNumbers`.
     size : float
         Of a body.
-    h : float
     state : (6 b + w,)
-    time : float
     """
     n, tape = inverse.size, forces.tape
     outputs, variables, colours = tape.apart(2 * n)

@@ -2,6 +2,6 @@
 
 `parts`, `joints` and `shapes` are its parts, `modes` the equations of free, slide and pin,
 `controls` the controllers; `fields` are its keys, and `scene` is the whole, with its statecharts
-in `regions`. `checks`, `collision_checks`, `polygons` and `misplaced_names` refuse mistakes, `lint`
-warns of what was hardly meant, `replaced_laws` of the laws that time stepping replaces.
+in `regions`. `checks` refuses mistakes, `lint` warns of what was hardly meant, and of the laws of
+impact that time stepping replaces.
 """

@@ -10,8 +10,7 @@ from typing import TypeVar
 
 from pydantic import Field
 
-from statechart.charts.flat_region import FlatRegion
-from statechart.charts.flatten import flatten
+from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
@@ -103,10 +102,7 @@ class Controls:
     def order(self) -> tuple[str, ...]:
         """Controls, each after those that its formulas use.
 
-        Raises
-        ------
-        CycleError
-            If they depend on each other in a circle.
+        Raises `CycleError` if they depend on each other in a circle.
         """
         uses = {
             control: [
@@ -207,13 +203,7 @@ class Controls:
             yield state, {**known, **{name: value(parse(sets[name]), known) for name in used}}
 
     def check(self, known: Collection[str]) -> None:
-        """Check that each control is set by one region, by formulas over `known` and controls.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that is not.
-        """
+        """Check that each control is set by one region, by formulas over `known` and controls."""
         owners: dict[str, tuple[str, str, Loc]] = {}
         names = {*known, *self.declared}
         for control, text in self.declared.items():
@@ -267,13 +257,7 @@ class Controls:
             ) from None
 
     def check_memory(self, known: Collection[str]) -> None:
-        """Check that regions change variables of their own, by formulas over `known`.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that is not so.
-        """
+        """Check that regions change variables of their own, by formulas over `known`."""
         for name, region in self.regions.items():
             changes: list[tuple[Mapping[str, FiniteText], Loc, Collection[str]]] = []
             for state, at in self.states(name):
@@ -299,13 +283,7 @@ class Controls:
     def check_coefficient(
         self, text: FormulaText, parameters: Collection[str], *loc: str | int
     ) -> None:
-        """Check that a coefficient of a contact is constant in every state of one region.
-
-        Raises
-        ------
-        DeclarationProblem
-            If it is not.
-        """
+        """Check that a coefficient of a contact is constant in every state of one region."""
         check_names(parse(text), {*parameters, *self.declared}, *loc)
         # A control that no state sets is refused by `check`.
         used = [control for control in self.owners if control in parse(text).names]

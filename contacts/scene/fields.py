@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
-from contacts.scene.joints import Force, Joint
+from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
     Contact,
@@ -22,12 +22,18 @@ from contacts.scene.parts import (
     Surface,
 )
 from contacts.scene.shapes import INDEX, Collision
-from statechart.charts.flat_region import timed
+from statechart.charts.flatten import timed
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.dimensions import Fact, fields_of, per_time
 from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, unit, value_of
-from statechart.documents.quantities import POWERS, Dimension, Quantity
-from statechart.documents.quantities import per_time as rate_of
+from statechart.documents.quantities import (
+    POWERS,
+    Dimension,
+    Fact,
+    Quantity,
+    fields_of,
+    per_time,
+    rate_of,
+)
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import Member, conjunction, parse_relation
@@ -54,7 +60,18 @@ Gravity = Annotated[
 class SceneFields(Declaration):
     """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    OTHER_WORDS: ClassVar = {"g": "gravity", "body": "bodies"}
+    OTHER_WORDS: ClassVar = {
+        "g": "gravity",
+        "body": "bodies",
+        **dict.fromkeys(
+            ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"
+        ),
+        **dict.fromkeys(
+            ("motor", "motors"), "forces: {motor: {body: arm, moment: M}}, or controls and regions"
+        ),
+        **JOINT_WORDS,
+        **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
+    }
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]
@@ -229,7 +246,7 @@ class SceneFields(Declaration):
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
-            return Quantity(f"rate of {part[1:]} of {owner}", rate_of(_OF_BODIES[part[1:]]))
+            return Quantity(f"rate of {part[1:]} of {owner}", per_time(_OF_BODIES[part[1:]]))
         if name == INDEX and name not in self.parameters:
             return Quantity("number of a copy", "1")
         if dimension := timed(self.controlled.flat.values(), name):
@@ -250,7 +267,7 @@ class SceneFields(Declaration):
             for key, text in body.start.items():
                 yield parse(text).root, POWERS[self.stated(f"body.{key}").dimension]
         for name, coordinate in self.coordinates.items():
-            rate = per_time(name)
+            rate = rate_of(name)
             yield Name(self.rate_name(name)), rate
             yield parse(coordinate.start).root, Name(name)
             yield parse(coordinate.rate).root, rate
@@ -338,10 +355,7 @@ class SceneFields(Declaration):
 def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
     """Return how many copies there are of every body; None where it is declared as one.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a number of copies is not whole, or too large.
+    Raises `DeclarationProblem` if a number of copies is not whole, or too large.
     """
     found: dict[str, int | None] = {}
     for name, body in scene.bodies.items():

@@ -8,13 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import sympy as sp
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, ROUND_OFF, Array
 from statechart.automaton.trace import Arc, Trace
 from statechart.execution.simulator import Simulator
-from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.subject import Subject
-
-_EPSILON = 2.0**-52
 
 
 def largest_of(impulses: Iterable[Mapping[str, tuple[float, float]]]) -> float:
@@ -51,7 +48,7 @@ def assert_in_cone(
         If it does not.
     """
     normal, tangential = impulse
-    allowed = 100.0 * ROUNDING * math.hypot(normal, tangential) + 4.0 * _EPSILON * largest
+    allowed = 100.0 * ROUND_OFF * math.hypot(normal, tangential) + 4.0 * EPS * largest
     assert normal >= -allowed, f"the impulse {where} pulls: {normal:.6g}"
     outside = edge[0] * abs(tangential) - edge[1] * normal
     assert outside <= allowed, (

@@ -13,14 +13,13 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
-from contacts.rigid_bodies.outlines import body_numbers
-from contacts.rigid_bodies.paths import Paths
+from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.prescribed_motion import Paths
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
-from statechart.arrays import Array
+from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.trace import Trace
 from statechart.kernels.tapes import tape_table
-from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
@@ -41,7 +40,7 @@ def assert_depths(
     pieces = numbers.pieces
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
     frames = None if paths is None else paths(times, memories)
-    allowed = trace.tolerances["gap"] * (1.0 + ROUNDING)
+    allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF)
     for p, q in _meeting(numbers):
         b = int(pieces.bodies[p])
         if q < len(pieces.bodies):
@@ -171,7 +170,7 @@ def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
         rates = arc.coefficients[whole, 3 * count : 6 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
         # What presses less than that, at the end of its arm, is told of nothing.
-        allowed = LEAST * np.abs(fall).max() * arms[free] + ROUNDING * speeds / trace.step
+        allowed = LEAST * np.abs(fall).max() * arms[free] + ROUND_OFF * speeds / trace.step
         if (off > allowed).any():
             b = np.flatnonzero(free)[int(np.argmax((off > allowed).any(axis=(0, 2))))]
             raise AssertionError(
@@ -207,7 +206,7 @@ def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace)
     size = max((abs(e) for _, e, _ in points), default=0.0)
     weights = float(numbers.gravity @ numbers.gravity) / numbers.inverse[:, 0]
     rate = trace.step / 8.0 * float(weights.sum())
-    no_growth(points, 100.0 * ROUNDING * size + rate * trace.step, rate)
+    no_growth(points, 100.0 * ROUND_OFF * size + rate * trace.step, rate)
 
 
 def _scene(subject: Subject) -> Scene:

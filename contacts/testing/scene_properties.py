@@ -25,11 +25,10 @@ from contacts.testing.assertions import (
 )
 from contacts.testing.symmetry import image_properties
 from contacts.testing.violations import cone_edges
-from statechart.arrays import Array
+from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.laws import moving_mode
 from statechart.automaton.trace import Arc, Jump, Trace
 from statechart.testing.guards import dense
-from statechart.testing.hybrid_time import ROUNDING
 from statechart.testing.properties import Property, each
 from statechart.testing.subject import Subject
 
@@ -54,7 +53,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     for arc, tau in dense(trace):
         states = arc.mode[: len(gaps)]
         size = float(np.abs(arc.coefficients[:, :, 0]).max())
-        allowed = trace.tolerances["gap"] * (1.0 + ROUNDING) + ROUNDING * size
+        allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF) + ROUND_OFF * size
         closed = [state not in OPEN for state in states]
         free = [state == "free" for state in states]
         between = (
@@ -90,7 +89,7 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
         known = ~np.isnan(V) | (trace.step is None)
         V, H, times = V[known], H[known], times[known]
         n, t = cones(arc.mode)[name]
-        allowed = trace.tolerances["force"] + ROUNDING * np.hypot(V, H)
+        allowed = trace.tolerances["force"] + ROUND_OFF * np.hypot(V, H)
         _no_less(V, -allowed, f"{name}.V", times, state)
         _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
 
@@ -162,7 +161,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
                 work += _work_of_joints(mechanics, subject, trace, jump)
             add(states, times, np.array([before, work]), f"by {jump.region} {jump.cause}")
 
-    for arc, tau, _ in _points(trace):
+    for arc, tau in dense(trace):
         jumps(arc.j)
         j = arc.j
         made = step_ends(trace, arc)
@@ -176,10 +175,10 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     jumps(len(trace.jumps))
     if trace.step is not None:
         growth = _step_growth(mechanics, subject, trace)
-        allowed = _ENERGY * ROUNDING * size + growth * trace.step
+        allowed = _ENERGY * ROUND_OFF * size + growth * trace.step
     else:
         growth = 0.0
-        error = max(trace.counts["steps"] * trace.tolerance, ROUNDING)
+        error = max(trace.counts["steps"] * trace.tolerance, ROUND_OFF)
         # At rest there is no energy to be relative to: what a force does over the gap's tolerance.
         names = mechanics.scene.parameters
         overrides = {name: trace.parameters[name] for name in names}
@@ -235,8 +234,8 @@ def _work_of_joints(mechanics: Mechanics, subject: Subject, trace: Trace, jump: 
 def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     """Return how much energy, per time, time steps may add to a scene of points and surfaces.
 
-    In a step that is ``h^2/8 f^T M^-1 f`` (see `contacts.time_stepping.loop`); the largest of all
-    steps.
+    In a step that is ``h^2/8 f^T M^-1 f`` (see `contacts.time_stepping.stepper`); the largest of
+    all steps.
     """
     assert trace.step is not None
     n = len(mechanics.q)
@@ -287,18 +286,14 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     )
 
 
-def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
-    for arc, tau in dense(trace):
-        yield arc, tau, arc.start.high + (arc.start.low + tau)
-
-
 def _forces(
     scene: Scene, subject: Subject, trace: Trace
 ) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
     """Yield every contact in every arc: its name and mode, times, and V and H at them."""
     known = subject.automaton.observables
     expressions = [known[f"{name}.{force}"] for name in scene.contacts for force in ("V", "H")]
-    for arc, tau, times in _points(trace):
+    for arc, tau in dense(trace):
+        times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
         for (name, state), V, H in zip(_states(scene, arc), forces, forces, strict=True):
             yield arc, name, state, times, V, H

@@ -1,46 +1,47 @@
 """Scenes transformed so that the answer is known: mirrored, and in other units.
 
-Formulas are changed at the places where their syntax trees have names, and wrapped as a whole;
-text is never searched. What a formula reads is turned back into the scene's own directions and
-units, and what it gives is turned into the new ones, so that no formula needs to be understood:
-``y = f(x)`` becomes ``y = a f(x / a)`` whatever lengths are hidden in f.
+Every field of a scene declares its unit, from which its factor follows. Formulas are changed at the
+places where their syntax trees have names, and wrapped as a whole; text is never searched. What a
+formula reads is turned back into the scene's own directions and units, and what it gives is turned
+into the new ones, so that no formula needs to be understood: ``y = f(x)`` becomes
+``y = a f(x / a)`` whatever lengths are hidden in f.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from contacts.scene.controls import Controller, ControlRegion, ControlState
-from contacts.scene.joints import Force, Joint, Path
-from contacts.scene.parts import Body, Contact, Pair, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.scene.shapes import Shape
-from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
-from statechart.documents.fields import FormulaText
-from statechart.documents.settings import Stop
+from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationError
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tree import names_in
-from statechart.testing.agreement import assert_same, identical
-from statechart.testing.event_sequences import Reading
+from statechart.testing.agreement import Reading, assert_same, identical
 from statechart.testing.properties import Property
 from statechart.testing.subject import Case, Subject
-
-T = TypeVar("T", FormulaText, FormulaText | None)
 
 # Powers of two: scaling is exact, so that what differs is a number that does not scale.
 LENGTH = 2.0**20
 TIMES = 2.0**-10
 MASS = 2.0**-20
 """New units per old one in a rescaled scene."""
+
+# Fields of an image; others (outputs, ranges, invariants, declared modes) say nothing of its runs.
+_KEPT = (
+    "name", "parameters", "gravity", "coordinates", "bodies", "surfaces", "contacts", "joints",
+    "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop", "settings",
+)  # fmt: skip
+_RELATIONS = ("guard", "enabled", "conditions")
+# Corners and ends go round the solid the other way in a mirror.
+_OUTLINES = ("polygon", "line", "edge")
 
 
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
@@ -89,19 +90,26 @@ class _Change:
     time: float = 1.0
     mass: float = 1.0
 
-    @property
-    def angle(self) -> float:
-        return math.copysign(1.0, self.x)
-
-    @property
-    def accelerations(self) -> tuple[float, float]:
-        return self.x / self.time**2, self.y / self.time**2
-
-    @property
-    def forces(self) -> tuple[float, float]:
-        """Along x and tangents, along y and normals."""
-        x, y = self.accelerations
-        return self.mass * x, self.mass * y
+    @cached_property
+    def _units(self) -> Mapping[str, tuple[float, float, float]]:
+        """Unit of a field -> factors along x, along y, and of a number without direction."""
+        angle = math.copysign(1.0, self.x)
+        per = 1.0 / self.time
+        force = self.mass * per**2
+        lengths = self.x, self.y, self.y
+        return {
+            "length": lengths,
+            "rad": (angle, angle, angle),
+            "time": (self.time,) * 3,
+            "mass": (self.mass,) * 3,
+            "mass length**2": (self.mass * self.x**2,) * 3,
+            "length/time": (self.x * per, self.y * per, self.y * per),
+            "rad/time": (angle * per,) * 3,
+            "length/time, or rad/time": (per,) * 3,
+            "length/time**2": (self.x * per**2, self.y * per**2, self.y * per**2),
+            "force": (force * self.x, force * self.y, force * self.y),
+            "force length": (force * self.x * self.y,) * 3,
+        }
 
     def reading(self, states: Mapping[str, str]) -> Reading:
         """Return how to read the runs of the changed scene."""
@@ -112,183 +120,84 @@ class _Change:
 
     def scene(self) -> Scene:
         """Return the changed scene, without outputs, ranges and declared modes."""
-        old, step = self.declared, self.declared.settings.step
-        gravity = old.gravity if isinstance(old.gravity, tuple) else (0, f"-({old.gravity})")
-        along, down = self.accelerations
-        return Scene(
-            name=old.name,
-            parameters=old.parameters,
-            gravity=(_times(gravity[0], along), _times(gravity[1], down)),
-            coordinates={
-                name: c.model_copy(update={"rate": _times(c.rate, 1.0 / self.time)})
-                for name, c in old.coordinates.items()
-            },
-            bodies={name: self._body(body) for name, body in old.bodies.items()},
-            surfaces={name: self._surface(surface) for name, surface in old.surfaces.items()},
-            contacts={name: self._contact(contact) for name, contact in old.contacts.items()},
-            joints={name: self._joint(joint) for name, joint in old.joints.items()},
-            collisions=old.collisions,
-            forces={name: self._force(force) for name, force in old.forces.items()},
-            # Controls keep their values: what their unit is only the formulas say that use them.
-            controls=self._texts(old.controls),
-            regions={
-                name: region.model_copy(update=self._holder(region))
-                for name, region in old.regions.items()
-            },
-            simultaneous=old.simultaneous,
-            paradox=old.paradox,
-            stop=Stop(
-                time=_times(old.stop.time, self.time),
-                conditions={
-                    label: self._relation(text) for label, text in old.stop.conditions.items()
-                },
-            ),
-            settings=old.settings.model_copy(
-                update={} if step is None else {"step": step * self.time}
-            ),
-        )
+        changed = self._changed(self.declared, _KEPT)
+        gravity = self.declared.gravity
+        components = gravity if isinstance(gravity, tuple) else (0, f"-({gravity})")
+        changed["gravity"] = self._value("gravity", components, "length/time**2")
+        return Scene(**changed)
+
+    def _changed(self, part: Part, names: Collection[str]) -> dict[str, Any]:
+        found = {}
+        for name in names:
+            extra = type(part).model_fields[name].json_schema_extra
+            unit = extra.get("unit", "") if isinstance(extra, dict) else ""
+            found[name] = self._value(name, getattr(part, name), str(unit))
+        return found
+
+    def _value(self, name: str, value: Any, unit: str) -> Any:
+        """Return the value of a field (or an item of it) in the new directions and units."""
+        along, up, plain = self._units.get(unit, (1.0, 1.0, 1.0))
+        match value:
+            case Part():
+                return type(value)(**self._changed(value, value.model_fields_set))
+            case dict():
+                return {key: self._item(name, key, one, unit) for key, one in value.items()}
+            case tuple() if name in _RELATIONS:
+                return tuple(map(self._relation, value))
+            case (str() | int() | float(), str() | int() | float()) if unit:
+                return self._formula(value[0], along), self._formula(value[1], up)
+            case tuple():
+                items = tuple(self._value(name, one, unit) for one in value)
+                return items[::-1] if name in _OUTLINES and self.x < 0.0 else items
+            case str() if name in _RELATIONS:
+                return self._relation(value)
+            case str() | int() | float() if name == "height":
+                return _times(self._read(parse(value), {"x": self.x}), up)
+            case str() | int() | float() if unit and not isinstance(value, bool):
+                factor = {"x": along, "radius": abs(along), "disc": abs(along)}.get(name, plain)
+                return self._formula(value, factor)
+        return value
 
     @cached_property
     def _factors(self) -> dict[str, float]:
         """Name in a formula -> its factor, where it has one."""
-        old, (tangential, normal) = self.declared, self.forces
+        old, units = self.declared, self._units
+        (tangential, normal, _), (slip, *_) = units["force"], units["length/time"]
         found = {TIME: self.time, "energy": tangential * self.x}
         found |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
         for name in (*old.single_bodies(), *old.bodies):
-            found |= {f"{name}.{key}": factor for key, factor in self._starts.items()}
+            found |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
+            found |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
         for name in old.contacts:
-            found |= {f"{name}.gap": self.y, f"{name}.slip": self.x / self.time}
+            found |= {f"{name}.gap": self.y, f"{name}.slip": slip}
             found |= {f"{name}.V": normal, f"{name}.H": tangential}
         for name in old.joints:
             found |= {f"{name}.X": tangential, f"{name}.Y": normal}
         return found | dict.fromkeys(old.controlled.clocks, self.time)
 
-    @property
-    def _starts(self) -> dict[str, float]:
-        """Coordinate of a free body -> its factor."""
-        found = {"x": self.x, "y": self.y, "angle": self.angle}
-        return found | {f"d{name}": factor / self.time for name, factor in found.items()}
+    def _start(self, key: str) -> float:
+        """Return the factor of a coordinate of a free body, or of its rate."""
+        found = {"x": self.x, "y": self.y, "angle": math.copysign(1.0, self.x)}
+        return found[key] if key in found else found[key[1:]] / self.time
 
-    def _body(self, body: Body) -> Body:
-        return Body(
-            mass=_times(body.mass, self.mass),
-            inertia=_times(body.inertia, self.mass * self.x**2),
-            position=None if body.position is None else self._pair(body.position),
-            angle=_times(body.angle, self.angle),
-            start={key: _times(text, self._starts[key]) for key, text in body.start.items()},
-            shape=tuple(map(self._shape, body.shape)),
-            copies=body.copies,
-        )
+    def _item(self, name: str, key: str, value: Any, unit: str) -> Any:
+        """Return a value of a mapping in the new directions and units."""
+        if name in _RELATIONS:
+            return self._relation(value)
+        if name == "start":
+            return self._formula(value, self._start(key))
+        if unit.startswith("that of"):
+            return self._formula(value, 1.0 / self.time if "per time" in unit else 1.0)
+        return self._value(name, value, unit)
 
-    def _shape(self, shape: Shape) -> Shape:
-        if shape.polygon is None:
-            assert shape.disc is not None
-            return Shape(disc=_times(shape.disc, abs(self.x)), at=self._pair(shape.at))
-        corners = [self._pair(corner) for corner in shape.polygon]
-        # In a mirror they go round the other way.
-        return Shape(polygon=tuple(corners if self.x > 0.0 else corners[::-1]))
-
-    def _surface(self, surface: Surface) -> Surface:
-        height = surface.height
-        if height is not None:
-            height = _times(self._read(parse(height), {"x": self.x}), self.y)
-        dx, dy = surface.displacement
-        return Surface(
-            height=height,
-            # In a mirror a slope goes the other way, as an angle does.
-            incline=_times(surface.incline, self.angle),
-            through=self._pair(surface.through),
-            line=self._line(surface.line),
-            edge=self._line(surface.edge),
-            circle=None if surface.circle is None else self._pair(surface.circle),
-            radius=_times(surface.radius, abs(self.x)),
-            body=surface.body,
-            hollow=surface.hollow,
-            displacement=(self._formula(dx, self.x), self._formula(dy, self.y)),
-            turn=self._formula(surface.turn, self.angle),
-        )
-
-    def _line(self, line: tuple[Pair, Pair] | None) -> tuple[Pair, Pair] | None:
-        if line is None:
-            return None
-        # In a mirror the solid would be on the other side of the line.
-        first, second = line if self.x > 0.0 else line[::-1]
-        return self._pair(first), self._pair(second)
-
-    def _contact(self, contact: Contact) -> Contact:
-        enabled = tuple(map(self._relation, contact.enabled))
-        radius = _times(contact.radius, abs(self.x))
-        changes = {"point": self._point(contact.point), "radius": radius, "enabled": enabled}
-        return contact.model_copy(update=changes)
-
-    def _point(self, point: Point) -> Point:
-        return Point(body=point.body, at=self._pair(point.at))
-
-    def _joint(self, joint: Joint) -> Joint:
-        to = joint.to
-        if isinstance(to, Point):
-            return Joint(point=self._point(joint.point), to=self._point(to))
-        path = Path(x=self._formula(to.x, self.x), y=self._formula(to.y, self.y))
-        return Joint(point=self._point(joint.point), to=path)
-
-    def _force(self, force: Force) -> Force:
-        (x, y), (tangential, normal) = force.force, self.forces
-        return Force(
-            body=force.body,
-            force=(self._formula(x, tangential), self._formula(y, normal)),
-            at=self._pair(force.at),
-            moment=self._formula(force.moment, tangential * self.y),
-        )
-
-    def _holder(self, holder: Controller | ControlRegion | ControlState) -> dict[str, Any]:
-        """Return what changes in a controller, which remembers the same values."""
-        found: dict[str, Any] = {
-            "states": {
-                name: state.model_copy(update=self._state(state))
-                for name, state in holder.states.items()
-            },
-            "transitions": tuple(map(self._transition, holder.transitions)),
-        }
-        if isinstance(holder, ControlState):
-            found["regions"] = {
-                name: region.model_copy(update=self._holder(region))
-                for name, region in holder.regions.items()
-            }
-        return found
-
-    def _state(self, state: ControlState) -> dict[str, Any]:
-        return {
-            **self._holder(state),
-            "sets": self._texts(state.sets),
-            "entry": self._texts(state.entry),
-            "exit": self._texts(state.exit),
-            "flows": {n: _times(t, 1.0 / self.time) for n, t in self._texts(state.flows).items()},
-        }
-
-    def _transition(self, transition: Transition) -> Transition:
-        changed: dict[str, Any] = {
-            "updates": self._texts(transition.updates),
-            "after": _times(transition.after, self.time),
-            "every": _times(transition.every, self.time),
-        }
-        if transition.guard is not None:
-            changed["guard"] = self._relation(transition.guard)
-        return transition.model_copy(update=changed)
-
-    def _texts(self, texts: Mapping[str, FormulaText]) -> dict[str, FormulaText]:
-        return {name: self._read(parse(text), self._factors) for name, text in texts.items()}
+    def _formula(self, text: FormulaText, factor: float) -> FormulaText:
+        """Return a formula, read and given in the new units."""
+        if isinstance(text, str):
+            text = self._read(parse(text), self._factors)
+        return _times(text, factor)
 
     def _relation(self, text: str) -> str:
         return self._read(parse_relation(text), self._factors)
-
-    def _formula(self, text: T, factor: float) -> T | str:
-        """Return a formula of what changes along a run, read and given in the new units."""
-        if text is None or text == 0:
-            return text
-        return _times(self._read(parse(text), self._factors), factor)
-
-    def _pair(self, pair: tuple[FormulaText, FormulaText]) -> tuple[FormulaText, FormulaText]:
-        return _times(pair[0], self.x), _times(pair[1], self.y)
 
     @staticmethod
     def _read(formula: Formula | Relation, factors: Mapping[str, float]) -> str:
@@ -304,9 +213,11 @@ class _Change:
         return text
 
 
-def _times(text: T, factor: float) -> T | str:
-    """Return a formula times a factor; nothing, and zero, as they are."""
-    return text if text is None or factor == 1.0 or text == 0 else f"({text})*({factor!r})"
+def _times(text: FormulaText, factor: float) -> FormulaText:
+    """Return a formula times a factor."""
+    if factor == 1.0:
+        return text
+    return text * factor if isinstance(text, int | float) else f"({text})*({factor!r})"
 
 
 def image_properties(scene: Scene) -> tuple[Property, ...]:

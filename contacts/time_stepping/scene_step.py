@@ -2,7 +2,7 @@
 
 Moreau's midpoint rule (the theta method with theta = 1/2; Moreau 1988, Acary and Brogliato 2008,
 10.1): half a step with the old velocities, all impulses there at once, half a step with the new
-ones. Contacts that last are kept closed to the second order: see `contacts.time_stepping.loop`.
+ones. Contacts that last are kept closed to the second order: see `contacts.time_stepping.stepper`.
 """
 
 from __future__ import annotations
@@ -24,21 +24,23 @@ from contacts.time_stepping.chunk import (
     NOT_FINITE,
     Chunk,
 )
-from contacts.time_stepping.equations import CONTACT, JOINT, back, factored
-from contacts.time_stepping.opposed_contacts import close_opposed
-from contacts.time_stepping.scene_numbers import (
+from contacts.time_stepping.equations import (
+    CONTACT,
+    JOINT,
     Answer,
     ContactMemory,
     Met,
     Problem,
-    SceneNumbers,
+    StepConstants,
     Tape,
+    back,
+    factored,
 )
 from contacts.time_stepping.settling import settle, unsettle
-from contacts.time_stepping.step_conditions import switched
 from contacts.time_stepping.step_contacts import (
     answered,
     as_shared,
+    close_opposed,
     contact_problem,
     energy_of,
     guessed,
@@ -53,6 +55,106 @@ from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, late, part, stepwise
 from statechart.kernels.tapes import tape_values
 
+# A point that slides off a surface has left it when it is so many times as deep as it lay in it,
+# and farther off than so many steps at its speed.
+_LEFT_BEHIND, _STEPS = 2.0, 4.0
+
+
+@part
+def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float) -> float:
+    """Return at most which gap a contact has between the middles of two steps.
+
+    It is interpolated; the error is that of a parabola with the change of the gap's rate.
+    """
+    found: float = past[1] + part_of * (gap - past[1]) + 0.125 * h * abs(rate - past[2])
+    return found
+
+
+@part
+def _deepest(memory: ContactMemory, tape: Tape, i: int) -> float:
+    """Return the least gap that contact i has where a point comes from the surfaces it lies on.
+
+    A surface that goes on from another is reached as deep as the point lies in that, at most so
+    many times as the gap of the one changes faster with a coordinate.
+    """
+    found, n = 0.0, tape.size
+    for k in range(len(memory.off)):
+        deep = memory.level[k]
+        if not memory.off[k] and memory.past[k, 1] < deep:
+            deep = memory.past[k, 1]
+        if k == i or not deep < 0.0:
+            continue
+        factor = 1.0
+        for j in range(n):
+            one = abs(tape.numbers[tape.first + tape.per * i + j])
+            other = abs(tape.numbers[tape.first + tape.per * k + j])
+            if one > factor * other > 0.0:
+                factor = one / other
+        found = min(found, factor * deep)
+    return found
+
+
+@part
+def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
+    """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
+    if off and holds:
+        missed[0] = missed[0] if missed[0] > 0.0 else depth
+        missed[1] = depth
+        return
+    if off and missed[1] > missed[0]:
+        missed[2] = min(missed[2], missed[0])
+    missed[0] = missed[1] = 0.0
+
+
+@part
+def switched(
+    scene: StepConstants, memory: ContactMemory, tape: Tape, k: int, met: Met, chunk: Chunk
+) -> bool:  # fmt: skip
+    """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
+
+    Contacts that last are on for now where their conditions cease to hold: see `keep_leaving`.
+    """
+    numbers, n, off, h, left = tape.numbers, tape.size, memory.off, chunk.h, 1.0
+    deepest = np.empty(len(off))
+    for i in range(len(off)):
+        deepest[i] = _deepest(memory, tape, i) - scene.near
+    for i in range(len(off)):
+        row = tape.first + tape.per * i
+        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        if not off[i] and condition < 0.0:
+            inside = memory.closed[i] or memory.level[i] < 0.0
+            met.leaving[i] = inside and scene.held[i] == 0
+            off[i], memory.behind[i] = not met.leaving[i], met.leaving[i]
+            if met.leaving[i] and before[0] > 0.0:
+                left = min(left, before[0] / (before[0] - condition))
+        elif off[i] and memory.behind[i]:
+            away = abs(gap - memory.level[i]) - _STEPS * h * abs(numbers[row + 2 * n + 3])
+            memory.behind[i] = away <= (_LEFT_BEHIND - 1.0) * abs(memory.level[i])
+        if off[i] and not memory.behind[i]:
+            memory.level[i] = 0.0
+    leaves = met.leaving.any()
+    for i in range(len(off)):
+        row = tape.first + tape.per * i
+        gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        rate = numbers[row + 2 * n + 3]
+        if off[i]:
+            entered = gap
+            if before[0] <= 0.0 < condition:
+                begins = before[0] / (before[0] - condition)
+                entered = max(gap, _gap_between(before, gap, rate, begins, h))
+            met.entered[i] = max(entered, _gap_between(before, gap, rate, left, h))
+            off[i] = not (condition > 0.0 and entered >= deepest[i])
+            _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
+            if leaves and off[i] and memory.behind[i] and condition < 0.0:
+                # Below a kink a point is beyond both surfaces that end there.
+                met.leaving[i], off[i] = True, False
+        before[0], before[1], before[2] = condition, gap, rate
+        if not off[i] and (math.isnan(condition) or not math.isfinite(gap)):
+            return False
+        chunk.gaps[k, i] = math.inf if off[i] else gap
+    return True
+
+
 # The way out of a surface bends by less than this part of it.
 _BENT = 0.01
 # A condition that falls by less than this part of itself in a step does not fall.
@@ -61,7 +163,7 @@ _AT_REST = 1e-9
 
 @part
 def _moved(
-    scene: SceneNumbers, light: Bools, numbers: Array, n: int, h: float
+    scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
 ) -> tuple[bool, Array, Array, Ints]:
     """Return (regular, change, factors, order): how a step changes rates without free contacts.
 
@@ -77,7 +179,7 @@ def _moved(
 
 @part
 def _borne(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, problem: Problem, answer: Answer,
+    scene: StepConstants, memory: ContactMemory, tape: Tape, problem: Problem, answer: Answer,
     met: Met, rates: Array, k: int, total: Array, lasting: Array, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Write what contacts bear in step k; return whether forces are mixed with impacts.
@@ -109,7 +211,7 @@ def _borne(
 
 @part
 def _held(
-    scene: SceneNumbers, n: int, total: Array, lasting: Array, blurred: bool, k: int, chunk: Chunk
+    scene: StepConstants, n: int, total: Array, lasting: Array, blurred: bool, k: int, chunk: Chunk
 ) -> None:
     """Write what is held whatever the impulse: contacts, and joints behind them."""
     at, h = n, chunk.h
@@ -127,7 +229,7 @@ def _held(
 
 
 @part
-def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Array) -> None:
+def _flowed(scene: StepConstants, time: float, there: Array, h: float, state: Array) -> None:
     """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
     count = len(state) - 2 * scene.size
     if count == 0:
@@ -140,7 +242,7 @@ def _flowed(scene: SceneNumbers, time: float, there: Array, h: float, state: Arr
 
 @part
 def _follow(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, there: Array, met: Met, near: float
+    scene: StepConstants, memory: ContactMemory, tape: Tape, there: Array, met: Met, near: float
 ) -> None:
     """Turn contacts on whose surfaces follow one that a point leaves.
 
@@ -157,7 +259,7 @@ def _follow(
 
 @late
 def keep_leaving(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, factors: Array,
+    scene: StepConstants, memory: ContactMemory, tape: Tape, change: Array, factors: Array,
     order: Ints, middle: Array, state: Array, time: float, k: int, met: Met, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
@@ -237,7 +339,7 @@ def keep_leaving(
 
 @beside
 def _settled(
-    scene: SceneNumbers, memory: ContactMemory, time: float, middle: Array, state: Array,
+    scene: StepConstants, memory: ContactMemory, time: float, middle: Array, state: Array,
     tape: Tape, factors: Array, order: Ints, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of contacts that settle, under the velocities after the step."""
@@ -258,7 +360,7 @@ def _after(memory: ContactMemory, active: Bools) -> None:
 
 @stepwise
 def step_scene(
-    scene: SceneNumbers, memory: ContactMemory, start: float, done: int, given: Array, how: int,
+    scene: StepConstants, memory: ContactMemory, start: float, done: int, given: Array, how: int,
     chunk: Chunk,
 ) -> tuple[int, int, Array, Array, Array]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status, W, free, cones).
@@ -268,7 +370,6 @@ def step_scene(
 
     Parameters
     ----------
-    scene : SceneNumbers
     memory : ContactMemory
         Changed in place.
     start, done : float, int

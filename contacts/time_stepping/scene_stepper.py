@@ -4,29 +4,361 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contacts.dynamics.control_guards import given
-from contacts.dynamics.controller_state import ControllerState
+from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_joints, check_start, hovering
+from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_lcp_kernels import STEEPEST
-from contacts.states import FREE, OFF, SLIDE_MINUS, SLIDE_PLUS
-from contacts.time_stepping.chunk import CHOSEN, Chunk
-from contacts.time_stepping.control import StepControl, SteppedTapes
-from contacts.time_stepping.run_inputs import RunInputs
-from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.solvers.step_impulses import smoothed
+from contacts.states import FREE, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem, stepped
+from contacts.time_stepping.control import StepControl
+from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
+from contacts.time_stepping.equations import ContactMemory, StepConstants
+from contacts.time_stepping.limits import Swings, check_swing, remarks
+from contacts.time_stepping.passing import passed
+from contacts.time_stepping.scene_step import step_scene
+from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
-from contacts.time_stepping.stepper import RELATIVE, Stepper
-from statechart.arrays import Bools, Ints
+from contacts.time_stepping.step_rejection import depth_left
+from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
-from statechart.errors import SimulationError
+from statechart.automaton.trace import Key
+from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.jit import by_python
+
+# Beside what a step moves at the scene's speed: what goes no deeper between two detections grazes.
+_GRAZED = 0.1
+# Slower than this part of the scene's speed, what a contact moves at is no measure of anything.
+_SLOWEST = 0.1
+# And energies below this part of the scene's are none.
+_NEGLIGIBLE = 1e-6
+# A landing goes as deep as its approach in a step.
+_LANDED = 2.0
+_CODES = {state: code for code, state in STATES.items()}
+
+
+@dataclass(eq=False)
+class _Memory:
+    """State that lasts from step to step: contacts, last modes, least values."""
+
+    contacts: ContactMemory
+    codes: Ints
+    least_gap: Array
+    least: Array
+
+    def copy(self) -> _Memory:
+        return _Memory(**{name: array.copy() for name, array in vars(self).items()})
+
+
+class SteppedTapes(Controllers):
+    """The equations of a scene in the states of its controllers, each compiled when entered."""
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        super().__init__(mechanics)
+        self._tapes: dict[Key, SteppedTape] = {}
+
+    def at(self, states: Key) -> SteppedTape:
+        """Return the equations."""
+        if states not in self._tapes:
+            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
+        return self._tapes[states]
+
+
+class SteppedScene(SteppedSystem):
+    """One run of a scene of points against surfaces.
+
+    Contacts (c,) may be off at the start; impulses with the allowed residual are good enough.
+    """
+
+    def __init__(
+        self,
+        tapes: SteppedTapes,
+        numbers: SceneNumbers,
+        setup: SceneSetup,
+        off: Bools,
+        allowed: float,
+    ) -> None:
+        self._tapes, self._numbers = tapes, numbers
+        count = len(setup.contacts)
+        self._values, self._near = setup.values, setup.tolerances["gap"]
+        self._still = setup.tolerances["speed"]
+        self._nearly = NEARLY_MEETING * setup.scales.length
+        self._speed, self._allowed = setup.scales.speed, allowed
+        self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
+        self._use(tapes.at(tapes.initial), setup.contacts)
+        self._memory = _Memory(
+            ContactMemory.of(off),
+            np.full(count, FREE),
+            np.full(count, np.inf),
+            np.full((count, 2), np.inf),
+        )
+        self._kept = self._memory.copy()
+        self._swing = self._length = 0.0
+        self._misses = DiscretisationError(setup.scales)
+        self._misses_kept = self._misses.copy()
+
+    def change(self, values: Mapping[str, float]) -> SceneSetup:
+        """Go on with other values of parameters; return the numbers."""
+        setup = self._numbers.at(values, RELATIVE)
+        self._values = setup.values
+        self._use(self._source, setup.contacts)
+        return setup
+
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        contacts = self._numbers.contacts(self._values, states)
+        self._use(self._tapes.at(tuple(states.values())), contacts)
+
+    def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
+        """Use these equations and coefficients."""
+        self._source = source
+        self._cones = smoothed(cones(tuple(contacts)))
+        self._restitution = np.array([law.restitution for law in contacts])
+        allowed = [{_CODES[state] for state in law.states} for law in contacts]
+        self._undeclared = np.array(
+            [[code not in codes for code in range(len(STATES))] for codes in allowed],
+            dtype=np.bool_,
+        ).reshape(-1, len(STATES))
+
+    @property
+    def filled(self) -> bool:
+        """Whether coordinates without an inertia of their own were given one."""
+        return bool(self._memory.contacts.light[0])
+
+    def press(self, closed: Bools) -> None:
+        """Let contacts (c,) be closed and slide, as if steps before had left them so."""
+        self._memory.contacts.closed[:] = self._memory.contacts.slid[:] = closed
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        self._memory, self._misses = self._kept.copy(), self._misses_kept.copy()
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least values seen, at the midpoints of steps."""
+        found: dict[str, float] = {}
+        for i, name in enumerate(self._source.names):
+            values = (self._memory.least_gap[i], *self._memory.least[i])
+            for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
+                if np.isfinite(value):
+                    found[f"{name}.{what}"] = float(value)
+        return found
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        return (
+            *remarks(self._swing, self._length),
+            *self._misses.remarks(self._length),
+            *self._stays_off(),
+        )
+
+    def _stays_off(self) -> Iterator[str]:
+        """Yield a warning for each contact that has missed its surface by a small depth."""
+        for name, (first, last, past) in zip(
+            self._source.names, self._memory.contacts.missed.tolist(), strict=True
+        ):
+            depth = min(past, first) if last > first else past
+            if self._near < depth <= self._nearly:
+                yield stays_off(self._source.scene, name, depth)
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps from `state` (2 n + w,).
+
+        Raises
+        ------
+        SingularMode, NonFinite, NoConsistentMode
+            Where not one step can be made.
+        """
+        source, tape = self._source, self._source.tape
+        n, c, r = source.size, len(source.names), source.joint_rows
+        chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
+        chunk = chunk._replace(modes=chunk.codes.copy())
+        self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
+        memory = self._memory.contacts
+        scene = StepConstants(
+            tape.program, source.flows.program, n, source.damped, self._values, self._cones,
+            self._restitution, source.plastic, source.bodies, source.pairs, source.held,
+            source.slips, r, self._near, self._still, ROUNDING * self._speed, self._speed,
+            _SLOWEST * self._speed, self._negligible,
+        )  # fmt: skip
+        swings = self._check_springs(chunk, start)
+
+        def step(
+            left: Chunk, done: int, given: Array, how: int
+        ) -> tuple[int, int, Array, Array, Array]:
+            some = left.first(step_scene.together(len(left.codes)))
+            return step_scene(scene, memory, start, done, given, how, some)
+
+        done = stepped(step, _failure, chunk, self._allowed)
+        followed = self._followed(chunk.first(done), start)
+        if followed < done:
+            # What is remembered is to be that of the steps that are taken.
+            self.forget()
+            return self.steps(start, h, state, followed)
+        chunk = chunk.first(done)
+        forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
+        self._note(chunk.gaps, forces, chunk.codes)
+        self._look_between(chunk, start)
+        if len(chunk.codes):
+            now = Equations(source, self._values, self._cones, self._restitution)
+            self._misses.look(now, chunk, start, self._kept.codes, swings)
+        return chunk
+
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays, whatever moves; see `Stepped`."""
+        n, found = self._source.size, self._source.rows(self._values, state, time)
+        on = ~self._memory.contacts.off
+        return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
+
+    def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
+        """Return how springs swing; raise `StepTooLarge` where steps make them, ever farther."""
+        source, state = self._source, chunk.states[0]
+        n = source.size
+        _, rows, joints = source.rows(self._values, state, start)
+        codes = self._memory.codes
+        closed = (codes != FREE) & (codes != OFF_CODE)
+        held = np.concatenate([rows[closed, :n], rows[codes == PIN, n : 2 * n], joints[:, :n]])
+        swings = source.limits.swings(self._values, state, start, held)
+        swing = 0.0 if swings is None else float(swings.speeds.max())
+        check_swing(swing, chunk.h)
+        self._swing, self._length = max(self._swing, swing), max(self._length, chunk.h)
+        return swings
+
+    def _look_between(self, chunk: Chunk, start: float) -> None:
+        """Note the first step that passed over a contact."""
+        gaps, count, h = self._source.gaps, len(chunk.codes), chunk.h
+        if not count:
+            return
+        n = self._source.size
+        places, rates = chunk.states[:, :n], chunk.states[:, n : 2 * n]
+        # From each midpoint to the next one, but from where the run starts to the first.
+        lengths = np.full(count, h)
+        lengths[0] = h if start > 0.0 else 0.5 * h
+        lines = np.zeros((*chunk.states[:-1].shape, 2))
+        back = lengths - 0.5 * h
+        lines[:, :n, 0] = places[:count] - back[:, None] * rates[:count]
+        lines[:, :n, 1] = lengths[:, None] * rates[:count]
+        lines[:, n : 2 * n, 0] = rates[:count]
+        # What controllers remember flows as it does in the step.
+        flows = np.diff(chunk.states[:, 2 * n :], axis=0) / h
+        lines[:, 2 * n :, 1] = lengths[:, None] * flows
+        lines[:, 2 * n :, 0] = chunk.states[:-1, 2 * n :] - back[:, None] * flows
+        taking = (chunk.codes != FREE) | chunk.struck
+        seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
+        times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
+        line, _, part = passed(
+            *gaps.program,
+            gaps.reads,
+            gaps.n_fixed,
+            self._values,
+            begin,
+            times,
+            lines,
+            seen,
+            _GRAZED * h * self._speed,
+        )
+        if line >= 0:
+            chunk.passed[line] = part
+        # What leaves at its first detection, or is deeper than its approach explains, was entered
+        # elsewhere.
+        deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
+        # What was off comes back no deeper than what lasts.
+        deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
+        deep[1:] &= chunk.gaps[:-1] > 0.0
+        deep[0] &= ~(self._kept.contacts.past[:, 1] <= 0.0)
+        for k, i in np.argwhere(deep).tolist():
+            state = lines[k].sum(axis=1)
+            before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
+            rows = self._source.rows(self._values, state, begin + times[k + 1])
+            rate = rows.velocities[i, 0]
+            slow, depth = _GRAZED * self._speed, -chunk.gaps[k, i]
+            approach = max(-rate, slow)
+            if before > 0.0 and (rate > slow or depth > _LANDED * h * approach):
+                chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
+                break
+
+    def _followed(self, chunk: Chunk, start: float) -> int:
+        """Return how many steps take modes that are allowed; replace a stick that only passes.
+
+        Raises
+        ------
+        NoConsistentMode
+            If not even the first does.
+        """
+        codes, shown, h = chunk.codes, chunk.modes, chunk.h
+        before = np.vstack([self._memory.codes, codes[:-1]])
+        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
+        # A slip that turns round in a step is at rest at its end; without friction it may stay so.
+        turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
+        codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
+        self._memory.codes = codes[-1] if len(codes) else self._memory.codes
+        places = np.arange(codes.shape[1])
+        wrong = self._undeclared[places, codes]
+        np.copyto(shown, codes, where=self._undeclared[places, shown])
+        if not self._source.may_jam:
+            for k in np.flatnonzero(chunk.efforts[:, JAMMED]).tolist():
+                i = int(chunk.efforts[k, JAMMED]) - 1
+                wrong[k, i] |= codes[k, i] != before[k, i]
+        if not wrong.any():
+            return len(codes)
+        k = int(np.argmax(wrong.any(axis=1)))
+        i = int(np.argmax(wrong[k]))
+        if k == 0:
+            raise self._refusal(i, int(codes[0, i]), start + h)
+        return k
+
+    def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
+        """Return why a contact does not take a mode in a step that ends then."""
+        name, state = self._source.names[contact], STATES[code]
+        if not self._undeclared[contact, code]:
+            return NoConsistentMode(
+                f"contact {name!r} can neither slide on nor come off, as friction presses it into "
+                "its surface (Painleve: inconsistent); paradox: impact takes that for an impact "
+                "without collision, and goes on"
+            )
+        return NoConsistentMode(
+            f"contact {name!r} would be {state} by t = {end:.9g}, and {state.rstrip('+-')} is not "
+            "among its modes; add it, or end the run before"
+        )
+
+    def _note(self, gaps: Array, forces: Array, codes: Ints) -> None:
+        if not len(gaps):
+            return
+        memory = self._memory
+        memory.least_gap = np.minimum(memory.least_gap, gaps.min(axis=0))
+        normal, tangential = forces[..., 0], np.abs(forces[..., 1])
+        cone_n, cone_t = self._cones.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
+        for k, values in enumerate((normal, inside)):
+            borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
+            seen = np.where(borne, values, np.inf).min(axis=0)
+            memory.least[:, k] = np.minimum(memory.least[:, k], seen)
+
+
+def _failure(status: int) -> SingularMode | NonFinite:
+    if status == BAD_INERTIA:
+        return SingularMode(
+            "the equations do not determine the motion: a coordinate without inertia moves "
+            "nothing that could hold it, or what is held contradicts itself"
+        )
+    return NonFinite(
+        "a coordinate, what a controller remembers, or a gap or condition of a contact became "
+        "infinite or undefined; look for "
+        "a logarithm, a root or a quotient without a value there, such as a height where it ends"
+    )
+
 
 # The modes at the start are those of a step this short, in the scene's own time.
 _TRIAL = 1e-6
@@ -46,57 +378,32 @@ class SceneStepper(Stepper):
         super().__init__(
             mechanics,
             stops,
-            mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=regions,
-            controls=self._tapes.initial,
+            regions,
+            self._tapes,
             again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows),
             sticks=np.array([{"pin", "slide"} <= c.kinds for c in contacts.values()], bool),
         )
         self._numbers = SceneNumbers(mechanics, stops)
-        self._regions = regions
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
+        setup, failure, warnings = self._numbers.at(overrides, RELATIVE), None, tuple[str, ...]()
+        off = np.zeros(len(setup.contacts), np.bool_)
+        codes = np.full(len(off), FREE)
         try:
-            return self._checked(overrides, allowed)
+            codes, off, warnings = self._checked(setup, allowed)
         except SimulationError as error:
-            setup = self._numbers.at(overrides, RELATIVE)
-            free = np.full(len(setup.contacts), FREE)
-            return self._begun(setup, free, np.zeros(len(free), np.bool_), allowed, (), error)
+            failure = error
+        scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
+        if not self._scene.regions:
+            return RunInputs(setup, scene, codes, warnings, None, failure, scene.change)
+        control = StepControl(self._mechanics, self._tapes, setup, scene, self._regions)
+        return RunInputs(setup, scene, codes, warnings, control, failure)
 
-    def _begun(
-        self,
-        setup: SceneSetup,
-        codes: Ints,
-        off: Bools,
-        allowed: float,
-        warnings: tuple[str, ...],
-        failure: SimulationError | None = None,
-    ) -> RunInputs:
-        scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
-        control = None
-
-        def change(values: Mapping[str, float]) -> SceneSetup:
-            numbers = self._numbers.at(values, RELATIVE)
-            scene.change(numbers)
-            return numbers
-
-        if self._scene.regions:
-            tapes, numbers = self._tapes, self._numbers
-
-            def switch(states: Mapping[str, str]) -> None:
-                contacts = numbers.contacts(setup.values, states)
-                scene.switch(tapes.at(tuple(states.values())), contacts)
-
-            control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
-        able = None if self._scene.regions else change
-        return RunInputs(setup, scene, codes, warnings, control, failure, able)
-
-    def _checked(self, overrides: Mapping[str, float], allowed: float) -> RunInputs:
-        setup = self._numbers.at(overrides, RELATIVE)
+    def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
+        """Check the initial state; return modes at the start, contacts that are off, warnings."""
         warnings = [*self._lacks(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
         within = memory.within(setup, setup.initial)
@@ -123,7 +430,7 @@ class SceneStepper(Stepper):
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
 
         def tried(closed: Bools) -> tuple[SteppedScene, Chunk]:
-            trial = SteppedScene(tape, setup, off, allowed)
+            trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
@@ -140,7 +447,7 @@ class SceneStepper(Stepper):
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
-        return self._begun(setup, codes, off, allowed, tuple(warnings))
+        return codes, off, tuple(warnings)
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield whose friction is computed as less."""

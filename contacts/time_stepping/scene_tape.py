@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.control_guards import given, given_in, memory_rates
+from contacts.dynamics.controllers import given, given_in, memory_rates
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT

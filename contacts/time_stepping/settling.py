@@ -23,10 +23,16 @@ import numpy as np
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS, forces_near
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.equations import JOINT, back
-from contacts.time_stepping.forces import ROUNDING
-from contacts.time_stepping.scene_numbers import HOLDING, LANDED, ContactMemory, SceneNumbers, Tape
-from contacts.time_stepping.step_contacts import delassus_of, moved_columns
+from contacts.time_stepping.equations import (
+    HOLDING,
+    JOINT,
+    LANDED,
+    ContactMemory,
+    StepConstants,
+    Tape,
+    back,
+)
+from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, moved_columns
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
@@ -51,7 +57,7 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
 
 
 @part
-def _free_accelerations(scene: SceneNumbers, tape: Tape, factors: Array, order: Ints) -> Array:
+def _free_accelerations(scene: StepConstants, tape: Tape, factors: Array, order: Ints) -> Array:
     """Return the accelerations of the coordinates without free contacts' forces."""
     n, numbers, right = tape.size, tape.numbers, np.zeros(len(order))
     for j in range(n):
@@ -177,21 +183,19 @@ def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed
 
 @beside
 def settle(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, factors: Array, order: Ints, k: int,
+    scene: StepConstants, memory: ContactMemory, tape: Tape, factors: Array, order: Ints, k: int,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts in step k.
 
     Parameters
     ----------
-    scene : SceneNumbers
     memory : ContactMemory
         Changed in place.
     tape : Tape
         In the middle of the step, with the velocities after it.
     factors, order
         The equations of the step (`contacts.time_stepping.equations.factored`).
-    k : int
     chunk : Chunk
         Its step k is changed in place.
     """

@@ -12,13 +12,8 @@ import numpy as np
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
-from contacts.solvers.step_impulses import (
-    into_cone,
-    of_group,
-    relieve,
-    steady_impulses,
-)
-from contacts.states import FREE, OFF_CODE
+from contacts.solvers.step_impulses import into_cone, of_group, relieve, steady_impulses
+from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import (
     APART,
     BESIDE,
@@ -30,24 +25,191 @@ from contacts.time_stepping.chunk import (
     arriving,
     pressed_guess,
 )
-from contacts.time_stepping.energy import energy_added
-from contacts.time_stepping.equations import JOINT, back
-from contacts.time_stepping.forces import ROUNDING, borne_mode, pressing, velocity_after
-from contacts.time_stepping.impact_order import coupled_order_matters
-from contacts.time_stepping.scene_numbers import (
+from contacts.time_stepping.equations import (
     HOLDING,
+    JOINT,
     LANDED,
     Answer,
     ContactMemory,
     Met,
     Problem,
-    SceneNumbers,
+    StepConstants,
     Tape,
+    back,
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import part
 
+
+@part
+def energy_added(
+    numbers: Array,
+    rates: Array,
+    rows: Ints,
+    groups: Ints,
+    work: Array,
+    moving: Array,
+    negligible: float,
+) -> float:
+    """Return the largest part of its own energy that contacts add to a group of them.
+
+    With velocities U- before a step and U+ after it, impulses P change the energy by
+    ``P (U+ + U-)/2``, beside what surfaces do that move. Friction and restitution take energy. What
+    keeps a contact on its surface, while the surface or the body turns, gives in its second half
+    what it took in its first; a contact that lands where the surface turns by a radian within the
+    step has taken nothing before. One that is struck there is struck in a direction that is as far
+    off: what it would add had it landed counts for it as well.
+
+    Parameters
+    ----------
+    numbers : (k,) array
+        Of the step's tape, beginning with the mass matrix (n, n).
+    rates : (n,) array
+        Before the step.
+    rows : (m,) array of int
+        Where the Jacobians of contacts are among the numbers.
+    groups : (m,) array of int
+        Equal for contacts that feel each other's impulses; below m.
+    work : (m,) array
+        P (U+ + U-) of contacts.
+    moving : (m,) array
+        Twice the energy that they move with at least.
+    negligible : float
+        Twice the energy that is none.
+    """
+    n, worst = len(rates), 0.0
+    moved = np.empty(n, np.bool_)
+    for group in range(len(groups)):
+        gained, had, kinetic = 0.0, 0.0, 0.0
+        moved[:] = False
+        for a in range(len(rows)):
+            if groups[a] != group:
+                continue
+            gained += work[a]
+            had = max(had, moving[a])
+            for j in range(n):
+                hold = numbers[rows[a] + j] != 0.0 or numbers[rows[a] + n + j] != 0.0
+                moved[j] = moved[j] or hold
+        if gained <= 0.0:
+            continue
+        for i in range(n):
+            if moved[i]:
+                for j in range(n):
+                    kinetic += rates[i] * numbers[n * i + j] * rates[j]
+        worst = max(worst, gained / max(had, kinetic, negligible))
+    return worst
+
+
+# Velocities below this part of what they are sums of are zero.
+ROUNDING = 1e-9
+
+
+@part
+def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
+    """Return the number of the mode of a contact that bears an impulse.
+
+    Parameters
+    ----------
+    impulse : (2,)
+    slip : float
+        After the step.
+    sliding : bool
+        Whether it slips under friction.
+    cone : (2,)
+    directed : bool
+        Whether its slides have a direction, whatever the friction.
+    """
+    if cone[1] == 0.0 and not directed:
+        return SLIDE
+    if cone[1] == 0.0:
+        sliding = slip != 0.0
+    if not sliding:
+        return PIN
+    if slip != 0.0:
+        return SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS
+    return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
+
+
+@part
+def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
+    """Return the velocity of contact `a` after a step, 0 where that is rounding.
+
+    `compliance` (2 m, 2 m), `least` (m, 2), `impulses` (m, 2): of the step's contact problem; `a`,
+    `d`: which contact; 0 along its normal, 1 along its tangent.
+    """
+    after, terms = least[a, d], abs(least[a, d])
+    for b in range(len(impulses)):
+        for e in range(2):
+            term = compliance[2 * a + d, 2 * b + e] * impulses[b, e]
+            after += term
+            terms += abs(term)
+    return after if abs(after) > ROUNDING * terms else 0.0
+
+
+@part
+def pressing(compliance: Array, slip: float, cone: Array) -> bool:
+    """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
+    against = -cone[1] if slip > 0.0 else cone[1]
+    return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0
+
+
+# Directions are opposite to within this part of their size.
+_OPPOSITE = 1e-9
+# By so much more than the lever of a landing says, a gap is left: gaps bend.
+_BENT = 1.01
+
+
+@part
+def close_opposed(
+    scene: StepConstants, memory: ContactMemory, tape: Tape, h: float, met: Met
+) -> None:
+    """Close both or none of two opposed contacts, such as a latch and its stop.
+
+    The small gap left when one closes must not count as clearance of the other: the body would
+    bounce between them, and be struck in turn instead of at once, however short the step.
+    """
+    n = tape.size
+    for i in range(len(scene.cones)):
+        row = tape.first + tape.per * i
+        gap = tape.numbers[row + 2 * n + 2]
+        if memory.off[i] or met.hit[i] or scene.held[i] > 0 or not gap > 0.0:
+            continue
+        for other in range(len(scene.cones)):
+            left = tape.numbers[tape.first + tape.per * other + 2 * n + 2]
+            lasts = met.active[other] and not met.hit[other]
+            if not lasts or memory.level[other] >= -scene.near:
+                continue
+            lever = _opposing_lever(tape, i, other)
+            if lever > 0.0 and gap <= scene.near - _BENT * lever * left:
+                # Kept where the other is, neither is asked to part by what the other is not.
+                met.active[i], memory.closed[i] = True, True
+                memory.level[i] = -lever * memory.level[other]
+                above = gap + lever * memory.level[other]
+                met.wanted[i, 0] = above / h + 0.5 * h * tape.numbers[row + 2 * n]
+                met.wanted[i, 1] = 0.5 * h * tape.numbers[row + 2 * n + 1]
+                break
+
+
+@part
+def _opposing_lever(tape: Tape, i: int, other: int) -> float:
+    """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
+    n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
+    most = least = apart = 0.0
+    for j in range(n):
+        most = max(most, abs(tape.numbers[own + j]))
+        least = max(least, abs(tape.numbers[its + j]))
+    if most == 0.0 or least == 0.0:
+        return 0.0
+    lever = most / least
+    for j in range(n):
+        apart = max(apart, abs(tape.numbers[own + j] + lever * tape.numbers[its + j]))
+    return lever if apart <= _OPPOSITE * most else 0.0
+
+
+# Another impact that changes a velocity by less than this part of its own change is not felt: a
+# body turns within a step.
+_FELT = 1e-3
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
 _LATE = 1e-9
@@ -55,7 +217,7 @@ _LATE = 1e-9
 
 @part
 def taking_part(
-    scene: SceneNumbers, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
+    scene: StepConstants, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write which contacts take part in step k.
@@ -137,7 +299,7 @@ def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
 
 
 @part
-def _groups(scene: SceneNumbers, tape: Tape, which: Ints) -> Ints:
+def _groups(scene: StepConstants, tape: Tape, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
     numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
     constraints = indices(scene.held > 0)
@@ -156,7 +318,7 @@ def _groups(scene: SceneNumbers, tape: Tape, which: Ints) -> Ints:
 
 @part
 def contact_problem(
-    scene: SceneNumbers, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
+    scene: StepConstants, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
 ) -> Problem:
     """Return the problem of the contacts that take part; `met` is told who does not rebound.
 
@@ -200,7 +362,7 @@ def guessed(problem: Problem, bases: Bools) -> Bools:
 
 @part
 def answered(
-    scene: SceneNumbers, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
+    scene: StepConstants, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
     least: Array, pushes: Array,
 ) -> Answer:  # fmt: skip
     """Return what of impulses is force; what jams is struck at an instant.
@@ -228,7 +390,7 @@ def answered(
 
 @part
 def energy_of(
-    scene: SceneNumbers, tape: Tape, problem: Problem, pushes: Array, rates: Array
+    scene: StepConstants, tape: Tape, problem: Problem, pushes: Array, rates: Array
 ) -> float:
     """Return the largest part of its own energy that contacts add to a group of them."""
     m, delassus = len(problem.which), problem.delassus
@@ -271,7 +433,7 @@ def mixed_with_impacts(
 
 @part
 def told(
-    scene: SceneNumbers, memory: ContactMemory, problem: Problem, answer: Answer, met: Met, k: int,
+    scene: StepConstants, memory: ContactMemory, problem: Problem, answer: Answer, met: Met, k: int,
     chunk: Chunk,
 ) -> Ints:  # fmt: skip
     """Write modes and impulses of step k, and who lasts; return the modes (m,) under forces."""
@@ -309,7 +471,39 @@ def told(
 
 
 @part
-def order_decides(scene: SceneNumbers, problem: Problem, k: int, chunk: Chunk) -> bool:
+def coupled_order_matters(
+    bodies: Ints, pairs: Ints, lively: Bools, delassus: Array, cones: Array, impulses: Array
+) -> bool:
+    """Return whether a body is struck at once at contacts whose impacts change each other.
+
+    `bodies`, `pairs`, `lively`: bodies (m, 2) of contacts, which pairs of them touch, and whose
+    impacts are `LIVELY`; `delassus` (2 m, 2 m), `cones` (m, 2), `impulses` (m, 2): of the step's
+    contact problem.
+    """
+    for a in range(len(pairs)):
+        for b in range(len(pairs)):
+            if lively[a] and lively[b] and pairs[a] != pairs[b]:
+                for d in range(2 if cones[b, 1] > 0.0 else 1):
+                    own = abs(delassus[2 * b + d, 2 * b + d] * impulses[b, 0])
+                    moved = 0.0
+                    for e in range(2):
+                        moved += delassus[2 * b + d, 2 * a + e] * impulses[a, e]
+                    if _share_body(bodies, a, b) and abs(moved) > _FELT * own:
+                        return True
+    return False
+
+
+@part
+def _share_body(bodies: Ints, a: int, b: int) -> bool:
+    shared = False
+    for i in range(2):
+        for j in range(2):
+            shared = shared or (bodies[a, i] >= 0 and bodies[a, i] == bodies[b, j])
+    return shared
+
+
+@part
+def order_decides(scene: StepConstants, problem: Problem, k: int, chunk: Chunk) -> bool:
     """Return whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
     lively = np.empty(m, np.bool_)

@@ -1,30 +1,405 @@
-"""Base of the time steppers of scenes: they are made, start, run and stream alike."""
+"""Impulse-based simulation: a fixed step, all contacts at once, no modes composed.
+
+Per step (Moreau 1988; the theta method of Jean 1999 with theta = 1/2, at which free motion under
+constant forces is exact and its energy constant)::
+
+    q_m = q + h/2 v
+    M(q_m) (v+ - v) = h f(q_m, v, t_m) + J(q_m)^T P
+    q+ = q_m + h/2 v+
+
+with impulses P in the cones of friction. A contact that has reached its surface and approaches
+obeys Moreau's law, ``0 <= P_n``, ``v_n+ + e v_n >= 0``. One that lasts, or that approaches no
+faster than two steps of free fall, keeps what gap it has landed at: ``v_n+ + gap/h + h/2 b >= 0``,
+where b is the acceleration that the motion itself gives its gap, so that it neither sinks nor
+chatters as its body turns. Friction opposes the slip at the end of the step and never moves what
+rests.
+
+The energy grows by at most ``h^2/8 f^T M^-1 f`` in a step: where impulses P do not add energy to
+the velocities they act on, ``P (U+ + U-)/2 <= -P (h J M^-1 f)/2 - P W P/2``, whose largest value
+that is. Where restitution with friction would add more, it is reduced (`capped`).
+
+Bodies with shapes are struck in the step nearest to when they touch. Where all that is struck in it
+lands, and the first of it touches ``s`` after the middle, impacts I act then: ``q+`` is off by
+``-s M^-1 J^T I``, so that what has landed touches. That takes ``-s f M^-1 J^T I`` of the energy in
+the forces; where all impulses are impacts the bound above becomes ``(h - 2 s)^2/8 f^T M^-1 f``.
+Until then contacts that last bear what they bore in the step before, where that moves them by no
+more than a step of free fall; else impacts are in the middle.
+"""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-import sympy as sp
 
+from contacts.dynamics.controllers import Controllers, given
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.scene.replaced_laws import replaced
+from contacts.scene.lint import replaced
 from contacts.states import STATES
-from contacts.time_stepping.loop import made_ready
-from contacts.time_stepping.run_inputs import RunInputs, Span, Stepping
-from contacts.time_stepping.stop_tapes import StopTapes
-from contacts.time_stepping.stops import StopConditions
-from statechart.arrays import Bools
-from statechart.automaton.recording_policy import RECORD_ALL, RecordingPolicy
+from contacts.time_stepping.chunk import WORK, Chunk, SteppedSystem
+from contacts.time_stepping.control import StepControl
+from contacts.time_stepping.lazy_arcs import TERMS
+from contacts.time_stepping.recorder import PoseRecorder, Recorder
+from contacts.time_stepping.solver_residual import SolverResidual
+from contacts.time_stepping.step_rejection import Rejection, Squeezed, evenly, no_room, too_large
+from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
+from statechart import interrupts
+from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
-from statechart.automaton.sampling import Sample, Sampling, in_order
-from statechart.automaton.time_stepper import USUAL, Impulses
-from statechart.automaton.trace import Arc, Jump, Key, Outcome, Trace
+from statechart.automaton.time_stepper import (
+    RECORD_ALL,
+    USUAL,
+    Impulses,
+    RecordingPolicy,
+    Sample,
+    Sampling,
+    in_order,
+)
+from statechart.automaton.trace import (
+    FAR_TOO_MANY,
+    LARGEST,
+    Arc,
+    Jump,
+    Key,
+    Outcome,
+    Trace,
+    check_size,
+)
 from statechart.documents.setting import Record
-from statechart.errors import DeclarationProblem, Unsupported
+from statechart.errors import DeclarationProblem, NonFinite, SimulationError, TooLong, Unsupported
 from statechart.execution.outcome import error_of
+from statechart.formulas.tape import Tape
+from statechart.tabular import several
+
+
+class RunInputs(NamedTuple):
+    """A run that can start, or why it cannot."""
+
+    setup: SceneSetup
+    stepped: SteppedSystem
+    codes: Ints  # (r,): modes at the start, as `contacts.states` numbers them.
+    warnings: tuple[str, ...]  # Besides those of the setup.
+    control: StepControl | None = None  # Acts at the ends of steps.
+    failure: SimulationError | None = None  # Why not even one step can be made.
+    # Continues with other values of parameters; returns the numbers. None where it cannot.
+    change: Callable[[Mapping[str, float]], SceneSetup] | None = None
+
+
+class Span(NamedTuple):
+    """How far a run goes, by which steps, who is told; after what time at most it is looked at.
+
+    And what is kept of it.
+    """
+
+    step: float
+    until: float
+    max_jumps: int
+    impulses: Impulses
+    show: Callable[[float, int, int], None]
+    every: float = math.inf
+    policy: RecordingPolicy = RECORD_ALL
+
+
+# Steps at once, in which no signal is seen, and iterations times contacts in them, some tenths of
+# a second: after more, half as many steps are taken, after less than a quarter of it twice as many,
+# or after less than a sixteenth eight times as many.
+# A clock would make the last bits of instants depend on what else the machine does.
+_CHUNK, _WORK = 512, 3_000_000
+# Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
+_ROOM = 2**23
+# More steps no float can count, and no trace can hold.
+_COUNTED = 2.0**53
+# After so many steps it is known what each takes.
+_KNOWN = 2**15
+
+
+class SteppedRun:
+    """A run by steps, as far as it has come."""
+
+    def __init__(self, stepper: Stepper, begun: RunInputs, span: Span) -> None:
+        self._begun, self.stepper, self.span = begun, stepper, span
+        self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
+        values, (record, watch) = self.setup.values, span.policy
+        # Controllers wait for the events of regions.
+        told = record is Record.MODES or begun.control is not None
+        self.recorder = Recorder(
+            stepper.regions[: len(begun.codes)],
+            begun.codes,
+            stepper.controls,
+            stepper.sticks,
+            stepper.again,
+            stepper.forces,
+            lambda states, times: stepper.energy.table(states, values, times)[:, 0],
+            len(stepper.angles),
+            told or (watch is not None and watch.events),
+            told or (watch is not None and watch.motion),
+        )
+        self.stops = StopConditions(stepper.stops, self.setup)
+        self.state = self.setup.initial
+        self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
+        self.outcome, self.message = Outcome.HORIZON, ""
+        self.effort = SolverResidual(span.impulses)
+        self._squeezed = Squeezed(stepper.regions, span.step, begun.setup.start_depth)
+        poses = record is Record.POSES
+        self._poses = PoseRecorder(len(stepper.angles)) if poses else None
+        self._turning = evenly(len(stepper.angles) + np.flatnonzero(stepper.angles))
+
+    def end(self, outcome: Outcome, message: str) -> None:
+        """Let the run end, and say why."""
+        self.outcome, self.message = outcome, message
+
+    def chunks(self) -> Iterator[None]:
+        """Make the run; yield when it begins and after every chunk of steps."""
+        try:
+            if self._begun.failure is not None:
+                raise self._begun.failure
+            steps = self._steps()
+            while True:
+                with interrupts.held():
+                    going = next(steps, False)
+                if not going:
+                    return
+                yield
+        except KeyboardInterrupt:
+            self.end(Outcome.INTERRUPTED, "interrupted by the user")
+        except SimulationError as error:
+            self.end(Outcome[error.outcome], f"t = {self.time:.6g}: {error}")
+
+    def _steps(self) -> Iterator[bool]:
+        step, until = self.span.step, self.span.until
+        met = self.stops.at_start(self.state, self.recorder)
+        if met is not None:
+            self._stop(met)
+            return
+        yield True
+        if self.control is not None:
+            solved = self.stops.unknown(self.state)
+            self.state = self.control.turn(self.recorder, (), self.state, solved, step)
+        whole = math.floor(min(until / step * (1.0 + 4e-16), _COUNTED))
+        rest = until - whole * step
+        if rest <= 1e-9 * step:
+            counts = [(whole, step)]
+        else:
+            # Forces are impulses over a step: in a very short one they would be rounding.
+            counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
+        largest = max(1, min(_CHUNK, _ROOM // (TERMS * self.state.nbytes)))
+        most = min(largest, max(1, _CHUNK // max(1, len(self.stepper.regions))))
+        each = max(1, round(min(self.span.every / step, _COUNTED)))
+        for count, h in counts:
+            # A step may be taken in parts, of which there are a power of two.
+            done = 0.0
+            first = self.time
+            while done < count:
+                interrupts.check()
+                begin, asked = first + done * h, count - done
+                if asked < 1.0:
+                    chunk = self.stepped.steps(begin, asked * h, self.state, 1)
+                else:
+                    chunk = self.stepped.steps(
+                        begin, h, self.state, min(int(asked), most, each - int(done) % each)
+                    )
+                due = False
+                if self.control is not None:
+                    chunk, due = self.control.cut(chunk, begin, self.recorder)
+                work = float(chunk.efforts[:, WORK].sum())
+                if due:
+                    # Steps after a transition are taken in vain, and the next may be as far off.
+                    most = max(1, len(chunk.codes))
+                elif work > _WORK:
+                    most = max(1, most // 2)
+                elif work < 0.25 * _WORK and len(chunk.codes) == most:
+                    most = min((8 if work < 0.0625 * _WORK else 2) * most, largest)
+                jumps = self.recorder.count
+                if self._accept(chunk, begin):
+                    return
+                if self.control is not None:
+                    fresh = self.recorder.since(jumps)
+                    self.state = self.control.turn(
+                        self.recorder, fresh, self.state, chunk.solved[-1], h
+                    )
+                done += len(chunk.codes) * (chunk.h / h)
+                if self.span.every == math.inf or done % each == 0.0:
+                    yield True
+        self.time = until
+        self.message = f"reached t = {until:.6g}"
+
+    def _accept(self, chunk: Chunk, start: float) -> bool:
+        """Record steps; True where the run ends in them."""
+        failure: SimulationError | None = None
+        refused = self._rejected(chunk, start)
+        if refused is not None:
+            failure = refused.why
+            chunk = chunk.first(refused.step)
+        missed = self.effort.beyond(chunk) or self._squeezed.found(
+            chunk, start, self.fastest, self.stepped.depth_left
+        )
+        if missed is not None:
+            failure = missed[1]
+            chunk = chunk.first(missed[0])
+        lost = self.stops.lost(chunk, start)
+        if lost is None and self.control is not None:
+            lost = self.control.lost(chunk, start)
+        if lost is not None:
+            failure = NonFinite(
+                f"the guard {lost[1]} cannot be evaluated a step of {chunk.h:g} later"
+            )
+            chunk = chunk.first(lost[0])
+        stopped = self.stops.met(chunk, start, self.recorder.controls)
+        if stopped is not None:
+            chunk = chunk.first(stopped[0] + 1)
+        if len(chunk.codes):
+            self._hand_on()
+            if self._poses is not None:
+                recorder = self.recorder
+                self._poses.add(chunk, recorder.clock, len(recorder.told), recorder.controls)
+            self.recorder.add(chunk)
+            self.effort.add(chunk, start)
+            self.fastest = max(self.fastest, float(chunk.approach.max()))
+        self.taken += len(chunk.codes)
+        self.state = chunk.states[-1]
+        self.time = start + len(chunk.codes) * chunk.h
+        self.span.show(self.time, self.recorder.count, self.taken)
+        if stopped is not None:
+            self.state = self.stops.locate(self.recorder, stopped[1])
+            self._stop(stopped[1])
+            return True
+        if failure is not None:
+            raise failure
+        if self.span.policy.record is Record.NOTHING:
+            return False
+        modes = self.span.policy.record is Record.MODES
+        jumps = self.recorder.count if modes else len(self.recorder.told)
+        if jumps >= self.span.max_jumps:
+            self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
+            return True
+        self.size += chunk.states[1:].nbytes + chunk.solved.nbytes
+        self.size += chunk.impulses.nbytes if modes else 0
+        if modes:  # of poses there is as much as the disk takes
+            check_size(self.size, jumps, self.time)
+        self._check_pace()
+        return False
+
+    def _hand_on(self) -> None:
+        """Tell those who watch what has happened; keep no more of it than is asked for."""
+        record, watch = self.span.policy
+        if record is not Record.MODES:
+            arcs, jumps = self.recorder.taken(looked_at=watch is not None)
+            if watch is not None and (arcs or jumps):
+                watch.add(replace(self._piece, arcs=arcs, jumps=jumps))
+
+    @cached_property
+    def _piece(self) -> Trace:
+        """What a piece of the run has of a trace but arcs and jumps: names and numbers."""
+        return self._trace(Record.MODES, (), ())
+
+    def _check_pace(self) -> None:
+        """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
+        steps = self.span.until / self.span.step
+        most = FAR_TOO_MANY * LARGEST
+        if self.taken >= _KNOWN and not self.stepper.stops.names:
+            needed = self.size / self.taken * steps
+            if needed > most:
+                raise TooLong(
+                    f"{steps:.3g} steps take {needed / 2**20:.3g} MB, and a trace may take "
+                    f"{LARGEST >> 20} MB; end the run earlier, or take longer steps"
+                )
+
+    def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
+        """Return the first step that cannot be taken as it is."""
+        regions, size, step = self.stepper.regions, self.setup.scales.length, self.span.step
+        found = too_large(chunk, self._turning, regions, size, step)
+        if found is None or not found.deep:
+            return found
+        k = found.step
+        depth = self.stepped.depth_left(chunk.states[k], start + k * chunk.h)
+        return found._replace(why=no_room(found.deep, depth, size) or found.why)
+
+    def _stop(self, condition: int) -> None:
+        name = self.stepper.stops.names[condition]
+        self.time = self.recorder.clock.high
+        self.recorder.stop(name, self.state)
+        self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
+
+    def whole(self) -> Trace:
+        """Make all of the run."""
+        for _ in self.chunks():
+            pass
+        return self.trace()
+
+    def trace(self) -> Trace:
+        """Return what was made."""
+        recorder, (record, watch) = self.recorder, self.span.policy
+        recorder.close()
+        self._hand_on()
+        if record is Record.MODES:
+            # Of a long run what is looked at is made anew: it takes some times as much.
+            return self._trace(record, *recorder.kept(kept=TERMS * self.size <= LARGEST))
+        # The end comes after all jumps, those of which nothing was told, too.
+        outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
+        if self._poses is None:
+            return replace(self._trace(record, (), ()), outputs=outputs)
+        arcs = self._poses.arcs(self.time)
+        return replace(self._trace(record, arcs, tuple(recorder.told)), outputs=outputs)
+
+    def _trace(self, record: Record, arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Trace:
+        recorder, stepper, warnings = self.recorder, self.stepper, self._begun.warnings
+        regions, start, final = stepper.regions, recorder.start_key, recorder.key
+        if record is Record.POSES:
+            controlled = len(regions) - len(stepper.controls)
+            regions, start, final = regions[controlled:], stepper.controls, recorder.controls
+        elif record is Record.NOTHING:
+            regions, start, final = (), (), ()
+        tolerances = dict(self.setup.tolerances)
+        # A contact lands within a step, and stays as deep as it has landed, or started.
+        landed = self.setup.start_depth + self.span.step * self.fastest
+        tolerances["gap"] = max(tolerances["gap"], landed)
+        tolerances["impulse"] = self.effort.residual
+        return Trace(
+            name=stepper.name,
+            regions=regions,
+            variables=stepper.names,
+            parameters=dict(zip(stepper.parameter_names, self.setup.values.tolist(), strict=True)),
+            arcs=arcs,
+            jumps=jumps,
+            initial=self.setup.initial,
+            final=self.state,
+            start_mode=start,
+            final_mode=final,
+            t_end=self.time,
+            outcome=self.outcome,
+            message=self.message,
+            certified=False,
+            evidence=dict.fromkeys(regions, "recognised at every step"),
+            tolerances=tolerances,
+            engine="impulse",
+            tolerance=math.nan,
+            warnings=(
+                *self.setup.warnings,
+                *warnings,
+                *self.effort.remarks,
+                *self.stepped.remarks,
+                *recorder.remarks,
+            ),
+            counts={
+                "steps": self.taken,
+                "evaluations": self.taken,
+                "boxes": 0,
+                "jumps": recorder.count,
+                "modes_built": 0,
+                **self.effort.counts,
+            },
+            step=self.span.step,
+            margins=self.stepped.margins,
+            undetermined=recorder.indeterminate if record is Record.MODES else {},
+            record=record,
+        )
+
 
 _EPS = float(np.finfo(float).eps)
 
@@ -40,41 +415,37 @@ class Stepper(ABC):
     mechanics : Mechanics
         The scene's equations, or no more than its names and symbols.
     stops : sequence of StopCondition
-    energy : Expr
-    unknowns : sequence of Symbol
-        What stop conditions may use that steps solve for.
-    regions, controls, again, forces, sticks
-        See `contacts.time_stepping.loop.Stepping`.
+    regions : sequence of Region
+        All, those of the controllers last.
+    controllers : Controllers
+    again : str
+        Cause of an impact on a region that is not free.
+    forces, sticks
+        See `Recorder`.
     """
 
     def __init__(
         self,
         mechanics: Mechanics,
         stops: Sequence[StopCondition],
-        energy: sp.Expr,
-        unknowns: Sequence[sp.Symbol],
-        *,
         regions: Sequence[Region],
-        controls: Key = (),
+        controllers: Controllers,
+        *,
         again: str,
         forces: int | None,
         sticks: Bools,
     ) -> None:
-        self._mechanics, self._scene = mechanics, mechanics.scene
-        self._stepping = Stepping(
-            self._scene.name,
-            (*mechanics.variable_names, *mechanics.memory),
-            mechanics.parameters.names,
-            tuple(region.name for region in regions),
-            controls,
-            again,
-            forces,
-            sticks,
-            np.array([name.endswith(".angle") for name in mechanics.names]),
-            StopTapes(mechanics, stops, unknowns, regions),
-            tuple(stop.name for stop in stops),
-            mechanics.whole_tape([energy]),
-        )
+        self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
+        self.name = mechanics.scene.name
+        self._controllers, self.controls = controllers, controllers.initial
+        self.names = (*mechanics.variable_names, *mechanics.memory)
+        self.parameter_names = mechanics.parameters.names
+        self.regions = tuple(region.name for region in regions)
+        self.again, self.forces, self.sticks = again, forces, sticks
+        self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
+        unknowns = (*mechanics.a, *mechanics.unknown_forces, *given(mechanics))
+        self.stops = StopTapes(mechanics, stops, unknowns, regions)
+        self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
@@ -82,7 +453,7 @@ class Stepper(ABC):
         if begun.failure is not None:
             raise begun.failure
         states = tuple(STATES[code] for code in begun.codes.tolist())
-        return (*states, *self._stepping.controls), (*begun.setup.warnings, *begun.warnings)
+        return (*states, *self.controls), (*begun.setup.warnings, *begun.warnings)
 
     def run(
         self,
@@ -100,7 +471,7 @@ class Stepper(ABC):
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
         begun = self._able(overrides, step, until, impulses.tolerance, forces)
         span = Span(step, until, max_jumps, impulses, show, policy=policy)
-        return made_ready(self._stepping, begun, span).whole()
+        return SteppedRun(self, begun, span).whole()
 
     def stream(
         self,
@@ -114,15 +485,48 @@ class Stepper(ABC):
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
         begun = self._able(overrides, step, until, impulses.tolerance)
-        span = Span(step, until, max_jumps, impulses, lambda time, jumps, steps: None)
-        return stream(self._stepping, begun, span, sampling, overrides)
+        show, every = (lambda time, jumps, steps: None), sampling.every
+        span = Span(step, until, max_jumps, impulses, show, every)
+        return self._streamed(begun, span, sampling, dict(overrides))
+
+    def _streamed(
+        self, begun: RunInputs, span: Span, sampling: Sampling, parameters: dict[str, float]
+    ) -> Iterator[Arc | Jump]:
+        if sampling.control is not None and begun.change is None:
+            raise Unsupported(
+                "time steps change parameters of scenes alone whose bodies do not collide by their "
+                "shapes and that have no controllers of their own; take the engine taylor or scipy"
+            )
+        made = SteppedRun(self, begun, span)
+        recorder, seen = made.recorder, [0, 0]
+
+        def fresh() -> list[Arc | Jump]:
+            recorder.close()
+            found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
+            seen[:] = len(recorder.arcs), len(recorder.jumps)
+            return in_order(found)
+
+        for _ in made.chunks():
+            yield from fresh()
+            if sampling.control is None or begun.change is None:
+                continue
+            mode = dict(zip(self.regions, recorder.key, strict=True))
+            state = dict(zip(self.names, made.state.tolist(), strict=True))
+            changed = sampling.control(Sample(made.time, mode, state))
+            if changed:
+                parameters |= changed
+                made.stops = StopConditions(self.stops, begun.change(parameters))
+        yield from fresh()
+        trace = made.trace()
+        if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+            raise error_of(trace)
 
     def _able(
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
     ) -> RunInputs:  # fmt: skip
         """Return a run by steps that are long enough to move anything."""
-        read = forces or bool(self._stepping.stop_names) or bool(self._stepping.controls)
+        read = forces or bool(self.stops.names) or bool(self.controls)
         begun = self._begin(overrides, step, allowed, read)
         scales = begun.setup.scales
         least = _EPS * scales.length / scales.speed
@@ -146,45 +550,5 @@ class Stepper(ABC):
 
     def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:
         """Return what differs from the declaration."""
-        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
+        values = dict(zip(self.parameter_names, setup.values.tolist(), strict=True))
         return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())
-
-
-def stream(
-    stepping: Stepping,
-    begun: RunInputs,
-    span: Span,
-    sampling: Sampling,
-    parameters: Mapping[str, float],
-) -> Iterator[Arc | Jump]:
-    """Yield arcs and jumps of a run of a scene as they come, an arc ending with every chunk."""
-    if sampling.control is not None and begun.change is None:
-        raise Unsupported(
-            "time steps change parameters of scenes alone whose bodies do not collide by their "
-            "shapes and that have no controllers of their own; take the engine taylor or scipy"
-        )
-    made = made_ready(stepping, begun, span._replace(every=sampling.every))
-    recorder, values = made.recorder, dict(parameters)
-    seen = [0, 0]
-
-    def fresh() -> list[Arc | Jump]:
-        recorder.close()
-        found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
-        seen[:] = len(recorder.arcs), len(recorder.jumps)
-        return in_order(found)
-
-    for _ in made.chunks():
-        yield from fresh()
-        if sampling.control is None or begun.change is None:
-            continue
-        mode = dict(zip(stepping.regions, recorder.key, strict=True))
-        state = dict(zip(stepping.names, made.state.tolist(), strict=True))
-        changed = sampling.control(Sample(made.time, mode, state))
-        if changed:
-            values |= changed
-            setup = begun.change(values)
-            made.stops = StopConditions(stepping, setup)
-    yield from fresh()
-    trace = made.trace()
-    if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
-        raise error_of(trace)

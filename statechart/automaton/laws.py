@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
     from statechart.automaton.constraints import Constraints
-    from statechart.automaton.feasibility import Feasibility
     from statechart.automaton.regions import Mode
     from statechart.automaton.trace_store import RecordedEvent
     from statechart.formulas.tape import Tape
 
-
-_EPS = float(np.finfo(float).eps)
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
@@ -70,7 +67,7 @@ class Setup:
     sizes: Array | None = None
     # How well margins are known, in parts of their terms: a value summed from them is off by a few
     # units in the last place of the largest.
-    precision: float = 64.0 * _EPS
+    precision: float = 64.0 * EPS
     # A long time for the first flow, in the model's own scales: how far to look ahead at first.
     horizon: float = float("inf")
     # Roles of a flow -> its mode, solved for the parameters of the run; set by the executor.
@@ -83,7 +80,7 @@ class Setup:
 
 
 class Flow(NamedTuple):
-    """What the executor does next: flow in a mode, possibly shown as another, possibly timed."""
+    """Next flow of the executor: its mode, possibly shown as another, possibly timed."""
 
     mode: Key  # The mode shown.
     roles: Roles  # Whose equations apply; `HELD` is the state of a region that is held.
@@ -121,7 +118,7 @@ class Flow(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What the laws are asked about: where a flow has come to."""
+    """End of a flow, as the laws are asked about it."""
 
     setup: Setup  # The numbers of the run.
     clock: Clock  # When.
@@ -149,7 +146,7 @@ class Instant(NamedTuple):
 
 
 class Laws(Protocol):
-    """What happens at the instants between flows; the executor knows nothing else."""
+    """Jumps at the instants between flows; the executor knows nothing else."""
 
     @property
     def compiled_laws(self) -> CompiledLaws | None:
@@ -172,22 +169,9 @@ class Laws(Protocol):
     ) -> tuple[Jump, Flow] | None:
         """Skip the rest of a sequence of jumps that accumulate.
 
-        Parameters
-        ----------
-        jumps : sequence of Jump
-            The last ones; the last of them is the one after which the rest can be skipped.
-        rest : float
-            Time to the accumulation.
-
-        Returns
-        -------
-        (Jump, Flow) or None
-            The last jump and the flow after it, changed; None where the sequence has to go on.
-
-        Raises
-        ------
-        Zeno
-            If nothing declared says what follows.
+        `jumps` are the last ones; behind the last of them the rest can be skipped, which takes the
+        time `rest`. Returns that jump and the flow after it, changed; None where the sequence has
+        to go on. Raises `Zeno` if nothing declared says what follows.
         """
         ...
 
@@ -277,3 +261,17 @@ class CompiledLaws(Protocol):
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent, fired: str) -> Jump:
         """Return the jump of an event that it made; `setup` gives the numbers of its run."""
         ...
+
+
+MAX_MODES = 4096
+"""Products of more modes than this, six contacts' for one, are never enumerated."""
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Verdict on the product modes at a configuration."""
+
+    modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
+    # The same as the declaration counts modes (sliding without direction).
+    declared: Mapping[Key, str]
+    remarks: tuple[str, ...] = ()  # What a reader must know of the configuration.

@@ -40,12 +40,8 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 class LazySequence(Sequence[T], Generic[T]):
     """Sequence whose items are made when they are read.
 
-    Attributes
-    ----------
-    keeps : bool
-        `kept`.
-    source : object
-        What all of them stand in, for those who read that; does not travel.
+    The first ones are kept if it `keeps`. The object in which all of them stand may be its
+    `source`, for those who read that; it does not travel.
     """
 
     def __init__(

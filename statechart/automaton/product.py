@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.feasibility import MOST_MODES, Feasibility
-from statechart.automaton.laws import Setup
-from statechart.automaton.nesting import UNREACHED
-from statechart.automaton.regions import Edge, Region
+from statechart.automaton.laws import MAX_MODES, Feasibility, Setup
+from statechart.automaton.regions import UNREACHED, Edge, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import StatechartError
 
@@ -67,31 +65,12 @@ def explored(
     """Return the product automaton, or the part of it that is asked for; no other is built.
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
-    declares, is an edge without guard.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose regions.
-    around : iterable of Key
-        Where to begin; the modes of the trace by default.
-    within : int, optional
-        How many edges lead there from the modes `around`, at most: with 0 and a trace they are
-        those visited. By default all modes are there.
-    trace : Trace, optional
-        A run, whose visits are counted.
-    found : Feasibility, optional
-        Which modes are possible.
-    directions : bool
-        Whether directions of sliding are told apart.
-    unreached : bool
-        Whether the declared states that no chain of transitions enters are there, too, as modes
-        that are not feasible.
-
-    Raises
-    ------
-    StatechartError
-        If there are more modes than `MOST_MODES`, or those given are not of this automaton.
+    declares, is an edge without guard. The part has the modes up to `within` edges from those
+    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are
+    counted. `directions` of sliding are told apart. With `unreached` the declared states that no
+    chain of transitions enters are there, too, as modes that are not feasible. Raises
+    `StatechartError` if there are more modes than `MAX_MODES`, or those given are not of this
+    automaton.
     """
     charts = tuple(
         drawn_region(region, directions=directions, unreached=unreached)
@@ -136,14 +115,8 @@ def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> It
 def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
-    """Judge every product mode at a configuration.
-
-    Raises
-    ------
-    StatechartError
-        If the modes cannot be judged there.
-    """
-    if automaton.laws is None or automaton.modes_total > MOST_MODES:
+    """Judge every product mode; raises `StatechartError` if they cannot be judged there."""
+    if automaton.laws is None or automaton.modes_total > MAX_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)
 
@@ -208,7 +181,7 @@ def _declared(region: Region, state: str) -> Iterator[Edge]:
 
 def _all(charts: Sequence[Region]) -> Iterable[Key]:
     total = prod(len(chart.states) for chart in charts)
-    if total > MOST_MODES:
+    if total > MAX_MODES:
         raise _too_many(f"{total} modes")
     return product(*(chart.states for chart in charts))
 
@@ -223,8 +196,8 @@ def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Itera
             for place, chart in enumerate(charts):
                 targets = (edge.target for edge in chart.edges if edge.source == key[place])
                 found.update((_with(key, place, target), None) for target in targets)
-            if len(found) > MOST_MODES:
-                raise _too_many(f"more than {MOST_MODES} modes so near")
+            if len(found) > MAX_MODES:
+                raise _too_many(f"more than {MAX_MODES} modes so near")
         front = tuple(islice(found, known, None))
     return found
 
@@ -259,6 +232,6 @@ def _said(region: str, event: str, guard: str, reset: str) -> dict[str, Any]:
 
 def _too_many(found: str) -> StatechartError:
     return StatechartError(
-        f"{found}, and a graph has at most {MOST_MODES}: ask for those within fewer jumps of a "
+        f"{found}, and a graph has at most {MAX_MODES}: ask for those within fewer jumps of a "
         "mode, or for those that a run visited"
     )

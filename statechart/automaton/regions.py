@@ -1,20 +1,25 @@
-"""Parts of an automaton: regions, states and edges, margins, loads."""
+"""Regions of an automaton: states and edges, margins, loads, nesting, events of jumps.
+
+The executor knows flat edges, one for each state that is left. Drawn by a person, an edge that
+leaves every state of a superstate (Harel 1987) leaves the superstate, and edges that enter all of
+its states under one guard are one that enters it, with a choice.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from statechart.automaton.nesting import Nesting
 from statechart.formulas.relation import Relation, parse_relation
 
 if TYPE_CHECKING:
-    # Who declares a scene or a chart need not wait for it.
+    # Neither numpy nor sympy is loaded where a scene or a chart is declared.
     import sympy as sp
 
-    from statechart.automaton.trace import Role
+    from statechart.automaton.trace import Jump, Role
+    from statechart.documents.outputs import Event
     from statechart.formulas.condition import Active, Condition
     from statechart.formulas.linear import Definition
 
@@ -126,6 +131,85 @@ class Invariant:
         return found
 
 
+UNREACHED = "no transition leads there from the start"
+"""The reason why no run is in a state of `Nesting.unreached`."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A state that an edge may lead to, and what is reset on the way."""
+
+    target: str  # A state that holds no others.
+    reset: str  # As of an `Edge`.
+
+
+@dataclass(frozen=True)
+class HierarchicalEdge:
+    """Edges of a region that a person draws as one."""
+
+    cause: str  # As of an `Edge`.
+    # States or superstates. The edge leaves every state in `source`.
+    source: str
+    target: str
+    guard: str  # As of an `Edge`.
+    # Where it leads: `target` itself, or one of the states in it, which the laws choose.
+    choices: tuple[Choice, ...]
+    on_zeno: bool = False  # As of an `Edge`.
+    # Variable -> new value, of the values before.
+    updates: Mapping[str, str | int | float] = field(default_factory=dict)
+    events: tuple[str, ...] = ()  # Of other regions, that fire it.
+    internal: bool = False  # Whether it leaves no state.
+
+    @property
+    def reset(self) -> str:
+        """What it resets whatever is chosen, and "" where that depends on the choice."""
+        resets = {choice.reset for choice in self.choices}
+        return resets.pop() if len(resets) == 1 else ""
+
+
+class History(NamedTuple):
+    """A target that stands for what was last active."""
+
+    # Whether it remembers states of `parent` alone, or those in them, too.
+    depth: Literal["shallow", "deep"]
+    parent: str  # Of which it remembers.
+    initial: str  # What it stands for as long as nothing is remembered.
+
+
+@dataclass(frozen=True, eq=False)
+class Nesting:
+    """Declared states in states of a flattened region, beside its superstates."""
+
+    names: tuple[str, ...] = ()  # States and superstates in the order of the document.
+    # State of the region -> the innermost states that are active in it.
+    configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # Cause -> the causes that it stands for, where one jump takes several transitions.
+    joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    # Superstate -> the state in it that it begins with; "" is the region.
+    initial: Mapping[str, str] = field(default_factory=dict)
+    # Superstates whose states are regions: all of them are active.
+    parallel: frozenset[str] = frozenset()
+    histories: Mapping[str, History] = field(default_factory=dict)  # Name -> history.
+    # State -> updates when it is entered, or left.
+    entries: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
+    exits: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
+    edges: tuple[HierarchicalEdge, ...] = ()  # As declared, of flat regions too.
+    # States and superstates that no chain of transitions enters from the start.
+    unreached: frozenset[str] = frozenset()
+    # State -> rates of variables that it declares.
+    flows: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
+
+    def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the states that are active with one of the region, and those that hold them."""
+        found: dict[str, None] = {}
+        for name in self.configurations.get(state, (state,)):
+            found[name] = None
+            while name in superstates:
+                name = superstates[name]
+                found[name] = None
+        return tuple(found)
+
+
 @dataclass(frozen=True)
 class Claim:
     """Relations that all hold as long as a state is active, or of which one does not."""
@@ -170,7 +254,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class State:
-    """What a region contributes to a mode."""
+    """Contribution of a region to a mode."""
 
     # Each = 0, linear in the automaton's unknowns and its carriers.
     equations: tuple[sp.Expr, ...] = ()
@@ -296,3 +380,90 @@ def active_in(regions: Sequence[Region], key: Sequence[str]) -> Active:
         return state in found.active(now)
 
     return active
+
+
+def hierarchical_edges(region: Region) -> tuple[HierarchicalEdge, ...]:
+    """Return the edges of a region with as few arrows as its superstates allow.
+
+    Edges out of all states of a superstate into one state are one; then those from one source, by
+    one cause and guard, into all states of a superstate. `flat_edges` undoes it. Of a region that
+    was declared with nested states they are those of its declaration.
+    """
+    if region.nesting.configurations:
+        return region.nesting.edges
+    superstates = _outermost_first(region)
+    leaves = {name: region.within(name) for name in (*region.states, *superstates)}
+    alike: dict[tuple[str, str, str, str, bool], list[str]] = {}
+    for e in region.edges:
+        key = (e.cause, e.target, e.guard, e.reset, e.on_zeno)
+        alike.setdefault(key, []).append(e.source)
+    fans: dict[tuple[str, str, str, bool], dict[str, str]] = {}
+    for (cause, target, guard, reset, on_zeno), sources in alike.items():
+        for source in _covered(sources, superstates, leaves):
+            fans.setdefault((cause, source, guard, on_zeno), {})[target] = reset
+    return tuple(
+        HierarchicalEdge(
+            cause,
+            source,
+            target,
+            guard,
+            tuple(Choice(leaf, targets[leaf]) for leaf in leaves[target]),
+            on_zeno,
+        )
+        for (cause, source, guard, on_zeno), targets in fans.items()
+        for target in _covered(list(targets), superstates, leaves)
+    )
+
+
+def _outermost_first(region: Region) -> list[str]:
+    found = dict.fromkeys(region.superstates.values())
+    return sorted(found, key=lambda name: len(region.active(name)))
+
+
+def _covered(
+    states: Sequence[str], superstates: Sequence[str], leaves: Mapping[str, tuple[str, ...]]
+) -> list[str]:
+    """Return states, those that are all of a superstate as the superstate, where they are many."""
+    left, found = dict.fromkeys(states), dict[str, None]()
+    for name in superstates:
+        members = leaves[name]
+        if len(members) > 1 and left.keys() >= set(members):
+            found[name] = None
+            left = dict.fromkeys(state for state in left if state not in members)
+    return [*found, *left]
+
+
+def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
+    """Tell whether `jump` is `event`, by a cause or by the state entered.
+
+    A jump names one region, but may change others at the same instant (an impact that is felt at
+    every closed contact); their causes are those of the edges that they take. A region whose blows
+    have a name of their own has that of its change besides: it is struck, and lifts off.
+    """
+    if event.region is None and jump.cause == event.cause:
+        return True
+    named = event.region
+    for region, before, after in zip(regions, jump.source, jump.target, strict=True):
+        if named is not None and region.name != named:
+            continue
+        if event.cause in _causes(region, jump, before, after):
+            return True
+        if named is not None and _entered(region, before, after, event.cause):
+            return True
+    return False
+
+
+def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
+    if region.name == jump.region and jump.cause != region.blow:
+        return region.causes(jump.cause)
+    felt = region.name in jump.impulse
+    if before == after and not felt:
+        return ()
+    causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
+    hit = (region.blow,) if felt and region.blow in causes else ()
+    others = [cause for cause in causes if cause != region.blow]
+    return (*hit, jump.cause) if jump.cause in others else (*hit, *others[:1])
+
+
+def _entered(region: Region, before: str, after: str, state: str) -> bool:
+    return state in region.active(after) and state not in region.active(before)

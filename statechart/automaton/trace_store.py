@@ -61,13 +61,7 @@ class Blocks(Generic[B]):
         return self._blocks[place]
 
     def add(self, block: B) -> None:
-        """Append a block.
-
-        Raises
-        ------
-        TooLong
-            If neither memory nor the disk is to take it.
-        """
+        """Append a block; raises `TooLong` if neither memory nor the disk is to take it."""
         self._blocks.append(block)
         size = sum([part.nbytes for part in block if isinstance(part, np.ndarray)])
         self._bytes += size
@@ -211,12 +205,8 @@ def copied(buffer: TraceBuffer) -> TraceBuffer:
 class TraceStore:
     """Arcs and jumps of a run in blocks, made when they are read.
 
-    Attributes
-    ----------
-    made : dict
-        Number of jumps before it -> a jump stored as an object.
-    last : callable or None
-        Makes the jump that follows all events.
+    `made` has jumps stored as objects, by the number of jumps before each; `last`, if set, makes
+    the jump that follows all events.
     """
 
     def __init__(
@@ -292,12 +282,7 @@ class TraceStore:
 class TraceRecorder(TraceStore):
     """Records a run in a buffer; moves that to a block if it is full, and at the end.
 
-    Parameters
-    ----------
-    variables, kinds, buffer, jump
-        As of a `TraceStore`.
-    begun : bool
-        Whether the buffer holds the beginning of the run already.
+    `begun`: the buffer holds the beginning of the run already.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import groupby
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.feasibility import Feasibility
+from statechart.automaton.laws import Feasibility
 from statechart.automaton.product import Product, drawn_region, explored
 from statechart.automaton.product import visited as modes_on_path
 from statechart.automaton.regions import Region

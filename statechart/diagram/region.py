@@ -6,9 +6,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.hierarchy import hierarchical_edges
-from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
-from statechart.automaton.regions import Margin, Region
+from statechart.automaton.regions import (
+    UNREACHED,
+    HierarchicalEdge,
+    Margin,
+    Region,
+    hierarchical_edges,
+)
 from statechart.automaton.trace import Role
 from statechart.diagram.model import Chart, Link, Node
 

@@ -13,9 +13,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from statechart.automaton.hierarchy import hierarchical_edges
-from statechart.automaton.nesting import UNREACHED, HierarchicalEdge
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import UNREACHED, HierarchicalEdge, Region, hierarchical_edges
 from statechart.diagram.model import (
     Chart,
     Diagram,

@@ -1,10 +1,33 @@
-"""Dimensions and units of the names of a model, as far as they are declared."""
+"""Dimensions and units of the names of a model, declared or inferred from formulas.
+
+Dimensional analysis works as type inference does: the unit of a field is that of its formula, the
+terms of a sum have one dimension, sines take angles. No model is refused for its dimensions; they
+serve tables and axes alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
-from typing import Literal, NamedTuple
+from itertools import islice
+from typing import Any, Literal, NamedTuple
+
+from pydantic import BaseModel
+
+from statechart.errors import FormulaError
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import (
+    Binary,
+    Call,
+    Constant,
+    Name,
+    Node,
+    Number,
+    Unary,
+    children,
+    names_in,
+    nodes,
+)
 
 Dimension = Literal[
     "", "1", "length", "time", "mass", "angle", "length/time", "angle/time", "force", "impulse",
@@ -131,3 +154,213 @@ def _force(units: Mapping[str, str]) -> str:
     """Return the unit of forces where it has a name of its own."""
     known = tuple(units.get(base, "") for base in ("mass", "length", "time"))
     return units.get("force", "N" if known == ("kg", "m", "s") else "")
+
+
+Known = dict[str, Powers]
+Fact = tuple[Node, Node | Powers]
+"""A formula, and what it measures or another that measures the same."""
+
+_ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
+_OF_ANGLES = frozenset({"sin", "cos", "tan"})
+_ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
+# Every pass tells one more name at least; chains of formulas are short.
+_PASSES = 20
+_COUNTS = range(1, 13)
+# Operations of a formula that is looked at; sums of thousands of terms tell nothing new.
+_LONGEST = 200
+
+
+def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
+    """Return what names measure."""
+    found, short = _Known(known), [fact for fact in facts if _short(fact)]
+    for _ in range(_PASSES):
+        before = dict(found)
+        for left, right in short:
+            _alike(left, right, found)
+        if found == before:
+            break
+    return found
+
+
+def _short(fact: Fact) -> bool:
+    """Whether formulas are no longer than what people write for a quantity."""
+    trees = [part for part in fact if not isinstance(part, Powers)]
+    return all(sum(1 for _ in islice(nodes(tree), _LONGEST)) < _LONGEST for tree in trees)
+
+
+def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
+    """Return what a formula measures; None where that does not follow.
+
+    A small whole number in it is a number; another may convert, or stand for anything.
+    """
+    match node:
+        case Name():
+            return known.get(node.name)
+        case Number():
+            return Powers() if node.value in _COUNTS else None
+        case Constant():
+            return Powers() if node.name == "pi" else None
+        case Unary():
+            return measured(node.operand, known)
+        case Binary(operator="*" | "/", left=left, right=right):
+            first, second = measured(left, known), measured(right, known)
+            if first is None or second is None:
+                return None
+            if node.operator == "/" and _of_turn(right):
+                first = first._replace(angle=False)
+            return first.times(second, 1 if node.operator == "*" else -1)
+        case Binary(operator="**", left=left, right=Number(value=value)):
+            base = measured(left, known)
+            return None if base is None else Powers().times(base, Fraction(value))
+        case Binary(operator="+" | "-", left=left, right=right):
+            return _first((left, right), known)
+        case Call(function="sqrt", arguments=(of,)):
+            base = measured(of, known)
+            return None if base is None else Powers().times(base, Fraction(1, 2))
+        case Call(function=function, arguments=arguments):
+            if function in _ALIKE:
+                return _first(arguments, known)
+            return POWERS["angle"] if function in _ANGLES else Powers()
+    return None
+
+
+def _of_turn(node: Node) -> bool:
+    """Whether a formula is a part of a turn, or turns: an angle by 2*pi is a number of these."""
+    match node:
+        case Constant():
+            return node.name == "pi"
+        case Binary(operator="*", left=left, right=right):
+            return _of_turn(left) or _of_turn(right)
+        case Binary(operator="/", left=left):
+            return _of_turn(left)
+    return False
+
+
+def _first(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
+    """Return what parts measure that are of one kind: numbers among them say nothing."""
+    several = tuple(parts)
+    speaking = [part for part in several if not _number(part)] or several
+    return next((p for part in speaking if (p := measured(part, known)) is not None), None)
+
+
+def _number(node: Node) -> bool:
+    """Whether a formula has no names: of its own it measures nothing that could be told."""
+    return next(names_in(node), None) is None
+
+
+class _Known(Known):
+    """Dimensions of names, of which the first ones are certain."""
+
+    def __init__(self, known: Mapping[str, Powers]) -> None:
+        super().__init__(known)
+        self._certain = frozenset(known)
+
+    def note(self, name: str, powers: Powers) -> None:
+        """Note what a name measures; of an angle more is told than of a number."""
+        before = self.setdefault(name, powers)
+        if name not in self._certain and before[:3] == powers[:3] and powers.angle:
+            self[name] = powers
+
+
+def _alike(left: Node, right: Node | Powers, known: _Known) -> None:
+    """Note what follows from two formulas that measure the same."""
+    for one, other in ((left, right), (right, left)):
+        if isinstance(one, Powers):
+            continue
+        _inside(one, known)
+        powers = other if isinstance(other, Powers) else None
+        if not isinstance(other, Powers) and not _number(other):
+            powers = measured(other, known)
+        if powers is not None:
+            _expect(one, powers, known)
+
+
+def _inside(node: Node, known: _Known) -> None:
+    """Note what sums and sines in a formula tell."""
+    for part in nodes(node):
+        match part:
+            case Call(function=function, arguments=(of,)) if function in _OF_ANGLES:
+                _expect(of, POWERS["angle"], known)
+            case Binary(operator="+" | "-"):
+                whole = measured(part, known)
+                if whole is not None:
+                    _expect(part, whole, known)
+
+
+def _expect(node: Node, powers: Powers, known: _Known) -> None:
+    """Note what names in a formula measure, which as a whole is measured so."""
+    match node:
+        case Name():
+            if all(exponent.denominator == 1 for exponent in powers[:3]):
+                known.note(node.name, powers)
+        case Unary() | Binary(operator="+" | "-"):
+            for part in children(node):
+                _expect(part, powers, known)
+        case Binary(operator="*" | "/", left=left, right=right):
+            first, second = measured(left, known), measured(right, known)
+            sign = 1 if node.operator == "*" else -1
+            if sign == 1 and (_of_turn(left) or _of_turn(right)):
+                # How many turns, not the angle that they are.
+                powers = powers._replace(angle=False)
+            if first is None and second is not None:
+                _expect(left, powers.times(second, -sign), known)
+            elif first is not None and second is None:
+                rest = powers.times(first, -1)
+                # What an angle is divided by is a number of parts.
+                below = Powers().times(rest, -1)._replace(angle=False)
+                _expect(right, rest if sign == 1 else below, known)
+        case Binary(operator="**", left=left, right=Number(value=value)) if value:
+            _expect(left, Powers().times(powers, 1 / Fraction(value)), known)
+        case Call(function=function, arguments=arguments):
+            if function in _ALIKE:
+                for part in arguments:
+                    _expect(part, powers, known)
+            elif function == "sqrt":
+                _expect(arguments[0], Powers().times(powers, 2), known)
+
+
+def fields_of(part: BaseModel) -> Iterator[Fact]:
+    """Yield what the units of fields tell of the formulas in a part, and in parts of it.
+
+    A field whose formulas belong to names says so: their unit is that of each, or that per time.
+    """
+    for name, info in type(part).model_fields.items():
+        extra = info.json_schema_extra
+        words = extra.get("unit") if isinstance(extra, dict) else None
+        value = getattr(part, name)
+        if isinstance(value, Mapping) and isinstance(words, str) and words.startswith("that of"):
+            for key, text in value.items():
+                if isinstance(text, str | int | float):
+                    yield parse(text).root, rate_of(key) if "per time" in words else Name(key)
+                yield from _held(text, None)
+        else:
+            yield from _held(value, _powers(words))
+
+
+def rate_of(name: str) -> Node:
+    """Return the formula of what a rate of a name measures."""
+    return Binary("/", Name(name), Name("time"))
+
+
+def _held(value: Any, powers: Powers | None) -> Iterator[Fact]:
+    match value:
+        case BaseModel():
+            yield from fields_of(value)
+        case Mapping():
+            for item in value.values():
+                yield from _held(item, powers)
+        case list() | tuple():
+            for item in value:
+                yield from _held(item, powers)
+        case str() if powers is not None:
+            yield parse(value).root, powers
+
+
+def _powers(words: object) -> Powers | None:
+    """Return what the unit of a field stands for, such as mass length**2."""
+    if not isinstance(words, str):
+        return None
+    try:
+        return measured(parse(words.replace(" ", "*")).root, POWERS)
+    except FormulaError:
+        return None

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.coordinate_reconstruction import Reconstruction
+from statechart.automaton.modes import Reconstruction
 from statechart.automaton.regions import Mode
 from statechart.engines.event_location import Search
 from statechart.engines.path import Path

@@ -11,9 +11,8 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.coordinate_reconstruction import ModeReconstruction, mode_reconstruction
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
-from statechart.automaton.modes import build_mode, captured
+from statechart.automaton.modes import ModeReconstruction, build_mode, captured, mode_reconstruction
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine

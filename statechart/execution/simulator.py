@@ -15,7 +15,7 @@ from statechart.arrays import Array, Bools
 from statechart.automaton.automaton import Automaton, Places
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping
-from statechart.automaton.sampling import Sampling
+from statechart.automaton.time_stepper import Sampling
 from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
 from statechart.automaton.trace_store import (
     Kind,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from statechart.automaton.sampling import Sample, Sampling, in_order
+from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Outcome
 from statechart.execution.execution import Execution
 from statechart.execution.outcome import error_of

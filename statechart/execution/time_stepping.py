@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from statechart.automaton.recording_policy import OutputStream, RecordingPolicy
-from statechart.automaton.time_stepper import USUAL, Impulses, TimeStepper
+from statechart.automaton.time_stepper import (
+    USUAL,
+    Impulses,
+    OutputStream,
+    RecordingPolicy,
+    TimeStepper,
+)
 from statechart.documents.setting import Record
 from statechart.errors import SimulationError
 
 if TYPE_CHECKING:
     from statechart.automaton.automaton import Automaton
-    from statechart.automaton.sampling import Sampling
+    from statechart.automaton.time_stepper import Sampling
     from statechart.automaton.trace import Arc, Jump, Trace
 
 

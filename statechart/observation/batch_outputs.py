@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.automaton.events import happened
+from statechart.automaton.regions import happened
 from statechart.automaton.trace import Jump, Key
 from statechart.automaton.trace_store import TraceBuffer, event_of
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
@@ -36,8 +36,8 @@ from statechart.kernels.extremes import widen
 from statechart.kernels.jit import entry, kernel, part
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import tape_values
-from statechart.observation.flows import Where, seen, wanted
 from statechart.observation.observer import Observer
+from statechart.observation.sampling import Where, seen, wanted
 
 OutputValue = float | int | list[float] | None
 """A number; a list for a value at `each` event; None where the event never happened."""

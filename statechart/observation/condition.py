@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.regions import Margin, whole_margins
 from statechart.automaton.trace import Arc, Jump, Trace, sizes
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
 
 # The step of central differences that balances truncation and rounding, relative to a variable.
-_STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
+_STEP = EPS ** (1.0 / 3.0)
 
 
 def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:

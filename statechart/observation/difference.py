@@ -1,4 +1,4 @@
-"""How far two runs of one model are apart: the estimate behind an accuracy that was asked for."""
+"""Distance of two runs of one model: the error estimate behind an accuracy that was asked for."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _NONE = Compared("", 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two runs of one model differ, each number relative to the scale of its kind."""
+    """Differences of two runs of one model, each number relative to the scale of its kind."""
 
     state: float  # Of the final state; inf where the runs ended for different reasons.
     times: float  # Of the times of the events that both have and of the end, relative to the end.
@@ -82,22 +82,12 @@ def compare(
     brief: float = 0.0,
     nothing: float = 0.0,
 ) -> Difference:
-    """Compare two runs; a number that is not finite in both must be the same.
+    """Compare two runs of one model from one start, and their outputs.
 
-    Parameters
-    ----------
-    coarse, fine : Trace
-        Two runs of one model from one start.
-    coarse_outputs, fine_outputs : mapping
-        Their outputs.
-    scales : Scales
-        From `Outputs.scales` of one of the runs; what it does not have is as large as itself.
-    endless : collection of str
-        Outputs whose number of events has no limit: only those that both runs have are compared.
-    brief : float
-        As in `paired`.
-    nothing : float
-        What is no larger is the rounding of zero, whatever else is in the run.
+    A number that is not finite in both must be the same. A number without a scale (from
+    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number
+    of events has no limit, only those that both runs have are compared. `brief`: as in `paired`.
+    What is no larger than `nothing` is the rounding of zero, whatever else is in the run.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome

@@ -1,16 +1,21 @@
-"""Points of hybrid time: grids along the arcs of a run."""
+"""Points of hybrid time: grids along arcs, instants, and the equations that hold there."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import sympy as sp
 from numpy.typing import NDArray
 
 from statechart.arrays import Array
-from statechart.automaton.trace import Arc, Key, Roles, Trace
+from statechart.automaton.laws import roles_in
+from statechart.automaton.regions import Mode, Region
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.tabular import shortest
 
 
@@ -29,14 +34,25 @@ class Samples:
 class Points:
     """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end.
 
-    unknowns: (m, u) array where they are known as numbers, else None.
+    Roles of the flows, and the unknowns (m, u) where they are known as numbers (else None), are
+    looked up for formulas that need them.
     """
 
     times: Array
     states: Array
-    roles: Sequence[Roles]
     ends: Sequence[int]
-    unknowns: Array | None = None
+    roles: Callable[[], Sequence[Roles]]
+    unknowns: Callable[[], Array | None]
+
+
+class Instant(NamedTuple):
+    """A point of hybrid time at the start of a flow, or at its end."""
+
+    t: float
+    state: Array
+    j: int  # Number of jumps before it.
+    mode: Key
+    ends: bool
 
 
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
@@ -58,14 +74,46 @@ def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     """Return the points of arcs at local times, one array of them an arc."""
     pairs = list(zip(arcs, local, strict=True))
-    known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
+
+    def unknowns() -> Array | None:
+        known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
+        return np.concatenate(known) if known else None
+
     return Points(
         np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
         np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        [arc.roles for arc in arcs],
         np.cumsum([len(tau) for tau in local]).tolist(),
-        np.concatenate(known) if known else None,
+        lambda: [arc.roles for arc in arcs],
+        unknowns,
     )
+
+
+def at_instants(trace: Trace, instants: Sequence[Instant], width: int) -> Points:
+    """Return the points of instants of a run that solves for, or sets, `width` numbers."""
+    return Points(
+        np.array([one.t for one in instants]),
+        np.array([one.state for one in instants]).reshape(-1, len(trace.variables)),
+        range(1, len(instants) + 1),
+        lambda: [roles_at(trace, one.j, one.mode, ends=one.ends) for one in instants],
+        lambda: _solved_rows(trace, instants, width),
+    )
+
+
+def start_of(trace: Trace) -> Instant:
+    """Return the start of a run, before any jump."""
+    return Instant(0.0, trace.initial, 0, trace.start_mode, False)
+
+
+def end_of(trace: Trace) -> Instant:
+    """Return the end of a run, after all jumps."""
+    return Instant(trace.t_end, trace.final, len(trace.jumps), trace.final_mode, True)
+
+
+def side_of(jump: Jump, before: bool) -> Instant:
+    """Return the instant just before a jump, or just after it."""
+    if before:
+        return Instant(jump.t, jump.before, jump.j, jump.source, True)
+    return Instant(jump.t, jump.after, jump.j + 1, jump.target, False)
 
 
 def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
@@ -85,3 +133,77 @@ def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
         arcs.append(arc)
         local.append(np.clip(tau, 0.0, arc.duration))
     return arcs, local
+
+
+Where = tuple[tuple[str, str], ...]
+"""Regions, and the states or superstates that they have to be in."""
+
+
+def wanted(during: Sequence[Mapping[str, str]]) -> tuple[Where, ...]:
+    """Return regions and states as they are declared, as `places_in` takes them."""
+    return tuple([tuple(states.items()) for states in during])
+
+
+def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> list[int]:
+    """Return which of `where` hold in the mode `key`; superstates are states, too."""
+    states = {region.name: region.active(state) for region, state in zip(regions, key, strict=True)}
+    return [
+        place
+        for place, wanted in enumerate(where)
+        if all(state in states[region] for region, state in wanted)
+    ]
+
+
+def seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
+    """Return expressions as others see a mode: without the forces that it hides."""
+    hidden = mode.hidden if mode else {}
+    return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
+
+
+def _place(arcs: Sequence[Arc], j: int, ends: bool) -> int:
+    """Return the last arc after up to `j` jumps, or the first after so many or more."""
+    if ends:
+        return bisect_right(arcs, j, key=lambda arc: arc.j) - 1
+    return bisect_left(arcs, j, key=lambda arc: arc.j)
+
+
+def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
+    """Return the roles whose equations hold after `j` jumps, in the mode shown as `mode`.
+
+    `ends`: at the end of that time, else at its start.
+    """
+    arcs, place = trace.arcs, _place(trace.arcs, j, ends)
+    if 0 <= place < len(arcs) and arcs[place].j == j and arcs[place].mode == mode:
+        return arcs[place].roles
+    # A stop, for one, changes nothing: the arc before it goes on.
+    if j > 0 and trace.jumps[j - 1].source == trace.jumps[j - 1].target == mode:
+        return roles_at(trace, j - 1, mode, ends=True)
+    return roles_in(mode)
+
+
+def _solved_rows(trace: Trace, instants: Sequence[Instant], width: int) -> Array | None:
+    """Return what steps have solved for at instants.
+
+    None where modes have to be solved for it; not a number where nothing flowed.
+    """
+    if trace.step is None:
+        return None
+    rows = np.full((len(instants), width), np.nan)
+    for row, one in zip(rows, instants, strict=True):
+        if trace.arcs:
+            place = min(max(_place(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
+            solved = trace.arcs[place].solved
+            assert solved is not None
+            row[:] = solved[-1 if one.ends else 0]
+    return rows
+
+
+def passed(trace: Trace) -> list[Jump]:
+    """Return the jumps after which nothing flowed: into modes of no duration, and the last.
+
+    None of steps, whose arcs hold all states that their jumps lead through.
+    """
+    if trace.step is not None:
+        return []
+    flowed = {arc.j for arc in trace.arcs}
+    return [trace.jumps[j] for j in range(len(trace.jumps)) if j + 1 not in flowed]

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,7 @@ from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError
-from statechart.observation.grazes import grazes
-from statechart.observation.grazes import told as graze_warnings
+from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.pieces import Pieces
@@ -132,14 +132,13 @@ class Result:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """Return tables of outputs and events, and the figure if there is one, for a notebook."""
-        from statechart.reporting.notebook import html
+        """Return the moving page of the run in a frame, for a notebook."""
+        from statechart.pages.page import frame, html
 
         try:
-            drawn: Figure | str = self.plot()
+            return frame(html(_page_content(self, None)))
         except StatechartError as error:  # what a run has not recorded is no reason to show nothing
-            drawn = str(error)
-        return html(self.to_dict(), drawn)
+            return f"<pre>{escape(str(self))}</pre><p>{escape(str(error))}</p>"
 
     @property
     def events(self) -> pd.DataFrame:

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from statechart.automaton.laws import Setup
-from statechart.automaton.sampling import Control
+from statechart.automaton.time_stepper import Control
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
 from statechart.documents.hints import checked
 from statechart.documents.setting import Record, Setting, SettingWords
-from statechart.documents.validation import located
+from statechart.documents.validation import Document, located
 from statechart.engines.budget import Allowance
 from statechart.engines.request import Measured, planned
 from statechart.errors import DeclarationError, FormulaError
@@ -30,9 +29,8 @@ from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
-from statechart.running.accuracy import AccuracyRequest
+from statechart.running.accuracy import AccuracyRequest, RunPlanner
 from statechart.running.inputs import RunInputs, as_overrides
-from statechart.running.planner import RunPlanner
 from statechart.running.result import Result
 
 

@@ -300,7 +300,7 @@ class _Structure:
 
     def _word(self, key: Key) -> str:
         """Return the name of a mode: its regions that have states to tell apart."""
-        regions = self.runner.automaton.told(key)
+        regions = self.runner.automaton.recorded_regions(key)
         states = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
         if len(states) < 2:
             return states[0][1] if states else key[0]

@@ -1,14 +1,12 @@
 """Properties of runs, for users' tests and for `statechart check`.
 
-`subject` compiles a model for its engines and makes its cases, which `strategies` draws; what must
-hold of every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards`,
-of `relation_truth`, and that two runs are in `agreement`, by the `event_sequences` that they tell;
-`checking` tests these by Hypothesis and reports.
+`subject` compiles a model for its engines, draws its cases and makes their runs; what must hold of
+every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards` and
+relations, and that two runs are in `agreement`; `checking` tests these by Hypothesis and reports.
 """
 
-from statechart.testing.agreement import Sensitivity, Undecidable, assert_same
-from statechart.testing.event_sequences import Reading
-from statechart.testing.guards import assert_invariants, assert_margins, dense
+from statechart.testing.agreement import Reading, Sensitivity, Undecidable, assert_same
+from statechart.testing.guards import assert_invariants, assert_margins, assert_relations, dense
 from statechart.testing.hybrid_time import assert_continuous, assert_edges, assert_ordered
 from statechart.testing.properties import (
     Property,
@@ -18,14 +16,11 @@ from statechart.testing.properties import (
     assert_start,
     generic,
 )
-from statechart.testing.relation_truth import assert_relations
-from statechart.testing.strategies import (
-    parameters,
-    ranges,
-)
 from statechart.testing.subject import (
     Case,
     Subject,
+    parameters,
+    ranges,
 )
 
 __all__ = [

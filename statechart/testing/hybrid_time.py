@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import ROUND_OFF, Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.tabular import several, shortest
 
-ROUNDING = 1e-13
-"""Relative round-off of sums: some units in the last place of their terms."""
 _CONTINUOUS = 100.0
 
 
@@ -24,7 +22,7 @@ def assert_ordered(trace: Trace) -> None:
     """
     t, j = 0.0, 0
     # Steps of one length add up to it with their roundings.
-    allowed = ROUNDING * trace.t_end if trace.step is not None else 0.0
+    allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
     points = sorted(
         [(arc.j, 1, arc.start.high, arc.end.high) for arc in trace.arcs]
         + [(jump.j, 2, jump.t, jump.t) for jump in trace.jumps],
@@ -82,7 +80,7 @@ def assert_continuous(trace: Trace) -> None:
     """
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
-    error = ROUNDING if trace.step is not None else max(trace.tolerance, ROUNDING)
+    error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
     allowed = _CONTINUOUS * error * sizes + projected(trace)
     state, j = trace.initial, 0
     for arc in trace.arcs:

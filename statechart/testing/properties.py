@@ -25,14 +25,13 @@ import numpy as np
 from statechart.automaton.trace import Outcome, Role, Trace
 from statechart.tabular import shortest
 from statechart.testing.agreement import Undecidable, assert_same
-from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins
+from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins, assert_relations
 from statechart.testing.hybrid_time import (
     assert_continuous,
     assert_edges,
     assert_ordered,
     projected,
 )
-from statechart.testing.relation_truth import assert_relations
 from statechart.testing.subject import Case, Subject
 
 # A start that is inside a constraint by so little is brought onto it.

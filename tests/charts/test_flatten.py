@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.charts.chart import Region
-from statechart.charts.flat_region import FlatRegion
-from statechart.charts.flatten import flatten
+from statechart.charts.flatten import FlatRegion, flatten
 from statechart.documents.outputs import parse_events
 from statechart.errors import DeclarationProblem
 from tests.charts.scxml import EVENTS, Interpreter, numbered, random_region

@@ -15,7 +15,7 @@ import pytest
 import xarray as xr
 from runs import without_compilation
 
-from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.scene_stepper import SteppedScene
 from statechart import interrupts
 from statechart.cli.main import main
 from statechart.errors import StatechartError

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from statechart.automaton.nesting import UNREACHED
+from statechart.automaton.regions import UNREACHED
 from statechart.diagram.dot import dot
 from statechart.diagram.layout.graphviz_program import render
 from statechart.diagram.mermaid import mermaid

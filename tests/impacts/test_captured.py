@@ -134,7 +134,8 @@ def test_feet_that_rattle_bear_together_only_when_they_have_come_to_rest(name: s
 def test_as_many_bounces_are_resolved_wherever_the_origin_is(
     name: str, base: float, e: float, count: int
 ) -> None:
-    trace = run(_drop(), name, until=4.0, base=base, e=e, mu=0.1, v=0.3, h=0.25, part=99)
+    values = {"base": 0.0, "e": e, "mu": 0.1, "v": 0.3, "h": 0.25, "part": 99.0}
+    trace = drop(name).run({**values, "base": base}, until=4.0)
     found = [jump.t for jump in trace.jumps if jump.cause == "touchdown"]
     (rests,) = (jump.t for jump in trace.jumps if jump.cause == "zeno")
     if name == "taylor":
@@ -142,6 +143,6 @@ def test_as_many_bounces_are_resolved_wherever_the_origin_is(
         expected = math.sqrt(2.0 * 0.25 / 9.81) * (1.0 + e) / (1.0 - e)
         assert rests == pytest.approx(expected, abs=1e-12 + 4e-16 * base)
     else:
-        alone = run(_drop(), name, until=4.0, base=0.0, e=e, mu=0.1, v=0.3, h=0.25, part=99)
+        alone = drop(name).run(values, until=4.0)
         others = [jump.t for jump in alone.jumps if jump.cause == "touchdown"]
         assert len(found) == len(others)

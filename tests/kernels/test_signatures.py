@@ -95,7 +95,7 @@ def test_every_kernel_has_one_signature():
     assert {
         "statechart.kernels.jets.run_jets",
         "statechart.kernels.boxes.enclose",
-        "contacts.modes.fast_classification.classify",
+        "contacts.modes.classification.classify",
         "contacts.time_stepping.scene_step.step_scene",
         "contacts.rigid_bodies.body_step.step_bodies",
     } <= compiled.keys()

@@ -10,8 +10,8 @@ from runs import ENGINES, engine, golden
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.event_driven.laws import SceneLaws
+from contacts.impacts.jamming import paradoxes
 from contacts.kind import automaton
-from contacts.modes.painleve import paradoxes
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Outcome, Trace

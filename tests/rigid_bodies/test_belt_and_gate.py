@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.body_properties import assert_free_fall
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import statechart
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from contacts.testing.symmetry import mirrored, rescaled
 from statechart.automaton.trace import Outcome

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret

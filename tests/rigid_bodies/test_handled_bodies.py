@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy.integrate import solve_ivp
 
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.body_properties import assert_depths
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from heaps import heap
 
-from contacts.rigid_bodies import stepped_heap
+from contacts.rigid_bodies import rigid_body_run
 from contacts.rigid_bodies.body_step import step_bodies
-from contacts.rigid_bodies.mass_ratios import ratio_remarks
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.island_step import ratio_remarks
 from contacts.testing.body_properties import assert_depths, assert_energy_of_steps
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
@@ -109,7 +109,7 @@ def test_heaps_beside_each_other_take_as_many_steps_at_once_as_one(monkeypatch):
             calls.append(None)
             return step_bodies(*arguments)
 
-    monkeypatch.setattr(stepped_heap, "step_bodies", Counted())
+    monkeypatch.setattr(rigid_body_run, "step_bodies", Counted())
     trace = Runner(interpret(read_text(TWENTY))).run().trace
     assert trace.counts["most_contacts"] == 600
     assert len(calls) < 12

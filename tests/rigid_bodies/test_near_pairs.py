@@ -23,7 +23,7 @@ def test_pairs_are_those_of_brute_force_as_bodies_move(seed: int, large: int) ->
     sizes = random.uniform(0.2, 0.6, count)
     sizes[:large] = 5.0
     centres, rates = random.uniform(-5.0, 5.0, (count, 2)), random.normal(0.0, 0.02, (count, 2))
-    grid = Grid.room(count, 4000)
+    grid = Grid.allocate(count, 4000)
     for k in range(40):
         centres += rates
         if k == 20:  # one is somewhere else
@@ -40,7 +40,7 @@ def test_pairs_are_those_of_brute_force_as_bodies_move(seed: int, large: int) ->
 
 def test_too_little_place_is_told_until_there_is_enough() -> None:
     centres, sizes = np.zeros((5, 2)), np.ones(5)
-    assert near_pairs.as_written(centres, sizes, np.zeros(5), Grid.room(5, 9)) == -1
-    grid = Grid.room(5, 10)
+    assert near_pairs.as_written(centres, sizes, np.zeros(5), Grid.allocate(5, 9)) == -1
+    grid = Grid.allocate(5, 10)
     assert near_pairs.as_written(centres, sizes, np.zeros(5), grid) == 10
     assert near_pairs.as_written(centres + 9.0, sizes, np.zeros(5), grid) == 10

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from contacts.rigid_bodies import stepped_heap
+from contacts.rigid_bodies import rigid_body_run
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import StepTooLarge
 from statechart.loading.load import interpret
@@ -137,7 +137,7 @@ def bridge(mass, step):
 
 
 def test_joints_that_add_energy_end_the_run(monkeypatch):
-    monkeypatch.setattr(stepped_heap, "_ADDED", 1e-3)
+    monkeypatch.setattr(rigid_body_run, "_ADDED", 1e-3)
     with pytest.raises(StepTooLarge, match=r"joints have added .* take") as caught:
         Runner(interpret(read_text(bridge(500, 1e-3)))).run()
     assert 1e-6 < float(str(caught.value).rsplit("take ", 1)[1].split()[0]) < 1e-2

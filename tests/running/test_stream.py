@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from statechart.automaton.sampling import Sample
+from statechart.automaton.time_stepper import Sample
 from statechart.automaton.trace import Arc, Jump
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode, SimulationError

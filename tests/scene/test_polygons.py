@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from contacts.scene.polygons import check_polygon
+from contacts.scene.checks import check_polygon
 from statechart.errors import DeclarationProblem
 
 Corners = list[tuple[float, float]]

@@ -17,12 +17,11 @@ from statechart.charts.chart import Chart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret, load
+from statechart.testing.agreement import Reading
 from statechart.testing.checking import check, examine
-from statechart.testing.event_sequences import Reading
 from statechart.testing.guards import assert_invariants, assert_margins, dense
 from statechart.testing.properties import assert_prefix, generic
-from statechart.testing.strategies import ranges
-from statechart.testing.subject import Subject
+from statechart.testing.subject import Subject, ranges
 
 
 def model(text):

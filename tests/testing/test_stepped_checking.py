@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from contacts.rigid_bodies.outlines import body_numbers
+from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.assertions import assert_in_cone
 from contacts.testing.body_properties import (
     assert_depths,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.time_stepping import loop
+from contacts.time_stepping import stepper
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import Steps
 from statechart.automaton.clock import Clock
@@ -47,7 +47,7 @@ def test_what_is_too_much_to_keep_is_made_anew(monkeypatch: pytest.MonkeyPatch) 
     kept = run(n=12)
     assert kept.arcs[3] is kept.arcs[3]
     # Of what a run keeps polynomials would be more than a trace may take.
-    monkeypatch.setattr(loop, "LARGEST", 1000)
+    monkeypatch.setattr(stepper, "LARGEST", 1000)
     passing = run(n=12)
     assert passing.arcs[3] is not passing.arcs[3]
     assert passing.at_hand() is passing
@@ -64,7 +64,7 @@ def test_what_is_too_much_to_keep_is_made_anew(monkeypatch: pytest.MonkeyPatch) 
 
 def test_steps_of_a_chunk_that_ends_early_hold_their_own_memory() -> None:
     """Of room for 500 steps, 3 of which were taken, no more than these is kept."""
-    chunk = Chunk.room(1e-3, np.zeros(12), 6, 2, 500).first(3)
+    chunk = Chunk.allocate(1e-3, np.zeros(12), 6, 2, 500).first(3)
     steps = Steps.of(chunk, np.zeros(3, np.bool_), 6, Clock())
     for rows in (steps.states, steps.solved, steps.felt, steps.struck):
         owner = rows if rows.base is None else rows.base

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from contacts.time_stepping import loop
-from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping import stepper
+from contacts.time_stepping.scene_stepper import SteppedScene
 from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
@@ -98,7 +98,7 @@ def test_it_does_not_matter_how_many_steps_are_taken_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = run(TOWED, 1e-3)
-    monkeypatch.setattr(loop, "_CHUNK", 7)
+    monkeypatch.setattr(stepper, "_CHUNK", 7)
     parts = run(TOWED, 1e-3)
     assert whole.final.tobytes() == parts.final.tobytes()
     assert [jump.t for jump in whole.jumps] == [jump.t for jump in parts.jumps]

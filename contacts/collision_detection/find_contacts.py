@@ -1,0 +1,420 @@
+"""Contact detection at the middle of a step, and the choice of active contacts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.active_contacts import (
+    ActiveContacts,
+    turning_change,
+    warm_start,
+    write_contact,
+)
+from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.broad_phase import Grid, near_pairs
+from contacts.collision_detection.convex import FOUND, between
+from contacts.collision_detection.ground import POINTS, Ground, carried_along, is_far, on_surface
+from contacts.collision_detection.internal_edges import drop_internal_edges, met_by_faces
+from contacts.collision_detection.joints import held
+from contacts.collision_detection.midpoint import TOUCHING, Midpoint
+from contacts.collision_detection.obstacles import (
+    COVERING,
+    Neighbours,
+    list_neighbours,
+    near_obstacles,
+    sort_pairs,
+)
+from contacts.collision_detection.surfaces import PLATE, ROUND
+from contacts.collision_detection.time_of_impact import (
+    entered_elsewhere,
+    hits_ahead,
+    hits_turning,
+    nearby,
+    overlap,
+    passing_time,
+    turning,
+)
+from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
+from statechart.arrays import Array, Ints
+from statechart.kernels.copies import put
+from statechart.kernels.jit import beside, part
+
+CROSSED = 0.5
+"""Bodies that cross less than this part of their size in a step are looked at once."""
+
+
+class CandidatePair(NamedTuple):
+    """A piece of a body, and what it may touch."""
+
+    # The piece; another, or a surface, which stand behind all pieces.
+    p: int
+    q: int
+    # Of the piece; which other body it touches, also one that carries a surface, or -1.
+    body: int
+    other: int
+    key: int  # See `Memory`.
+    material: int  # Which law they touch by; -1: they do not.
+    # Whether both are pieces; both discs; one a surface that moves, and no body.
+    whole: bool
+    discs: bool
+    moves: bool
+    # Whether the step is short beside how fast pieces move: all that looks closer at what is fast
+    # is within its error; whether they turn much in it.
+    slowly: bool
+    turns: bool
+    size: float  # Of the smaller one.
+
+
+@part
+def candidate_pair(
+    numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float
+) -> CandidatePair:
+    """Return a piece and what it may touch."""
+    pieces, surfaces = numbers.pieces, numbers.surfaces
+    count, b = len(pieces.sizes), pieces.bodies[p]
+    s, key = q - count, p * (count + len(surfaces.kinds)) + q
+    if s < 0:
+        other = pieces.bodies[q]
+        touch = other != b and not held(numbers.joints, b, other)
+        material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
+        size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
+        turns = since * turning(numbers, mid, p, q) > CROSSED * min(
+            pieces.cores[p], pieces.cores[q]
+        )
+        slowly = not turns and nearby(mid.drifts, pieces.sizes, p, q, CROSSED / since)
+        return CandidatePair(p, q, b, other, key, material, True, discs, False, slowly, turns, size)
+    other = surfaces.carriers[s]
+    material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
+    moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
+    return CandidatePair(p, q, b, other, key, material, False, False, moves, True, False, size)
+
+
+# What is past another, within this part of their radii, since the last detection has missed it; and
+# of what crosses much of its size in a step, where farther out it approaches at a tenth of its
+# speed.
+_CORE, _WHOLE = 0.9, 0.995
+# Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
+_SUNK = 0.25
+# Of that size: so much deeper than it starts, which is checked before the run, something may be at
+# the first detection.
+_STARTED = 1e-5
+LANDED = 0.5
+"""What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
+fastest goes in a step."""
+
+
+APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
+"""What a detection keeps the largest of; see `DetectionResult`."""
+
+
+class DetectionResult(NamedTuple):
+    """Result of contact detection."""
+
+    contacts: int  # That take part; -1: more than there is place for.
+    # The fastest approach of what touches; the deepest that an impact is.
+    approach: float
+    closing: float
+    passed: float  # See `contacts.time_stepping.chunk.Chunk`.
+    # By how much the deepest that was not known yet is deeper than two detections explain; or how
+    # deep is what is hit, where that is much beside its size, or what approaches, where that is
+    # more than a step at the fastest approach.
+    sunk: float
+    # Twice what turning has changed the normal velocity of what lasts by, at most: in a step this
+    # makes how deep it may get.
+    turned: float
+
+
+class _Times(NamedTuple):
+    """Times of contact detection."""
+
+    # Length of the step; since the last detection. Between detections bodies move in straight
+    # lines.
+    h: float
+    since: float
+    fall: float  # What gravity makes of rest in a step.
+    first: bool  # Whether there was no detection before.
+    lowest: float  # A contact is kept no deeper; where the run starts it may be.
+
+
+class _Points(NamedTuple):
+    """Contact points of a pair, and the workspace of their search."""
+
+    # (m, FOUND): see `contacts.collision_detection.convex.between`.
+    found: Array
+    features: Ints
+    aside: Array  # (m, FOUND): of the same pair at another time.
+    # (5,): what a detection has found so far of `APPROACH`, `CLOSING`, `PASSED`, `SUNK` and
+    # `TURNED`.
+    worst: Array
+
+
+@part
+def _note(points: _Points, what: int, value: float) -> None:
+    """Keep the largest that a detection has found."""
+    points.worst[what] = max(points.worst[what], value)
+
+
+@part
+def _of_pieces(
+    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
+) -> int:
+    """Find the points where two pieces are near each other, and whether they have passed."""
+    pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
+    radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
+    # Of what grazes the approach is slow.
+    core = _CORE if pair.slowly else _WHOLE
+    if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
+        begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
+        if -since < begin and begin + end < 0.0:
+            _note(points, PASSED, (end - begin) / times.h)
+    else:
+        deep = (1.0 - core) * (cores[p] + cores[q])
+        past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.aside)
+        _note(points, PASSED, past / times.h)
+    return between(
+        mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
+        mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
+        mid.reach[p] + mid.reach[q], points.found, points.features,
+    )  # fmt: skip
+
+
+@part
+def _met(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
+    points: _Points, near: Neighbours,
+) -> int:  # fmt: skip
+    """Find the points where a pair is near each other; return their number."""
+    pieces, (found, features) = numbers.pieces, points[:2]
+    if pair.whole:
+        count = _of_pieces(numbers, mid, pair, times, points)
+    else:
+        s = pair.q - len(pieces.sizes)
+        count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, found, features)
+        _note(points, PASSED, crosses)
+    # How deep a piece is counts where no face of it is left to touch, too.
+    for at in range(count):
+        mid.gaps[pair.body] = min(mid.gaps[pair.body], found[at, 4])
+        if pair.other >= 0:
+            mid.gaps[pair.other] = min(mid.gaps[pair.other], found[at, 4])
+    for turn in range(2 if count > 0 else 0):
+        several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
+        # A half-plane has one normal: others beside what touches it take none away.
+        if pair.whole or several or numbers.surfaces.kinds[s] in (PLATE, ROUND):
+            count = _bared(numbers, ground, mid, pair, turn, times.h, points, near, count)
+    return count
+
+
+@part
+def _bared(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
+    points: _Points, near: Neighbours, count: int,
+) -> int:  # fmt: skip
+    """Leave out contacts with internal edges of the first of a pair, or of the second.
+
+    Where none is left of an overlap, its faces are touched: a sharp corner that is in the angle of
+    two of them is less deep along its own normals.
+    """
+    found, features = points.found, points.features
+    sides = (pair.p, pair.q) if turn == 0 else (pair.q, pair.p)
+    many = near_obstacles(numbers, ground, mid, sides, near, h, found, count)
+    if many <= 1:
+        return count
+    covering, side = near.covering[:many], 2.0 * turn - 1.0
+    count, barred = drop_internal_edges(
+        numbers, ground, mid, sides, covering, side, found, features, count
+    )
+    if count == 0 and barred:
+        count = met_by_faces(numbers, ground, mid, sides, side, pair.whole, found, features)
+        if count > 0:
+            count, _ = drop_internal_edges(
+                numbers, ground, mid, sides, covering, side, found, features, count
+            )
+    return count
+
+
+@part
+def _strikes(
+    numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
+    nearing: float, alike: bool, points: _Points,
+) -> bool:  # fmt: skip
+    """Whether what is near and fast is hit: it may pass beside the other.
+
+    What is `alike` was known at the last detection, or is slow: it meets where it is near.
+    """
+    h, nx, ny, gap = times.h, point[0], point[1], point[4]
+    if gap > 0.0 and pair.discs:
+        radii = numbers.pieces.radii
+        apart = radii[pair.p] + radii[pair.q]
+        touch, _ = overlap(mid.centres, mid.drifts, pair.p, pair.q, apart)
+        if touch > h:
+            return False
+    if alike:
+        return True
+    if pair.turns and gap > 0.0:
+        until = (0.5 + BESIDE) * h
+        return hits_turning(numbers, mid, (pair.p, pair.q), gap, until, points.aside)
+    meets, crossed = hits_ahead(
+        numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.aside
+    )
+    _note(points, PASSED, crossed)
+    return meets
+
+
+@part
+def _kept_up(
+    memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
+    above: float, active: ActiveContacts,
+) -> float:  # fmt: skip
+    """Write what a contact's velocities may not fall below; return how turning changed the normal.
+
+    On the way to the next detection it is to be where it is kept, and the velocities of what sticks
+    to be none on average. What is deeper than turning takes it was moved there by a change of
+    features: it goes back no faster than forces take it, or than it came. So is what bears nothing
+    any more and is not out yet: nothing kicks it. What leaves as its force falls to zero turns no
+    faster than forces move it.
+    """
+    h, since, turn, shift = times.h, times.since, 0.0, 0.0
+    if place >= 0 and memory.contacts[place, 1] != 0.0:
+        turn, shift = turning_change(memory, place, m, active)
+    if not lasting and abs(turn) > gained:
+        turn = shift = 0.0
+    if above < 0.0:
+        above = min(above - 0.5 * since * min(turn, 0.0), 0.0)
+    back, part = max(0.5 * gained, -active.before[m, 0]), 0.5 * h / since
+    active.wanted[m, 0] = max(above / h + part * turn, -back)
+    active.wanted[m, 1] = part * shift
+    return turn
+
+
+@part
+def _takes_part(
+    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
+    times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
+) -> bool:  # fmt: skip
+    """Whether a pair touches at a point in this step, which is written as contact m then.
+
+    What is remembered of the pair begins `at_old`.
+    """
+    h, point, feature = times.h, points.found[at], points.features[at]
+    gap = point[4]
+    known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair.key
+    level, lasting, place = warm_start(memory, at_old, pair.key, feature, h, m, active)
+    write_contact(mid, pair.body, pair.other, point, m, active)
+    if pair.moves:
+        s = pair.q - len(numbers.pieces.sizes)
+        pull = carried_along(ground, numbers.surfaces, s, point, h, m, active)
+        mid.pull[pair.body] = max(mid.pull[pair.body], pull)
+    nearing = -active.before[m, 0]
+    gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
+    slow = SLOW * max(gained, TOUCHING * pair.size / h)
+    if gap < 0.0 and not known:
+        explained = times.since * max(memory.past[1], nearing, slow)
+        if times.first:
+            explained += _STARTED * pair.size + LANDED * memory.past[2]
+        _note(points, SUNK, -gap - explained)
+    # Struck in the step whose middle is nearest to the instant of touching.
+    role, level, above = arriving(
+        gap, level, lasting, nearing, active.free[m, 0], slow, 0.5 + BESIDE, 0.0, h
+    )
+    alike = known or pair.slowly
+    if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, alike, points):
+        role = APART
+    if gap < 0.0 and -nearing > slow and not alike:
+        # It leaves: if it was not in it before, it came by another side. What was before a step
+        # that is shorter than the last one, the look at the end of that has told.
+        where, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
+        _note(points, PASSED, entered_elsewhere(numbers, mid, *where, since, points.aside))
+    if role == APART:
+        return False
+    active.memory[m, 3] = above
+    _note(points, APPROACH, nearing)
+    if nearing > slow and -gap > max(memory.past[2], h * nearing):
+        _note(points, SUNK, -gap)
+    if role == HIT:
+        active.wanted[m, 0] = -numbers.materials[pair.material, 2] * nearing
+        active.wanted[m, 1] = 0.0
+        _note(points, CLOSING, -gap)
+        if -gap > _SUNK * pair.size:
+            _note(points, SUNK, -gap)
+    else:
+        # No deeper than an impact leaves a contact does it stay.
+        above, level = min(above, gap + times.lowest), max(level, -times.lowest)
+        turn = _kept_up(memory, place, lasting, m, times, gained, above, active)
+        # Half of it is let be, half is in the way to the next detection.
+        _note(points, TURNED, 2.0 * abs(turn))
+    if not lasting:
+        # An impact's impulses say nothing of the next.
+        active.pushes[m, 0] = active.pushes[m, 1] = 0.0
+    active.hit[m] = role == HIT
+    active.keys[m, 0], active.keys[m, 1] = pair.key, feature
+    active.memory[m, 0] = level
+    active.memory[m, 1] = 0.0 if lasting and role != HIT else above
+    put(numbers.materials[pair.material], active.materials[m])
+    return True
+
+
+@beside
+def find_contacts(
+    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, grid: Grid, h: float,
+    active: ActiveContacts,
+) -> DetectionResult:  # fmt: skip
+    """Find the contacts that take part in a step.
+
+    Parameters
+    ----------
+    memory : Memory
+        Of the step before.
+    mid : Midpoint
+        Its gaps and pulls are written.
+    grid : Grid
+        Is overwritten.
+    h : float
+        Length of the step.
+    active : ActiveContacts
+        To be filled.
+    """
+    sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys
+    count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
+    found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
+    points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
+    first = not memory.past[0] > 0.0
+    fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    lowest = math.inf if first else LANDED * memory.past[2]
+    times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
+    m, at_old, end = 0, 0, 0
+    many = near_pairs(mid.centres, sizes, mid.reach, grid)
+    # Discs cover no feature of each other.
+    corners = len(numbers.pieces.vertices) > 0
+    near = Neighbours(
+        np.zeros(count + 1, np.int64), np.empty(max(many, 0) if corners else 0, np.int64),
+        np.empty(count, np.int64), np.zeros(1, np.int64), np.empty(COVERING, np.int64),
+    )  # fmt: skip
+    if corners:
+        sort_pairs(pairs, max(many, 0), count, near)
+    for p in range(count if many >= 0 else 0):
+        begin = end
+        while end < many and pairs[end, 0] == p:
+            end += 1
+        if corners:
+            list_neighbours(pairs, begin, end, p, near)
+        for i in range(begin, end + others - count):
+            q = pairs[i, 1] if i < end else count + i - end
+            if q >= count and is_far(numbers.surfaces, ground, mid, p, q - count, sizes[p]):
+                continue
+            pair = candidate_pair(numbers, mid, p, q, times.since)
+            if pair.material < 0:
+                continue
+            met = _met(numbers, ground, mid, pair, times, points, near)
+            while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
+                at_old += 1
+            for at in range(met):
+                if _takes_part(
+                    numbers, ground, memory, mid, pair, times, at, at_old, m, points, active
+                ):
+                    m += 1
+                if m == len(active.hit):
+                    return DetectionResult(-1, worst[0], worst[1], worst[2], worst[3], worst[4])
+    return DetectionResult(m if many >= 0 else -1, worst[0], worst[1], worst[2], worst[3], worst[4])

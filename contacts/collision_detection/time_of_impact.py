@@ -1,0 +1,194 @@
+"""Time of impact of two bodies that move in straight lines between two steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
+from contacts.collision_detection.convex import between, norm, place
+from contacts.collision_detection.midpoint import Midpoint
+from statechart.arrays import Array
+from statechart.kernels.jit import late, part
+
+# What is to be hit ahead of its arrival is by then no farther than this part of its gap.
+_ARRIVED = 0.01
+# The cosine of the angle by which the normal of a hit may turn from its detection to the touch.
+_ALIKE = 0.8
+# Of what turns the instant of touching is known to this part of the time in which it is looked for.
+_LOOKS = 256
+# What came in by another side than it leaves by has crossed for this part of a step at most.
+_ELSEWHERE = 0.5
+
+
+@part
+def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
+    """When two pieces that move in straight lines are nearer than `apart`; inf, inf if never.
+
+    They are at `centres` at the time zero.
+    """
+    x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
+    u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
+    # |r + v t|^2 = apart^2
+    square, half, rest = u * u + v * v, x * u + y * v, x * x + y * y - apart * apart
+    inside = half * half - square * rest
+    if not inside > 0.0:
+        return math.inf, math.inf
+    root = math.sqrt(inside)
+    return (-half - root) / square, (-half + root) / square
+
+
+@part
+def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
+    """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
+    x = velocities[one, 0] - velocities[other, 0]
+    y = velocities[one, 1] - velocities[other, 1]
+    least = rate * min(sizes[one], sizes[other])
+    return x * x + y * y < least * least
+
+
+@part
+def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
+    """Return how fast turning brings parts of two pieces nearer, which their middles do not tell.
+
+    What is round turns nothing.
+    """
+    pieces, total = numbers.pieces, 0.0
+    for p in (one, other):
+        total += abs(mid.old[pieces.bodies[p], 2]) * (pieces.spans[p] - pieces.cores[p])
+    return total
+
+
+@part
+def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, float]:
+    """Return corners, middle and radius of a piece of a body that is there."""
+    x, y, angle = pose
+    corners = place(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
+    return corners, place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p]
+
+
+@part
+def _points(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float, within: float,
+    found: Array,
+) -> int:  # fmt: skip
+    """Find the points where two pieces are this near that have moved on as they do."""
+    pieces, (p, q) = numbers.pieces, pair
+    one, other = pieces.bodies[p], pieces.bodies[q]
+    corners, middle, radius = _moved(pieces, p, mid.places[one] + later * mid.old[one])
+    others, beside, rim = _moved(pieces, q, mid.places[other] + later * mid.old[other])
+    return between(
+        corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
+    )
+
+
+@part
+def _met(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float,
+    normal: tuple[float, float], found: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
+
+    The gap is inf, and the cosine 1, where they are far apart.
+
+    Parameters
+    ----------
+    mid : Midpoint
+        Where their bodies are, and how fast, at the time zero.
+    pair : (int, int)
+        Which pieces.
+    later : float
+        How long they move.
+    normal : (float, float)
+        Which of their normals then is nearest to this one.
+    found : (p, FOUND) array
+        Is overwritten.
+    """
+    one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
+    fastest = np.abs(mid.old[one]).max() + np.abs(mid.old[other]).max()
+    count = _points(numbers, mid, pair, later, 2.0 * abs(later) * fastest, found)
+    gap, along = math.inf, 1.0 if count == 0 else -1.0
+    for p in range(count):
+        gap = min(gap, found[p, 4])
+        along = max(along, found[p, 0] * normal[0] + found[p, 1] * normal[1])
+    return gap, along
+
+
+@part
+def _touch(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
+    near: float, aside: Array,
+) -> float:  # fmt: skip
+    """When two pieces that move and turn are first as near as this; inf if they are not.
+
+    Conservative advancement (Mirtich 1996): no point of them is faster than both bodies and what
+    these turn, so that nothing happens in the time that the gap gives. Against the time where it
+    `end`s before it begins.
+    """
+    pieces, p, q = numbers.pieces, pair[0], pair[1]
+    u, v = mid.old[pieces.bodies[p]], mid.old[pieces.bodies[q]]
+    fastest = norm(u[0] - v[0], u[1] - v[1])
+    fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
+    way, time = math.copysign(1.0, end - begin), begin
+    least = abs(end - begin) / _LOOKS
+    while (end - time) * way > 0.0:
+        gap = math.inf
+        for k in range(_points(numbers, mid, pair, time, math.inf, aside)):
+            gap = min(gap, aside[k, 4])
+        if gap <= near:
+            return time
+        time += way * max((gap - near) / fastest, least)
+    return math.inf
+
+
+@late
+def hits_ahead(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
+    gap: float, nearing: float, h: float, aside: Array,
+) -> tuple[bool, float]:  # fmt: skip
+    """Return whether bodies that are not beside each other touch, and for how long they did.
+
+    Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
+    """
+    later = max(gap / nearing, -h)
+    arrived, along = _met(numbers, mid, pair, later, normal, aside)
+    if gap > 0.0 and not arrived <= _ARRIVED * gap:
+        return False, 0.0
+    return True, _ELSEWHERE if along < _ALIKE else 0.0
+
+
+@late
+def hits_turning(
+    numbers: BodyNumbers,
+    mid: Midpoint,
+    pair: tuple[int, int],
+    gap: float,
+    until: float,
+    aside: Array,
+) -> bool:
+    """Whether bodies that turn much, and are not beside each other, touch until then."""
+    return _touch(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
+
+
+@late
+def passing_time(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, deep: float,
+    aside: Array,
+) -> float:  # fmt: skip
+    """Return for how long pieces were so deep in each other since the last detection."""
+    left = _touch(numbers, mid, pair, 0.0, -since, -deep, aside)
+    if not -since < left < 0.0:
+        return 0.0
+    begin = _touch(numbers, mid, pair, -since, 0.0, -deep, aside)
+    return left - begin if -since < begin else 0.0
+
+
+@late
+def entered_elsewhere(
+    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
+    since: float, aside: Array,
+) -> float:  # fmt: skip
+    """Return for how long a body was in another that it leaves: if it came by another side."""
+    earlier, _ = _met(numbers, mid, pair, -since, normal, aside)
+    return _ELSEWHERE if earlier > 0.0 else 0.0

@@ -1,0 +1,261 @@
+"""Controllers as regions: their guards, and their variables behind those of the motion.
+
+Forces may depend on the variables, but nothing that contacts do changes them: the laws of contacts
+see them as they see parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import sympy as sp
+
+from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.setup import SceneSetup
+from statechart.arrays import Array
+from statechart.automaton.clock import Clock
+from statechart.automaton.constraints import Constraints
+from statechart.automaton.regions import Edge, Region, State
+from statechart.automaton.trace import Key, Role
+from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
+from statechart.charts.guard_watch import Guard, GuardWatch, guard_claims, guard_margins, guards
+from statechart.errors import NonFinite
+from statechart.formulas.formula import parse
+from statechart.formulas.linear import Definition
+from statechart.formulas.tape import Tape
+
+
+def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
+    """Return the region of a controller."""
+
+    def build(role: Role) -> State:
+        return State(
+            margins=guard_margins(name, flat, role.state, mechanics.observables),
+            values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
+        )
+
+    sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}
+
+    def edge(transition: FlatTransition) -> Edge:
+        before, after = sets[transition.source], sets[transition.target]
+        changed = [f"{c} := {after[c]}" for c in after if after[c] != before[c]]
+        return Edge(
+            transition.name,
+            transition.source,
+            transition.target,
+            transition.trigger,
+            ", ".join(filter(None, (transition.reset(flat.timers), *changed))),
+        )
+
+    edges = tuple(map(edge, flat.transitions))
+    return Region(
+        name,
+        flat.ordered,
+        build,
+        edges,
+        flat.superstates,
+        nesting=flat.nesting,
+        claims=partial(guard_claims, name, flat),
+    )
+
+
+def memory_rates(mechanics: Mechanics) -> dict[str, sp.Expr]:
+    """Return the rates of what controllers remember: symbols that states set, or 0."""
+    flowing = mechanics.scene.controlled.flowing
+    return {
+        name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+        for name, symbol in mechanics.memory.items()
+    }
+
+
+def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
+    """Return what a state of a controller sets rates of its variables to."""
+    rates = memory_rates(mechanics)
+    flows = mechanics.scene.controlled.flows(region, state)
+    return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
+
+
+def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
+    """Return the rates of what controllers remember while they are in these states."""
+    found: dict[sp.Symbol, sp.Expr] = {}
+    for name, state in states.items():
+        found |= _flows(mechanics, name, state)
+    return [found.get(rate, sp.S.Zero) for rate in memory_rates(mechanics).values()]
+
+
+def given(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
+    """Return what states of controllers give values: controls, and rates of what is remembered."""
+    return (*mechanics.controls, *(rate for rate in memory_rates(mechanics).values() if rate != 0))
+
+
+def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
+    """Return the values of what is `given` in these states, each after those that it uses."""
+    flows = zip(memory_rates(mechanics).values(), flows_in(mechanics, states), strict=True)
+    return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
+
+
+class Controllers:
+    """The controllers of a scene: their states, and the guards out of these, built when needed."""
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._mechanics = mechanics
+        self._guards: dict[Key, ControlGuards] = {}
+        self.names = tuple(mechanics.scene.regions)
+        # The states that they start in.
+        self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
+
+    def named(self, states: Key) -> dict[str, str]:
+        """Return controller -> state."""
+        return dict(zip(self.names, states, strict=True))
+
+    def guards(self, states: Key) -> ControlGuards:
+        """Return the guards out of the states."""
+        if states not in self._guards:
+            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
+        return self._guards[states]
+
+
+class ControlGuards:
+    """The guards of the controllers in some states, and the numbers that they depend on.
+
+    Accelerations and contact forces are inputs, solved for where a guard is on its boundary: no
+    mode is built for it. Accelerations are taken as constant there; how forces change is not
+    known, so that a guard on them waits for its margin to fall.
+    """
+
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
+        set_: dict[sp.Symbol, sp.Expr] = {}
+        for control, value in given_in(mechanics, states):
+            set_[control] = value.xreplace(set_)
+        memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
+        watched: list[Guard] = []
+        for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
+            watched += guards(place, name, region.transitions, states[name])
+        names = set().union(*(guard.relation.names for guard in watched))
+        forces = [force for pair in mechanics.forces.values() for force in pair]
+        forces += [row.force for row in mechanics.joint_rows]
+        unknown = sp.Symbol("unknown", real=True)
+        self.watch = GuardWatch(
+            watched,
+            {n: e for n, e in mechanics.observables.items() if n in names},
+            {
+                **dict(zip(mechanics.q, mechanics.v, strict=True)),
+                **dict(zip(mechanics.v, mechanics.a, strict=True)),
+                **dict.fromkeys(forces, unknown),
+                **memory,
+            },
+            inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
+            parameters=mechanics.parameters.ordered,
+            time=mechanics.time,
+            timers=[mechanics.memory[timer] for timer in mechanics.scene.controlled.timers],
+            given=set_,
+        )
+        self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
+
+    def typical(self, setup: SceneSetup) -> Array:
+        """Return the size of accelerations and forces."""
+        return setup.scales.solved(len(self._unsolved))
+
+    def rows(
+        self, setup: SceneSetup, time: float, state: Array, solved: Array | None = None
+    ) -> Array:
+        """Return what `GuardWatch.at` does; `solved` are accelerations and forces."""
+        found = self._unsolved if solved is None else solved
+        inputs = np.concatenate([state, found, [np.nan]])
+        return self.watch.at(setup, inputs, self._sizes(setup), time)
+
+    def table(self, setup: SceneSetup, times: Array, states: Array, solved: Array) -> Array:
+        """Return `rows` for many instants (m,), states (m, 2 n) and unknowns (m, u)."""
+        inputs = np.hstack([states, solved, np.full((len(states), 1), np.nan)])
+        return self.watch.table(setup, inputs, self._sizes(setup), times)
+
+    def _sizes(self, setup: SceneSetup) -> Array:
+        assert setup.sizes is not None
+        return np.concatenate([setup.sizes, self.typical(setup), [0.0]])
+
+
+class ControllerState:
+    """The variables of a scene's controllers; all of it does nothing where there are none."""
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._mechanics = mechanics
+        self._names = tuple(mechanics.memory)
+        self._size = len(mechanics.variables)
+        self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
+
+    def parted(self, state: Array) -> Array:
+        """Return the part of a state, or of terms, that is positions and rates."""
+        return state[: self._size] if self._names else state
+
+    def joined(self, motion: Array, state: Array) -> Array:
+        """Return positions and rates with what is remembered in `state`."""
+        return np.concatenate([motion, state[self._size :]]) if self._names else motion
+
+    def within(self, setup: SceneSetup, state: Array) -> SceneSetup:
+        """Return the numbers of a run as the laws of contacts take them in `state`."""
+        if not self._names:
+            return setup
+        return replace(setup, values=np.concatenate([state[self._size :], setup.values]))
+
+    def constraints(self, of_motion: Constraints) -> Constraints:
+        """Return constraints of positions and rates as those of the whole state."""
+        if not self._names:
+            return of_motion
+
+        def project(state: Array, time: float) -> Array:
+            motion = self.parted(state)
+            projected = of_motion.project(motion, time)
+            return state if projected is motion else self.joined(projected, state)
+
+        within = of_motion.within
+        return of_motion._replace(
+            tape=self._whole(of_motion.tape),
+            project=project,
+            within=None if within is None else self._whole(within),
+        )
+
+    def updated(
+        self,
+        setup: SceneSetup,
+        clock: Clock,
+        cause: str,
+        blocks: tuple[Updates, ...],
+        state: Array,
+    ) -> Array:
+        """Return the state after updates; those of a block see what the one before it left.
+
+        Raises `NonFinite` if one has no finite value.
+        """
+        if not blocks:
+            return state
+        key = tuple(tuple(block.items()) for block in blocks)
+        tape = self._updates.get(key)
+        if tape is None:
+            tape = self._updates[key] = self._compiled(blocks)
+        remembered = tape.at(state, setup.values, clock.high)
+        for name, value in zip(self._names, remembered.tolist(), strict=True):
+            if not np.isfinite(value):
+                raise NonFinite(f"{cause} sets {name} to {value}")
+        return np.concatenate([state[: self._size], remembered])
+
+    def _compiled(self, blocks: tuple[Updates, ...]) -> Tape:
+        mechanics = self._mechanics
+        found: dict[str, sp.Expr] = dict(mechanics.memory)
+        for block in blocks:
+            known = {**mechanics.known, **found}
+            found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
+        return mechanics.whole_tape([*found.values()])
+
+    def _whole(self, tape: Tape) -> Tape:
+        """Return a tape of the motion as one of the state: what is remembered stands between."""
+        count = len(self._names)
+        time = tape.reads == tape.n_variables
+        return replace(
+            tape,
+            n_variables=tape.n_variables + count,
+            n_parameters=tape.n_parameters - count,
+            reads=np.where(time, tape.n_variables + count, tape.reads).astype(np.int32),
+        )

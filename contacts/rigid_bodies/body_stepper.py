@@ -1,0 +1,286 @@
+"""Many free bodies that collide by their shapes, as the time stepper takes them.
+
+Each body is a region of the trace: it is free, or it slides or is pinned at what it touches. No
+equations are composed: what moves a body are gravity and the impulses of its contacts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
+from contacts.dynamics.scales import Scales, check_range
+from contacts.dynamics.setup import SceneSetup
+from contacts.rigid_bodies.body_step import step_bodies
+from contacts.rigid_bodies.declared_numbers import (
+    body_numbers,
+    closed_joints,
+    implied_remarks,
+    touched,
+)
+from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
+from contacts.rigid_bodies.mechanics import BodyMechanics
+from contacts.rigid_bodies.own_step import forced_speed, own_step
+from contacts.rigid_bodies.prescribed_motion import ControllerFlow, Paths, PrescribedMotion
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
+from contacts.scene.checks import check_physical
+from contacts.scene.lint import lint
+from contacts.scene.parts import Simultaneous
+from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
+from contacts.scene.scene import Scene
+from contacts.states import FREE, superstates_of
+from contacts.time_stepping.control import StepControl
+from contacts.time_stepping.step_rejection import DEEPEST
+from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
+from statechart.automaton.time_stepper import USUAL
+from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
+from statechart.formulas.formula import parse
+from statechart.kernels.jit import by_python, is_ready
+
+# Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
+_START_DEPTH = 1e-6
+
+
+def bodies_automaton(scene: Scene) -> Automaton:
+    """Return the automaton of a scene with collisions: its regions, and what steps it."""
+    declared, mechanics = scene, BodyMechanics(scene)
+    scene, superstates = mechanics.scene, superstates_of(BODY_STATES)
+    observables = mechanics.observables
+    stops = stop_conditions(scene.stop.conditions, observables)
+    of_bodies = (
+        Region(
+            name,
+            BODY_STATES,
+            lambda state: State(),
+            BODY_EDGES,
+            superstates,
+            blow=BODY_BLOW,
+            default="free",
+        )
+        for name in scene.bodies
+    )
+    controllers = scene.controlled.flat
+    regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
+    rates = memory_rates(mechanics)
+
+    def stepper() -> BodyStepper:
+        return BodyStepper(declared, mechanics, stops, regions)
+
+    return Automaton(
+        name=scene.name,
+        declaration=scene,
+        names=(*mechanics.variable_names, *mechanics.memory),
+        variables=(*mechanics.variables, *mechanics.memory.values()),
+        parameter_names=mechanics.parameters.names,
+        parameters=mechanics.parameters.ordered,
+        time=mechanics.time,
+        unknowns=(*mechanics.a, *mechanics.unknown_forces),
+        rates=(*mechanics.v, *mechanics.a, *rates.values()),
+        equations=(),
+        regions=regions,
+        stops=stops,
+        observables=observables,
+        setup=lambda overrides, _: stepper().setup(overrides),
+        laws=None,
+        controls=given(mechanics),
+        stepper=stepper,
+        own_step=lambda: stepper().own_step(),
+    )
+
+
+class BodyStepper(Stepper):
+    """Steps colliding bodies; see `Stepper`."""
+
+    def __init__(
+        self,
+        declared: Scene,
+        mechanics: BodyMechanics,
+        stops: Sequence[StopCondition],
+        regions: tuple[Region, ...],
+    ) -> None:
+        super().__init__(
+            mechanics,
+            stops,
+            regions,
+            Controllers(mechanics),
+            again=BODY_BLOW,
+            forces=None,
+            sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
+        )
+        self._declared, self._bodies = declared, mechanics
+        self._paths = Paths(mechanics.scene)
+        self._recall = ControllerFlow(mechanics)
+        # What no value of a parameter changes.
+        self._constants = declared.constants()
+        self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
+        self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
+        self._unlikely = lint(declared)
+
+    def own_step(self) -> float:
+        """Return a step by the scales: of declared parameters; see `own_step`."""
+        setup, bodies = self._made({}, USUAL.tolerance, False)
+        controlled, end = self._scene.controlled, self._scene.stop.time
+        each = [controlled.initial]
+        for name, region in controlled.flat.items():
+            each += [{**controlled.initial, name: state} for state in region.states]
+        forced = forced_speed(
+            [self._bodies.forces_at(states, setup.values) for states in each],
+            bodies.numbers,
+            setup.initial,
+            math.inf if end is None else parse(end).value(self._constants.values({})),
+            setup.scales.length,
+        )
+        return own_step(bodies.numbers, setup.scales, forced)
+
+    def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
+        """Return the numbers of a run.
+
+        Raises
+        ------
+        DeclarationProblem
+            If no run can start there.
+        """
+        return self._made(overrides, USUAL.tolerance, False)[0]
+
+    def _begin(
+        self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
+    ) -> RunInputs:
+        setup, bodies = self._made(overrides, allowed, forces)
+        size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
+        failure = None
+        if fall > DEEPEST * size:
+            # Everything would be about to touch everything.
+            longest = 0.1 * math.sqrt(DEEPEST * size / fall) * step
+            failure = StepTooLarge(
+                f"bodies fall by {fall:.3g} in one step of {step:g}, in a scene of size "
+                f"{size:.3g}; take {longest:.1g} or less"
+            )
+        free = np.full(len(self._scene.bodies), FREE)
+        control = None
+        if self._scene.regions:
+            control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
+        return RunInputs(setup, bodies, free, self._lacks(setup), control, failure)
+
+    def _made(
+        self, overrides: Mapping[str, float], allowed: float, forces: bool
+    ) -> tuple[SceneSetup, RigidBodyRun]:
+        values, remembered = self._mechanics.parameters.values(overrides)
+        known = self._constants.values(overrides)
+        if overrides:
+            check_physical(self._declared, known)
+        moved = self._bodies.starts.at(values, known)
+        bodies = body_numbers(self._declared, known, self._owners)
+        setup = self._setup(values, moved, remembered, bodies)
+        law = get_args(Simultaneous).index(self._scene.simultaneous)
+
+        def heap(
+            bodies: BodyNumbers,
+            allowed: float = math.inf,
+            deepest: float = math.inf,
+            forces: bool = False,
+            start_depth: float = 0.0,
+        ) -> RigidBodyRun:
+            around = PrescribedMotion(self._bodies, self._paths, self._recall, known, values)
+            return RigidBodyRun(
+                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces,
+                start_depth,
+            )  # fmt: skip
+
+        bodies, depth, remarks = self._started(setup, bodies, known, heap)
+        setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
+        return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
+
+    def _setup(
+        self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
+    ) -> SceneSetup:
+        """Return the numbers of a run, in scales by where bodies start and how large they are."""
+        owners = self._bodies.owners
+        largest = int(np.argmax(bodies.sizes))
+        check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
+        for number in bodies.gravity.tolist():
+            check_range(number, "", ("gravity",))
+        length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
+        speed = math.sqrt(math.hypot(*bodies.gravity) * length)
+        speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
+        initial = np.concatenate([moved, remembered])
+        places = np.tile([length, length, 1.0], len(bodies.sizes))
+        sizes = np.concatenate([places, places * (speed / length)])
+        acceleration = speed**2 / length
+        force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
+        scales = Scales(length, speed, acceleration, force, 0.0, sizes)
+        return SceneSetup(
+            values=values,
+            initial=initial,
+            tolerances={"gap": RELATIVE * length, "speed": RELATIVE * speed,
+                        "force": 0.0, "plain": 0.0},
+            scales=scales,
+            contacts=(),
+            capture=0.0,
+            bands={},
+            sizes=scales.state(remembered),
+            warnings=(
+                *self._unlikely,
+                *implied_remarks(self._scene, bodies.joints, moved),
+            ),
+            rounded=RELATIVE,
+        )  # fmt: skip
+
+    def _started(
+        self,
+        setup: SceneSetup,
+        bodies: BodyNumbers,
+        known: Mapping[str, float],
+        heap: Callable[[BodyNumbers], RigidBodyRun],
+    ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
+        """Check that bodies start in what is hollow, on their joints, and apart.
+
+        Return them with their joints closed to rounding; how deep they start in each other, and
+        what is said of that.
+        """
+        scene, owners = self._scene, self._bodies.owners
+        moved, remembered = np.split(setup.initial, [6 * len(bodies.sizes)])
+        length, speed = setup.scales.length, setup.scales.speed
+        soon = 1e-6 * length / speed
+        begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
+        for surface, frame in zip(self._surfaces, begun.frames[0], strict=True):
+            if not np.isfinite(frame).all():
+                turns = not np.isfinite(frame[2])
+                raise DeclarationProblem(
+                    "has no value at the start, or an infinite one",
+                    loc=("surfaces", surface, "turn" if turns else "displacement"),
+                )
+        check_inside(scene, owners, bodies, moved, begun.frames[0])
+        # Of the second order, from the start on: before it a path need not be.
+        rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
+        joints = closed_joints(
+            scene, bodies.joints, moved, begun.places[0], rates, _START_DEPTH * length,
+            _START_DEPTH * speed,
+        )  # fmt: skip
+        bodies = bodies._replace(joints=joints)
+
+        def trial(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
+            found = heap(numbers)
+            found.steps(0.0, 1e-9 * length / speed, start, 1)
+            return found
+
+        def looked(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
+            # One step does not pay to compile it.
+            if is_ready(step_bodies):
+                return trial(numbers, start)
+            return by_python(lambda: trial(numbers, start))
+
+        near = _START_DEPTH * length
+        try:
+            found = check_apart(looked, bodies, self._names, owners, setup.initial, near)
+        except NonFinite as error:
+            raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
+        return bodies, *found

@@ -1,0 +1,365 @@
+"""Colliding bodies as numbers: outlines, masses, surfaces, and who touches whom by which law."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from contacts.collision_detection.body_numbers import (
+    ALONG_X,
+    ALONG_Y,
+    BOTH,
+    BodyNumbers,
+    JointNumbers,
+    PieceNumbers,
+)
+from contacts.collision_detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
+from contacts.dynamics.contact_law import edge
+from contacts.scene.parts import Body, Point, Surface
+from contacts.scene.scene import Scene
+from contacts.solvers.dependence import column_scales, implied, rank
+from contacts.solvers.step_impulses import smoothed
+from contacts.states import implied_joints
+from statechart.arrays import Array, Ints
+from statechart.documents.fields import FormulaText
+from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import parse
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+
+Number = Callable[[FormulaText], float]
+_Numbers = tuple[float, float, float, float]
+
+
+def touched(scene: Scene) -> list[str]:
+    """Return the names of the surfaces that bodies with shapes touch."""
+    used = {name for collision in scene.collisions.values() for name in collision.surfaces}
+    return [name for name in scene.surfaces if name in used]
+
+
+def surface_numbers(
+    scene: Scene, bodies: Sequence[str], known: Mapping[str, float]
+) -> SurfaceNumbers:
+    """Evaluate the surfaces of a scene."""
+
+    def number(text: FormulaText) -> float:
+        return parse(text).value(known)
+
+    surfaces = [scene.surfaces[name] for name in touched(scene)]
+    found = [_form(surface, number) for surface in surfaces]
+    heights = tuple(
+        str(surface.height)
+        for (kind, _), surface in zip(found, surfaces, strict=True)
+        if kind == GRAPH
+    )
+    program = _program(heights, tuple(known))
+    graphs = np.cumsum([kind == GRAPH for kind, _ in found], dtype=np.int64) - 1
+    values = np.array([*known.values()], dtype=float)
+
+    return SurfaceNumbers(
+        np.array([kind for kind, _ in found], dtype=np.int64),
+        np.array([numbers for _, numbers in found], dtype=float).reshape(-1, 4),
+        np.array([-1 if s.body is None else bodies.index(s.body) for s in surfaces], np.int64),
+        np.array([s.moves for s in surfaces], np.bool_),
+        3 * graphs,
+        program.code,
+        program.constants,
+        program.outputs,
+        values,
+    )
+
+
+def _form(surface: Surface, number: Number) -> tuple[int, _Numbers]:
+    """Return the kind of a surface, and its numbers."""
+    if surface.height is not None:
+        if "x" in parse(surface.height).names:
+            return GRAPH, (0.0, 0.0, 0.0, 0.0)
+        return LINE, (0.0, number(surface.height), 0.0, 1.0)
+    if surface.circle is not None and surface.radius is not None:
+        x, y = (number(text) for text in surface.circle)
+        return HOLLOW if surface.hollow else ROUND, (x, y, number(surface.radius), 0.0)
+    ends = surface.line or surface.edge
+    if ends is not None:
+        (x0, y0), (x1, y1) = ((number(x), number(y)) for x, y in ends)
+        if surface.edge is not None:
+            return PLATE, (x0, y0, x1, y1)
+        length = math.hypot(x1 - x0, y1 - y0)
+        return LINE, (x0, y0, (y0 - y1) / length, (x1 - x0) / length)
+    angle = number(surface.incline or 0)
+    x, y = (number(text) for text in surface.through)
+    return LINE, (x, y, -math.sin(angle), math.cos(angle))
+
+
+@lru_cache(maxsize=16)
+def _program(heights: tuple[str, ...], names: tuple[str, ...]) -> Tape:
+    """Compile heights, their slopes and curvatures over x and parameters."""
+    x, parameters = sp.Symbol("x", real=True), symbols_of(names)
+    found: list[sp.Expr] = []
+    for text in heights:
+        height = parse(text).to_sympy({**dict(zip(names, parameters, strict=True)), "x": x})
+        found += [height, sp.diff(height, x), sp.diff(height, x, 2)]
+    return compile_tape(
+        found, variables=(x,), parameters=parameters, time=sp.Symbol("t", real=True)
+    )
+
+
+def symbols_of(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
+    """Return symbols for parameters."""
+    return tuple(sp.Symbol(f"p{i}", real=True) for i in range(len(names)))
+
+
+_HOLDS = {("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y}
+_HELD = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
+
+
+def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
+    """Evaluate the joints of a scene whose bodies have these names, copies one by one."""
+    bodies, at = [], []
+    for joint in scene.joints.values():
+        ends = [joint.point, joint.to if isinstance(joint.to, Point) else None]
+        bodies.append([-1 if end is None else names.index(end.body) for end in ends])
+        at.append(
+            [
+                [0.0, 0.0] if end is None else [parse(text).value(known) for text in end.at]
+                for end in ends
+            ]
+        )
+    return JointNumbers(
+        np.array(bodies, dtype=np.int64).reshape(-1, 2),
+        np.array(at, dtype=float).reshape(-1, 2, 2),
+        np.array([_HOLDS[joint.components] for joint in scene.joints.values()], dtype=np.int64),
+    )
+
+
+def closed_joints(
+    scene: Scene, joints: JointNumbers, moved: Array, places: Array, speeds: Array, near: float,
+    slow: float,
+) -> JointNumbers:  # fmt: skip
+    """Check that joints hold where a run starts; return them closed to rounding there.
+
+    What is declared in eight digits is open by 1e-8, and joints that others imply are so by
+    something else than these: no motion closes them all.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its bodies one by one.
+    moved : (6 b,)
+        Coordinates and rates of the bodies.
+    places, speeds : (j, 2)
+        Of the places in the world that joints hold points to.
+    near, slow : float
+        Distances and speeds that are none.
+
+    Raises
+    ------
+    DeclarationProblem
+        At the first joint that is open, or whose points move apart.
+    """
+    (at, rates), own = moved.reshape(2, -1, 3), joints.at.copy()
+    for j, name in enumerate(scene.joints):
+        ends, moving = [places[j]], [speeds[j]]
+        for side in (0, 1):
+            b = int(joints.bodies[j, side])
+            if b >= 0:
+                arm = _arm(at[b, 2], joints.at[j, side])
+                ends.insert(side, at[b, :2] + arm)
+                moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
+        held = _HELD[int(joints.holds[j])]
+        apart = float(np.hypot.reduce((ends[0] - ends[1])[held]))
+        if apart > near:
+            u, v = ends[0].tolist()
+            x, y = ends[1].tolist()
+            raise DeclarationProblem(
+                f"joint {name!r} is open at the start: its point is at ({u:.6g}, {v:.6g}), what it "
+                f"is held to at ({x:.6g}, {y:.6g})",
+                advice=f"move the body by ({x - u:.6g}, {y - v:.6g})",
+                loc=("joints", name),
+            )
+        parting = float(np.hypot.reduce((moving[0] - moving[1])[held]))
+        if parting > slow:
+            u, v = (moving[1] - moving[0]).tolist()
+            raise DeclarationProblem(
+                f"joint {name!r} does not hold at the start: its ends move apart at {parting:.6g}",
+                advice=f"add ({u:.6g}, {v:.6g}) to the velocity of the body",
+                loc=("joints", name),
+            )
+        missing = np.zeros(2)
+        missing[held] = (ends[1] - ends[0])[held]
+        own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
+    return joints._replace(at=own)
+
+
+def implied_remarks(scene: Scene, joints: JointNumbers, moved: Array) -> tuple[str, ...]:
+    """Return what is said of joints that others imply where a run starts; see `closed_joints`."""
+    at, rows, names = moved.reshape(2, -1, 3)[0], [], []
+    for j, name in enumerate(scene.joints):
+        both = np.zeros((2, *at.shape))
+        for side in (0, 1):
+            b = int(joints.bodies[j, side])
+            if b >= 0:
+                x, y = _arm(at[b, 2], joints.at[j, side]).tolist()
+                both[:, b] += (1 - 2 * side) * np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
+        held = both[_HELD[int(joints.holds[j])]]
+        rows.append(held.reshape(len(held), -1))
+        names += [name] * len(held)
+    if not rows:
+        return ()
+    known = np.concatenate(rows)
+    known = known[:, known.any(axis=0)]
+    _, sizes, _ = np.linalg.svd(known * column_scales(known), full_matrices=False)
+    if rank(sizes) == len(known):
+        return ()
+    found = implied(known)
+    return (implied_joints(n for n, more in zip(names, found.tolist(), strict=True) if more),)
+
+
+def _arm(angle: float, at: Array) -> Array:
+    """Return a place in the frame of a body as it is turned."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned: Array = np.array([[c, -s], [s, c]]) @ at
+    return turned
+
+
+_Number = Callable[[str | int | float], float]
+
+
+def body_numbers(
+    scene: Scene, known: Mapping[str, float], owners: Mapping[str, str] | None = None
+) -> BodyNumbers:
+    """Evaluate a scene with collisions.
+
+    Raises
+    ------
+    DeclarationProblem
+        If a body that collides has no inertia.
+    """
+
+    def number(text: str | int | float) -> float:
+        return parse(text).value(known)
+
+    if owners is None:
+        owners = scene.owners()
+    kinds, laws, materials = _laws(scene, [*owners.values()], number)
+    # Copies have the numbers of one of them.
+    outlines = [_outline(body, number) for body in scene.bodies.values()]
+    pieces = _pieces(outlines, kinds)
+    sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
+    inverse = [_inverse(owner, body, number) for owner, body in scene.bodies.items()]
+    declared = scene.gravity
+    return BodyNumbers(
+        pieces,
+        np.array(sizes)[kinds],
+        np.array(inverse)[kinds],
+        np.array(
+            [number(part) for part in declared]
+            if isinstance(declared, tuple)
+            else [0.0, -number(declared)]
+        ),
+        surface_numbers(scene, [*owners], known),
+        kinds,
+        laws,
+        materials,
+        joint_numbers(scene, [*owners], known),
+    )
+
+
+class _Piece(NamedTuple):
+    """A convex piece of a body: see `PieceNumbers`."""
+
+    corners: Array
+    middle: Array
+    radius: float
+    size: float
+    core: float
+    span: float
+
+
+def _outline(body: Body, number: _Number) -> list[_Piece]:
+    """Return the pieces that a body is made of."""
+    found = []
+    for shape in body.shape:
+        if shape.disc is not None:
+            radius, middle = number(shape.disc), np.array([number(text) for text in shape.at])
+            span = radius + float(np.hypot(*middle))
+            found.append(_Piece(np.empty((0, 2)), middle, radius, radius, radius, span))
+            continue
+        corners = np.array([[number(x), number(y)] for x, y in shape.polygon or ()])
+        # A body of one piece is looked at from its centre of mass.
+        middle = np.zeros(2) if len(body.shape) == 1 else corners.mean(axis=0)
+        own = corners - middle
+        size, span = (float(np.hypot(*c.T).max()) for c in (own, corners))
+        found.append(_Piece(corners, middle, 0.0, size, _core(own.tolist()), span))
+    return found
+
+
+def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
+    """Return the pieces of all bodies, which have these outlines."""
+    counts = np.array([len(outline) for outline in outlines], dtype=np.int64)
+    pieces = [piece for outline in outlines for piece in outline]
+    first = np.cumsum(counts) - counts
+    # Of every piece of every body which of the declared ones it is.
+    which = _runs(first[kinds], counts[kinds])
+    many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
+    corners = np.concatenate([np.empty((0, 2)), *(piece.corners for piece in pieces)])
+    middles = np.array([piece.middle for piece in pieces], dtype=float).reshape(-1, 2)
+    numbers = [np.array([piece[at] for piece in pieces], dtype=float)[which] for at in range(2, 6)]
+    return PieceNumbers(
+        np.repeat(np.arange(len(kinds)), counts[kinds]),
+        np.concatenate([[0], np.cumsum(counts[kinds])]),
+        corners[_runs((np.cumsum(many) - many)[which], many[which])],
+        np.concatenate([[0], np.cumsum(many[which])]),
+        middles[which],
+        *numbers,
+    )
+
+
+def _runs(firsts: Ints, counts: Ints) -> Ints:
+    """Return one after another the so many whole numbers from each of these on."""
+    ends = np.cumsum(counts)
+    found: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
+    return found
+
+
+def _inverse(owner: str, body: Body, number: _Number) -> list[float]:
+    """Return 1/mass, twice, and 1/inertia."""
+    mass, inertia = number(body.mass), number(body.inertia or 0)
+    if not inertia > 0.0:
+        raise DeclarationProblem(
+            "a body that collides needs a positive inertia", loc=("bodies", owner, "inertia")
+        )
+    return [1.0 / mass, 1.0 / mass, 1.0 / inertia]
+
+
+def _core(corners: Sequence[Sequence[float]]) -> float:
+    """Return how far a convex polygon reaches around its origin at least; 0 if that is outside."""
+    ends = zip(corners, [*corners[1:], corners[0]], strict=True)
+    cross = [(x * v - y * u) / math.hypot(u - x, v - y) for (x, y), (u, v) in ends]
+    return max(0.0, min(cross), min(-turn for turn in cross))
+
+
+def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, Ints, Array]:
+    """Return kinds of bodies (b,), which law they touch by (k, k + s), and the laws (m, 3)."""
+    kinds = {name: kind for kind, name in enumerate(scene.bodies)}
+    surfaces = touched(scene)
+    laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
+    materials = []
+    for law, collision in enumerate(scene.collisions.values()):
+        materials.append((*edge(number(collision.friction)), number(collision.restitution)))
+        members = [kinds[owner] for owner in collision.bodies]
+        others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
+        for one in members:
+            for other in members + others:
+                if laws[one, other] < 0:
+                    laws[one, other] = law
+    edges = np.array(materials)
+    return (
+        np.array([kinds[owner] for owner in owners], dtype=np.int64),
+        laws,
+        np.column_stack([smoothed(edges[:, :2]), edges[:, 2]]),
+    )

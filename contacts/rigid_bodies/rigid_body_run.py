@@ -1,0 +1,461 @@
+"""One run of bodies with shapes, chunk of steps by chunk of steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.collision_detection.active_contacts import ActiveContacts
+from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collision_detection.find_contacts import LANDED
+from contacts.collision_detection.surfaces import GRAPH
+from contacts.rigid_bodies.body_step import step_bodies
+from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.own_step import inner_radii
+from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
+from contacts.rigid_bodies.stiff_forces import UNSTABLE, Held, check_followed, stiffness
+from contacts.rigid_bodies.workspace import Workspace
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
+from contacts.time_stepping.step_rejection import depth_left
+from statechart import interrupts
+from statechart.arrays import Array, Bools, Ints
+from statechart.errors import NonFinite, StepTooLarge
+from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
+from statechart.tabular import several
+
+# Deeper than this part of its inner radius, a body may leave through another side.
+_DEEP = 0.1
+
+
+class _Found(NamedTuple):
+    """The deepest penetration: of which body, and when."""
+
+    body: int
+    depth: float
+    state: Array
+    time: float
+    h: float
+
+
+class Penetration:
+    """Watches how deep bodies are in each other and in surfaces."""
+
+    def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
+        self._names, self._radii = names, inner_radii(numbers)
+        self._start_depth, self._part = start_depth, _DEEP
+        self._found: _Found | None = None
+
+    def look(self, start: float, chunk: Chunk) -> None:
+        """Note the deepest penetration of some steps that begin at `start`."""
+        depths = -np.minimum(chunk.gaps, 0.0)
+        parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
+        if not parts.max(initial=0.0) > self._part:
+            return
+        k, b = (int(i) for i in np.unravel_index(np.argmax(parts), parts.shape))
+        self._part = float(parts[k, b])
+        # Gaps are those in the middle of a step.
+        middle, n = chunk.states[k].copy(), 3 * len(self._names)
+        middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
+        self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
+
+    def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
+        """Return a warning of what has sunk."""
+        if self._found is None:
+            return ()
+        body, depth, state, time, h = self._found
+        other = deepest_at(body, state, time) or "what it touches"
+        step = _DEEP * h / self._part
+        digits = 10.0 ** math.floor(math.log10(step))
+        return (
+            f"body {self._names[body]!r} is {depth:.3g} deep in {other} at t = "
+            f"{time:.6g}, with an inner radius of {self._radii[body]:.3g}: it may pass "
+            f"through; take steps of {math.floor(step / digits) * digits:.1g} or less",
+        )
+
+
+# What has no value, or an infinite one, somewhere; the others have one wherever their operands do.
+_PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
+
+
+class MissingGround:
+    """Looks, in a run, for the first place of each height that has no value."""
+
+    def __init__(self, names: Sequence[str], surfaces: Sequence[str], numbers: BodyNumbers) -> None:
+        self._names, self._surfaces, self._numbers = names, surfaces, numbers
+        ground = numbers.surfaces
+        partial = np.isin(ground.code[:, 0], _PARTIAL).any()
+        self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
+        self.remarks: tuple[str, ...] = ()
+
+    def look(self, start: float, h: float, states: Array, frames: Array) -> None:
+        """Look below the left and the right end of bodies, and their centres, at ends of steps."""
+        for s in self._unseen.copy():
+            if found := self._first(s, states, frames):
+                step, body, x = found
+                self._unseen.remove(s)
+                self.remarks += (
+                    f"the height of surface {self._surfaces[s]!r} has no value at x = {x:.6g}, "
+                    f"where body {self._names[body]!r} is at t = {start + step * h:.6g}: there is "
+                    "no ground",
+                )
+
+    def _first(self, s: int, states: Array, frames: Array) -> tuple[int, int, float] | None:
+        """Return the first step and body with a place that has no height, and the place."""
+        numbers, ground = self._numbers, self._numbers.surfaces
+        count, carrier = len(self._names), int(ground.carriers[s])
+        places = states[:, : 3 * count].reshape(len(states), count, 3)
+        below = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        if carrier >= 0:
+            below[carrier] = False
+        bodies = np.flatnonzero(below)
+        frame = frames[np.minimum(np.arange(len(states)), len(frames) - 1), s]
+        if carrier >= 0:
+            frame = places[:, carrier]
+        u, v, angle = (frame[:, d, None] for d in range(3))
+        x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
+        asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
+        at = int(ground.graphs[s])
+        heights = tape_table(
+            ground.code, ground.constants, ground.outputs[at : at + 1], 0,
+            np.ascontiguousarray(asked.reshape(-1, 1)), ground.values, np.zeros(asked.size),
+        )  # fmt: skip
+        lost = ~np.isfinite(heights.reshape(asked.shape))
+        if not lost.any():
+            return None
+        step, body, end = np.unravel_index(int(np.argmax(lost)), lost.shape)
+        return int(step), int(bodies[body]), float(asked[step, body, end])
+
+
+# Radians that a body turns in a step in which it is hit: worth a word, and followed.
+_TURNED, _FOLLOWED = 0.5, 0.1
+# Joints may add this part of the most energy of motion: a bridge that a load jerks taut gets up to
+# 0.25 for a moment, which they take again.
+_ADDED = 0.5
+# Parts that a step is taken in where it is too long for what happens in it, one after the other.
+_PARTS = (4, 16, 64, 256)
+# So many moves out of what overlaps are tried; a detection takes this part of a step.
+_MOVES, _INSTANT = 20, 1e-6
+
+
+class _MetContacts(NamedTuple):
+    """Contacts of the bodies at the middle of a step."""
+
+    levels: Array  # (m,): how deep contacts are.
+    # (m,): which last, and which rub.
+    lasts: Bools
+    rough: Bools
+    normal: Held
+    tangential: Held
+    joints: Held
+
+    @classmethod
+    def of(cls, active: ActiveContacts, many: int, holds: Ints, memory: Memory) -> _MetContacts:
+        """Return it from the contacts of a step, behind which joints stand."""
+        bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
+        both = holds == BOTH
+        joints = [rows[met:many, 0], rows[met:many][both, 1]]
+        return cls(
+            active.memory[:met, 0].copy(),
+            memory.contacts[:met, 1] == 1.0,
+            active.materials[:met, 1] > 0.0,
+            Held(bodies[:met], rows[:met, 0].copy()),
+            Held(bodies[:met], rows[:met, 1].copy()),
+            Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
+        )
+
+
+class RigidBodyRun(SteppedSystem):
+    """One run of colliding bodies: what lasts from step to step.
+
+    Parameters
+    ----------
+    names, surfaces : sequence of str
+        Of the bodies, and of what they touch.
+    numbers : BodyNumbers
+    around : PrescribedMotion
+        What acts on them.
+    law : int
+        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
+    allowed : float
+        Residual of impulses that are good enough.
+    deepest : float
+        A gap that no step may close.
+    forces : bool
+        Whether somebody reads forces and accelerations.
+    start_depth : float
+        How deep bodies start in each other at most; they are kept no deeper.
+
+    Attributes
+    ----------
+    least : (n,) array
+        The least gap seen of every body; inf of one that was near nothing.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        surfaces: Sequence[str],
+        numbers: BodyNumbers,
+        around: PrescribedMotion,
+        law: int,
+        allowed: float,
+        deepest: float = math.inf,
+        forces: bool = True,
+        start_depth: float = 0.0,
+    ) -> None:
+        self.surfaces = surfaces
+        self.numbers, self._names, self._around, self._law = numbers, names, around, law
+        count = len(names)
+        self._memory = self._saved = Memory.allocate(numbers)
+        # As if an impact had left them there.
+        self._memory.past[2] = start_depth / LANDED
+        self._room = Workspace.of(self.numbers, self._memory)
+        self._allowed = allowed
+        self.least = np.full(count, np.inf)
+        self._deepest, self._forces = deepest, forces
+        self._turned = self._length = 0.0
+        self._parted, self._most_parts = 0, 1
+        # What joints have added to the energy, and the most that bodies have moved with.
+        self._added = self._moved = 0.0
+        self._before = (0.0, 0.0)
+        self._unfollowed: StepTooLarge | None = None
+        self._no_ground = MissingGround(names, surfaces, numbers)
+        self._sinking = Penetration(names, numbers, start_depth)
+        # A disc about its centre of mass looks the same however it turns.
+        pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
+        seen[pieces.bodies] = pieces.spans != pieces.radii
+        self._angular = np.flatnonzero(seen)
+
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        self._around.switch(states)
+
+    def forget(self) -> None:
+        """Take back the last steps."""
+        self._saved = self._saved.as_large(self._memory)
+        self._memory = self._saved.copy()
+        self._added, self._moved = self._before
+        self._unfollowed = None
+        self._around.forget()
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """The least gaps seen of every body, at the midpoints of steps."""
+        least = zip(self._names, self.least.tolist(), strict=True)
+        return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
+
+    def deepest_of(self, body: int) -> str:
+        """Return what a body touches the deepest since the last step; "" where that is covered."""
+        return self._deepest_met(body, self.least[body])
+
+    def _deepest_at(self, body: int, state: Array, time: float) -> str:
+        """Return what a body touches the deepest in a state."""
+        with self._looking(state, time, self._length):
+            return self._deepest_met(body, math.inf)
+
+    def _deepest_met(self, body: int, least: float) -> str:
+        # Joints stand behind the contacts.
+        count = int(self._memory.many[0]) - len(self.numbers.joints.holds)
+        active = self._room.active
+        mine = [i for i in range(count) if body in active.bodies[i].tolist()]
+        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
+        # Deeper than all that it touches is what is in the middle of others' pieces.
+        if i < 0 or self._memory.contacts[i, 0] > least:
+            return ""
+        one, other = active.bodies[i].tolist()
+        pieces = len(self.numbers.pieces.sizes)
+        surface = int(active.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
+        if surface >= 0:
+            return f"surface {self.surfaces[surface]!r}"
+        return f"body {self._names[other if one == body else one]!r}"
+
+    def pushes_out(self, body: int, near: float) -> tuple[Array, Array]:
+        """Return ways out (k, 2) of what a body is in since the last step, and how far (k,).
+
+        Of what it is in deeper than `near`.
+        """
+        active, count = self._room.active, int(self._memory.many[0])
+        sides = active.bodies[:count] == body
+        deep = sides.any(axis=1) & (active.memory[:count, 0] < -near)
+        normals = np.where(sides[:, :1], active.rows[:count, 0, :2], active.rows[:count, 0, 3:5])
+        return normals[deep], -active.memory[:count, 0][deep]
+
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays, whatever moves; see `Stepped`.
+
+        By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
+        can be, which may be into others, until no move is out of all of that, or nothing is deep.
+        """
+        n, placed = 3 * len(self._names), state.copy()
+        placed[n : 2 * n] = 0.0
+        known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
+        for _ in range(_MOVES):
+            rows, held, deep = self._overlaps(placed, time)
+            if not len(deep):
+                break
+            known = np.concatenate([known, rows])
+            gaps = np.concatenate([gaps, deep - rows @ (placed - state)[:n]])
+            depth, move = depth_left(gaps, known, held)
+            if depth > 0.0:
+                break
+            placed[:n] = state[:n] + move
+        return depth if depth > 0.0 else -math.inf
+
+    def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
+        """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
+        met, count = self._touched(state, time, self._length), len(self._names)
+        deep = met.levels < 0.0
+        return met.normal.only(deep).whole(count), met.joints.whole(count), met.levels[deep]
+
+    def _touched(self, state: Array, time: float, h: float) -> _MetContacts:
+        """Return what a small part of a step of `h` meets."""
+        with self._looking(state, time, h):
+            active, many = self._room.active, int(self._memory.many[0])
+            return _MetContacts.of(active, many, self.numbers.joints.holds, self._memory)
+
+    @contextmanager
+    def _looking(self, state: Array, time: float, h: float) -> Iterator[None]:
+        """Take a small part of a step of `h`, after which the run may go on from where it is."""
+        before, around = self._memory, self._around
+        self._memory, self._around = Memory.allocate(self.numbers), copy(around)
+        self._taken(time, _INSTANT * h, state, 1, math.inf)
+        yield
+        self._memory, self._around = before.as_large(self._memory), around
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know of the run."""
+        found: tuple[str, ...] = ()
+        if self._turned > _TURNED:
+            found += (
+                f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
+                f"{self._length:g}, in which nothing follows how they touch; take "
+                f"{_FOLLOWED * self._length / self._turned:.1g} or less",
+            )
+        found += ratio_remarks(self._room.worst, self._names, self._allowed)
+        found += self._no_ground.remarks
+        found += self._sinking.remarks(self._deepest_at)
+        if self._parted:
+            open_too = ", or joints would not close" if len(self.numbers.joints.holds) else ""
+            found += (
+                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
+                "through each other or sink into each other, or turn by more than half a turn"
+                f"{open_too}: they were taken in up to {self._most_parts} parts; with a step of "
+                f"{self._length / self._most_parts:.1g} none needs that",
+            )
+        return found
+
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take steps; see `SteppedScene.steps`.
+
+        One that is too long for what happens in it is taken in parts.
+        """
+        if self._around.controlled:
+            # Steps after a transition of a controller are taken back.
+            self._saved, self._before = self._memory.copy(), (self._added, self._moved)
+        if self._unfollowed is not None:
+            raise self._unfollowed
+        self._check_forces(start, h, state)
+        chunk, status = self._taken(start, h, state, count, self._deepest)
+        parts = iter(_PARTS)
+        while status == COARSE and not len(chunk.codes):
+            before, most = self._memory.copy(), next(parts)
+            deepest = math.inf if most == _PARTS[-1] else self._deepest
+            chunk, status = self._taken(start, h / most, state, most, deepest)
+            if status == COARSE:
+                self._memory = before
+                chunk = chunk.first(0)
+            else:
+                self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
+        if status == NOT_FINITE and not len(chunk.codes):
+            lost = np.argwhere(~np.isfinite(self._room.mid.loose))[:, 0].tolist()
+            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
+            raise NonFinite(f"{what} became infinite or undefined")
+        if len(self.numbers.joints.holds):
+            chunk = self._without_gain(chunk)
+            if not len(chunk.codes) and self._unfollowed is not None:
+                raise self._unfollowed
+        bodies = len(self._names)
+        self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
+        self._sinking.look(start, chunk)
+        self._around.passed(len(chunk.codes))
+        turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
+        struck = chunk.struck[:, self._angular]
+        self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
+        self._length = max(self._length, h)
+        return chunk
+
+    def _without_gain(self, chunk: Chunk) -> Chunk:
+        """Return the steps before joints have added as much energy as there ever was of motion.
+
+        They do no work: what they give is what they took before, or comes of steps that do not
+        follow how what they pull at swings. Why the next step is not taken is kept.
+        """
+        n, added = 3 * len(self._names), self._added + np.append(0.0, np.cumsum(chunk.gained))
+        chunk.gained[:] = 0.0
+        moving = 0.5 * (chunk.states[1:, n : 2 * n] ** 2 / self.numbers.inverse.ravel()).sum(axis=1)
+        moved = np.maximum.accumulate(np.append(self._moved, moving))
+        added -= np.minimum.accumulate(np.minimum(added, 0.0))
+        self._added, self._moved = float(added[-1]), float(moved[-1])
+        wrong = np.flatnonzero(added[1:] > _ADDED * moved[1:])
+        if not len(wrong):
+            return chunk
+        k = int(wrong[0])
+        part = float(added[k + 1] / moved[k + 1])
+        self._unfollowed = StepTooLarge(
+            f"joints have added {part:.2g} of the most energy that bodies have moved with, where "
+            f"they should add none: steps of {chunk.h:g} do not follow how what they pull at "
+            f"swings; take {0.1 * chunk.h / math.sqrt(part):.1g} or less"
+        )
+        return chunk.first(k)
+
+    def _check_forces(self, start: float, h: float, state: Array) -> None:
+        """Raise `StepTooLarge` where forces are too stiff for these steps."""
+        inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
+        stiff = stiffness(self._around.forces, inverse, size, h, state, start)
+        if not stiff.most() > UNSTABLE:
+            return
+        met = self._touched(state, start, h)
+        parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
+        held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
+        check_followed(stiff, self.numbers.inverse, held, h)
+
+    def _taken(
+        self, start: float, h: float, state: Array, count: int, deepest: float
+    ) -> tuple[Chunk, int]:
+        """Return the steps that could be taken, and how they ended."""
+        bodies = len(self._names)
+        joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
+        solved = 3 * bodies + joint_forces
+        # Of one step more, which is looked at.
+        ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        count = min(count, known)
+        remembered = remembered[: count + 1]
+        chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
+        chunk = chunk._replace(modes=chunk.codes.copy())
+        done, status = 0, DONE
+        while status == FULL or (status == DONE and done < count):
+            if done and interrupts.arrived():
+                break
+            some = chunk.after(done).first(step_bodies.together(count - done))
+            taken, status = step_bodies(
+                self.numbers, ahead.after(done), start, done, self._law,
+                self._forces, self._memory, self._room, (self._allowed, deepest), some,
+            )  # fmt: skip
+            done += taken
+            if status == FULL:
+                self._memory = self._memory.larger()
+                worst = self._room.worst
+                self._room = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
+        chunk.states[1:, 6 * bodies :] = remembered[:-1]
+        chunk = chunk.first(done)
+        if done:
+            self._no_ground.look(start, h, chunk.states, ahead.frames[1 : done + 1])
+        if self._around.count:
+            chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
+        return chunk, status

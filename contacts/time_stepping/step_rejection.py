@@ -1,0 +1,189 @@
+"""Steps that end a run: too long for what happens in them, or in which no impulses help."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from contacts.states import OFF_CODE
+from contacts.time_stepping.chunk import RESIDUAL, Chunk
+from statechart.arrays import Array, Ints
+from statechart.errors import StepTooLarge, UnsolvedImpulses
+
+DEEPEST = 0.1
+"""Deeper than this part of the scene in one step: the step does not see its surfaces."""
+
+# A step adds at most this part of the energy that its contacts move with. Steps that follow a
+# surface by a tenth of a radian add a thousandth; those that do not follow it, multiples.
+_MOST_ADDED = 0.1
+# Impulses that miss the contact laws by this part of the fastest approach keep nothing out.
+_HELPLESS = 0.1
+# Depths below this part of the scene are rounding and what joints are apart by.
+_SHALLOW = 1e-6
+
+
+class Rejection(NamedTuple):
+    """A step that is not taken."""
+
+    step: int  # Its number in the chunk.
+    why: StepTooLarge | UnsolvedImpulses
+    deep: str = ""  # The region that gets too deep in something, where that is why.
+
+
+def too_large(
+    chunk: Chunk, angles: slice | Ints, regions: Sequence[str], size: float, step: float
+) -> Rejection | None:
+    """Return the first step that is too large for what happens in it.
+
+    Parameters
+    ----------
+    angles : slice or (a,) array of int
+        Where the rates of angles are in a state; see `evenly`.
+    size : float
+        Of the scene.
+    step : float
+        As asked for, of which those of the chunk may be parts.
+    """
+    h = chunk.h
+    turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
+    wrong = (turn > math.pi) | (chunk.closing > DEEPEST * size) | (chunk.passed > 0.0)
+    wrong |= chunk.gained > _MOST_ADDED
+    if not wrong.any():
+        return None
+    k = int(np.argmax(wrong))
+    if turn[k] > math.pi:
+        return Rejection(k, StepTooLarge(
+            f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
+            f"{0.1 * h / turn[k]:.1g} or less"
+        ))  # fmt: skip
+    if chunk.passed[k] > 0.0:
+        return Rejection(k, StepTooLarge(
+            f"something passes through another within one step of {step:g}; take "
+            f"{0.5 * h * chunk.passed[k]:.1g} or less"
+        ))  # fmt: skip
+    if chunk.closing[k] <= DEEPEST * size:
+        # What is added goes with the square of the step.
+        part = math.sqrt(_MOST_ADDED / chunk.gained[k])
+        return Rejection(k, StepTooLarge(
+            f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
+            f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
+            f"{0.1 * h * part:.1g} or less"
+        ))  # fmt: skip
+    return Rejection(k, StepTooLarge(
+        f"a contact closes {chunk.closing[k]:.3g} off its surface in one step of {h:g}, in a "
+        f"scene of size {size:.3g}; take {0.1 * h * DEEPEST * size / chunk.closing[k]:.1g} "
+        "or less"
+    ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
+
+
+def evenly(places: Ints) -> slice | Ints:
+    """Return a slice where places are evenly apart: it copies nothing."""
+    steps = np.diff(places)
+    if len(steps) and np.all(steps == steps[0]):
+        return slice(int(places[0]), int(places[-1]) + 1, int(steps[0]))
+    return places
+
+
+class Squeezed:
+    """Tells where something sinks that no impulses keep out."""
+
+    def __init__(self, regions: Sequence[str], step: float, start_depth: float) -> None:
+        self._regions, self._step, self._start_depth = regions, step, start_depth
+        # How deep the deepest was in a step without help, and how deep something stayed then.
+        self._deepest, self._left = -math.inf, -math.inf
+
+    def found(
+        self, chunk: Chunk, start: float, fastest: float, left: Callable[[Array, float], float]
+    ) -> Rejection | None:
+        """Return a step whose impulses are of no help, where something sinks.
+
+        It is deeper than a step at the fastest approach; or no motion takes all out of each other
+        any more, and by a step at the approach of these steps less than when they were first of no
+        help: an approach that a run has once seen says nothing of what is squeezed later.
+        """
+        helpless = chunk.efforts[:, RESIDUAL] > _HELPLESS
+        if not helpless.any():
+            return None
+        depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)
+        approach = np.maximum.accumulate(np.maximum(chunk.approach, fastest))
+        wrong = (depths > self._start_depth + self._step * approach) & helpless
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            name = self._name(chunk, k)
+            return Rejection(k, UnsolvedImpulses(
+                f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
+                f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest "
+                "approach; what is led or held leaves it no room, or the masses are too far apart"
+            ), name)  # fmt: skip
+        stuck = np.flatnonzero(helpless)
+        k = int(stuck[np.argmax(depths[stuck])])
+        sinks = self._step * float(chunk.approach[k])
+        if not depths[k] > max(0.0, self._deepest + 0.5 * sinks):
+            return None
+        self._deepest = float(depths[k])
+
+        def stays(k: int) -> float:
+            return max(left(chunk.states[k], start + k * chunk.h), 0.0)
+
+        if self._left < 0.0:
+            self._left = stays(int(stuck[0]))
+        allowed = self._left + sinks
+        if not stays(k) > allowed:
+            return None
+        # Of those up to it, the first.
+        stuck = stuck[stuck <= k]
+        k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
+        name = self._name(chunk, k)
+        return Rejection(k, _no_room(name, stays(k)), name)
+
+    def _name(self, chunk: Chunk, k: int) -> str:
+        """Return which region is the deepest in a step."""
+        return self._regions[int(np.argmin(_gaps(chunk)[k]))]
+
+
+def _no_room(name: str, depth: float) -> UnsolvedImpulses:
+    return UnsolvedImpulses(
+        f"no impulses keep {name} out of what it touches: wherever it moves something stays "
+        f"{depth:.3g} deep; what is led or held leaves it no room"
+    )
+
+
+def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
+    """Return the error of a region that gets too deep wherever it moves, or None."""
+    return _no_room(name, depth) if depth > _SHALLOW * size else None
+
+
+def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:
+    """Return how deep the deepest contact stays, whatever moves, and the move that does it.
+
+    Below 0 if none stays deep.
+
+    The least over all displacements u of the largest of ``-gaps - rows u`` with ``held u = 0``, by
+    linear programming; of gaps that grow with u as their rates do.
+    """
+    from scipy.optimize import linprog
+
+    if not len(gaps):
+        return -math.inf, np.zeros(rows.shape[1])
+    n, none = rows.shape[1], np.ones((len(gaps), 1))
+    result = linprog(
+        np.append(np.zeros(n), 1.0),
+        np.hstack([-rows, -none]),
+        gaps,
+        np.hstack([held, np.zeros((len(held), 1))]) if len(held) else None,
+        np.zeros(len(held)) if len(held) else None,
+        # All can be apart: by how much does not matter.
+        [*[(None, None)] * n, (-float(np.abs(gaps).max()), None)],
+    )
+    if result.status != 0:
+        return -math.inf, np.zeros(n)
+    return float(result.fun), result.x[:n]
+
+
+def _gaps(chunk: Chunk) -> Array:
+    found: Array = np.where(chunk.codes == OFF_CODE, math.inf, chunk.gaps)
+    return found
