@@ -285,10 +285,11 @@ def _instant(
         row = _PER_CAUSE * changed + _cause(kept[changed], taken[changed])
     for c in range(contacts):
         gap, lay = numbers[first + SCALARS * c], kept[c] != FREE and kept[c] != OFF_CODE
-        if lay or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
+        if taken[c] != FREE:
+            watch.parameters[scene.offsets[c]] = 0.0
+        elif lay or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
             # Its flight is measured from where round-off has left it.
-            flies = taken[c] == FREE and abs(gap) <= scene.gap
-            watch.parameters[scene.offsets[c]] = gap if flies else 0.0
+            watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         kept[c] = taken[c]
     rest = follow(series[row], high, now[T_LOW], margin >= 0, scene.short)
     if rest >= 0.0 and _in_turn(block, row, place[N_JUMPS]):
