@@ -34,6 +34,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
+Loc = tuple[str | int, ...]
+"""Keys and indices that lead to a place in a document."""
+
 
 @dataclass(frozen=True, slots=True)
 class Position:
@@ -145,11 +148,11 @@ class DeclarationProblem(ValueError):
     message: str
     _: KW_ONLY
     advice: str = ""
-    loc: tuple[str | int, ...] = ()
+    loc: Loc = ()
     key: bool = False
     offset: int = 0
     text: str = ""
-    see: tuple[str | int, ...] = ()
+    see: Loc = ()
     others: tuple[DeclarationProblem, ...] = ()
 
     def __post_init__(self) -> None:

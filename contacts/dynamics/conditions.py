@@ -160,11 +160,14 @@ class Conditions:
 
     def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
         """Return whether a condition is zero within its round-off."""
-        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
-        return any(
-            abs(value) <= round_off(size, setup.precision)
-            for value, _, size, _ in numbers[: len(self._conditions)].tolist()
-        )
+        margins, bands = self._margins(setup, state, time)
+        return bool((np.abs(margins) <= bands).any())
+
+    def _margins(self, setup: SceneSetup, state: Array, time: float) -> tuple[Array, Array]:
+        """Return the margins (k,) of all atoms in a state, and their round-off."""
+        rows = self._at(setup, state, time).reshape(-1, PER_CONDITION)[: len(self._conditions)]
+        bands = [round_off(size, setup.precision) for size in rows[:, 2].tolist()]
+        return rows[:, 0], np.array(bands)
 
     def blurred(self, setup: SceneSetup, state: Array, time: float) -> list[float]:
         """Return, for every contact, how far off a place may be where a gate of its point is zero.
@@ -172,19 +175,17 @@ class Conditions:
         That is the round-off of the gate over its gradient, in coordinates.
         """
         found = [0.0] * self._count
-        count, n = len(self._conditions), len(state) // 2
-        here = self._at(setup, state, time).reshape(-1, PER_CONDITION)[:count]
-        bands = np.array([round_off(size, setup.precision) for size in here[:, 2].tolist()])
+        here, bands = self._margins(setup, state, time)
         # What has just fallen lies at the bound of its round-off.
-        places = np.flatnonzero(np.abs(here[:, 0]) <= 2.0 * bands)
+        places = np.flatnonzero(np.abs(here) <= 2.0 * bands)
         if not places.size:
             return found
-        gradients = np.empty((count, n))
-        for i in range(n):
+        gradients = np.empty((len(here), len(state) // 2))
+        for i in range(len(state) // 2):
             moved = state.copy()
             moved[i] += _APART * max(abs(state[i]), setup.scales.sizes[i])
-            there = self._at(setup, moved, time).reshape(-1, PER_CONDITION)[:count]
-            gradients[:, i] = (there[:, 0] - here[:, 0]) / (moved[i] - state[i])
+            there, _ = self._margins(setup, moved, time)
+            gradients[:, i] = (there - here) / (moved[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
             point = self.points[self._conditions[k].contact]
@@ -204,15 +205,11 @@ class Conditions:
 
         Not those whose margins fell.
         """
-        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
+        margins, bands = self._margins(setup, state, time)
         return [
-            HOLDS
-            if one.contact in contacts
-            and one.atom.name not in fired
-            and abs(value) <= round_off(size, setup.precision)
-            else verdict
-            for one, verdict, (value, _, size, _) in zip(
-                self._conditions, verdicts, numbers[: len(verdicts)].tolist(), strict=True
+            HOLDS if one.contact in contacts and one.atom.name not in fired and zero else verdict
+            for one, verdict, zero in zip(
+                self._conditions, verdicts, (np.abs(margins) <= bands).tolist(), strict=True
             )
         ]
 

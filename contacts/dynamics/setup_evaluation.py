@@ -275,7 +275,7 @@ LIMITS, SCALES, MOTIONS, STOPS = range(4)
 
 
 class Rules(NamedTuple):
-    """How the numbers of a run follow from the values of a scene's parameters."""
+    """Places and limits by which `run_numbers` computes the numbers of a run."""
 
     # (b,): Place of every body's moment of inertia among the values; -1 where it has none
     inertias: Ints

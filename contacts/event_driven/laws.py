@@ -373,30 +373,16 @@ class SceneLaws:
         period: float,
         rest: float,
     ) -> tuple[Jump, Flow] | None:
-        found = closed_at_once(
+        return closed_at_once(
             setup,
             lambda state: self._tape.at(setup.values, state, clock.high),
             flow,
-            jump.after,
+            jump,
             took_part,
             period,
             rest,
             self._paradox,
         )
-        if found is None:
-            return None
-        energy = None if jump.energy is None else (jump.energy[0], found.energy)
-        # A bar that rattles over a crest takes off from it: there is nothing to wait for.
-        wait = None if found.choice.taken.roles == roles_in(flow.mode) else rest
-        following = flow_in(
-            setup,
-            flow.mode,
-            found.choice.taken.roles,
-            wait,
-            found.warning,
-            notes=found.choice.notes,
-        )
-        return dataclasses.replace(jump, after=found.state, energy=energy, skipped=rest), following
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""

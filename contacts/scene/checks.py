@@ -24,8 +24,7 @@ from statechart.documents.fields import (
     check_smooth,
     value_of,
 )
-from statechart.documents.validation import Loc
-from statechart.errors import DeclarationProblem, Findings, close_matches
+from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.tree import names_in
 

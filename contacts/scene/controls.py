@@ -14,7 +14,6 @@ from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
-    Loc,
     declared_transitions,
     nested,
 )
@@ -26,7 +25,7 @@ from statechart.documents.fields import (
     check_names,
     unit,
 )
-from statechart.errors import DeclarationProblem, close_matches, undeclared
+from statechart.errors import DeclarationProblem, Loc, close_matches, undeclared
 from statechart.formulas.formula import Formula, parse
 
 Value = TypeVar("Value")
@@ -83,7 +82,7 @@ class Controller(ControlRegion):
 
 @dataclass(frozen=True)
 class Controls:
-    """What the controllers of a scene set."""
+    """Controls of a scene, and the controllers that set them."""
 
     declared: Mapping[str, FormulaText]  # Control -> its value where no state sets it
     regions: Mapping[str, Controller]  # Name -> controller

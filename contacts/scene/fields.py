@@ -58,7 +58,7 @@ Gravity = Annotated[
 
 
 class SceneFields(Declaration):
-    """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
+    """Keys of a scene, before it is checked (see `contacts.scene.scene.Scene`)."""
 
     OTHER_WORDS: ClassVar = {
         "g": "gravity",

@@ -1,4 +1,4 @@
-"""What a scene is made of: coordinates, bodies, surfaces, contacts."""
+"""Parts of a scene: coordinates, bodies, surfaces, contacts."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class Body(Part):
 
 
 class Surface(Part):
-    """What bodies may touch: a height function, an incline, a straight line, an edge, a circle.
+    """Ground or wall: a height function, an incline, a straight line, an edge, a circle.
 
     The normal is to the left of the line's direction, the solid to its right: a ground goes from
     left to right. A surface may be carried by a body, or displaced and turned in time.

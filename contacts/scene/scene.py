@@ -27,8 +27,7 @@ from statechart.charts.transitions import check_listening, check_periods, declar
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
-from statechart.documents.validation import Loc
-from statechart.errors import DeclarationProblem, Findings
+from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
 
@@ -98,40 +97,29 @@ class Scene(SceneFields):
                 if used in declared:
                     raise _twice(used, loc, declared[used], " for the coordinate")
             declared |= dict.fromkeys((name, self.rate_name(name)), loc)
-        sections: dict[str, Iterable[str]] = {
-            "contacts": self.contacts,
-            "joints": self.joints,
-            "bodies": self.bodies,
-            "controls": self.controls,
-        }
-        found: list[Loc] = [(section, name) for section in sections for name in sections[section]]
-        found += [
-            ("regions", region, "variables", name)
-            for region, controller in self.regions.items()
-            for name in controller.variables
-        ]
-        others: dict[str, Loc] = {}
-        for loc in found:
-            name = str(loc[-1])
-            before = declared.get(name, others.get(name) if len(loc) > 2 else None)
-            if before is not None:
-                raise _twice(name, loc, before)
-            others.setdefault(name, loc)
-        taken = dict.fromkeys(self.bodies, ("body", "bodies"))
-        for section, names in {**sections, "regions": self.regions}.items():
-            if section == "bodies":
-                continue
-            for name in names:
-                if name in taken:
-                    one, of = taken[name]
+        things: dict[str, str] = {}  # Name -> its section
+        for section in ("bodies", "contacts", "joints", "controls", "regions"):
+            for name in getattr(self, section):
+                if name in declared and section != "regions":
+                    raise _twice(name, (section, name), declared[name])
+                if name in things:
+                    one = "body" if things[name] == "bodies" else things[name][:-1]
                     raise DeclarationProblem(
                         f"{name!r} is a {one} already, {{see}}",
                         advice=f"choose another name for the {section[:-1]}",
                         loc=(section, name),
                         key=True,
-                        see=(of, name),
+                        see=(things[name], name),
                     )
-            taken |= dict.fromkeys(names, (section[:-1], section))
+                things[name] = section
+        for region, controller in self.regions.items():
+            for name in controller.variables:
+                loc = ("regions", region, "variables", name)
+                if things.get(name, "regions") != "regions":
+                    declared.setdefault(name, (things[name], name))
+                if name in declared:
+                    raise _twice(name, loc, declared[name])
+                declared[name] = loc
         return self
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ Flow = tuple[float, ArrayLike, ArrayLike]
 """Start, local times (k + 1,) of the steps' ends and coefficients (k, n, d + 1) of a flow."""
 
 # Flows of one batch.
-_FLOWS = 1024
+_MAX_FLOWS = 1024
 
 
 def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: int = 16) -> Array:
@@ -26,8 +26,8 @@ def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: i
     """
     s = np.arange(per_step + 1) / per_step
     parameters, found = contiguous(parameters), np.full(len(tape.outputs), np.inf)
-    for first in range(0, len(flows), _FLOWS):
-        some = flows[first : first + _FLOWS]
+    for first in range(0, len(flows), _MAX_FLOWS):
+        some = flows[first : first + _MAX_FLOWS]
         parts = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in some]
         begin = np.concatenate([times[:-1] for times, _ in parts])[:, None]
         end = np.concatenate([times[1:] for times, _ in parts])[:, None]

@@ -211,11 +211,15 @@ class CompiledLaws(Protocol):
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
-        """What gives the numbers of a run that `batch` makes many of."""
+        """What gives the numbers of a run that the loop finds itself where it starts runs."""
         ...
 
     def compiled(self) -> bool:
-        """Whether it lies compiled on disk; if not, that takes a while."""
+        """Whether the loop lies compiled on disk; if not, that takes a while."""
+        ...
+
+    def ready(self) -> bool:
+        """Whether it does, and costs nothing to have."""
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
@@ -234,24 +238,8 @@ class CompiledLaws(Protocol):
         """Whether it can go on from the start of a flow in a mode that it knows."""
         ...
 
-    def ready(
-        self, setup: Setup, loop: Any, floors: Array, values: Array
-    ) -> Callable[..., tuple[int, int, float]]:
-        """Return the loop for the numbers of a run; see `statechart.execution.compiled_loop`.
-
-        `values` (p,) are the parameters of a flow, which the loop brings up to date.
-        """
-        ...
-
-    def batch_compiled(self) -> bool:
-        """Whether the call for many runs lies compiled on disk; if not, that takes a while."""
-        ...
-
-    def batch(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
-        """Return the call for runs with values of some parameters; None where there is none.
-
-        See `statechart.execution.compiled_loop.BatchCall`.
-        """
+    def call(self, loop: Any, relative: float) -> Any:
+        """Return calls of the loop; see `statechart.execution.compiled_loop.LoopCall`."""
         ...
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar, overload
 T = TypeVar("T")
 
 # Of a sequence, the first so many are kept once they have been made.
-_SHORT = 1 << 12
+_MAX_KEPT = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
@@ -77,7 +77,7 @@ class LazySequence(Sequence[T], Generic[T]):
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if self.keeps and place < _SHORT:
+            if self.keeps and place < _MAX_KEPT:
                 self._seen[place] = found
         return found
 

@@ -21,7 +21,7 @@ UNDERFLOW = 1e-290
 """Round-off of terms that are all zero: a tolerance of zero would leave a margin undecided that
 starts at zero and rises with slope zero."""
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
-_ORDERS = 12
+_MAX_ORDER = 12
 
 
 class MarginDerivatives:
@@ -62,7 +62,7 @@ class MarginDerivatives:
             for x, size in zip(state.tolist(), sizes.tolist(), strict=True)
         ]
         parameters = setup.values.tolist()
-        for order in range(_ORDERS + 1):
+        for order in range(_MAX_ORDER + 1):
             *rates, found = expand(tape, series, parameters, time)
             value, size = found.values[order], found.sizes[order]
             if order > 0 and not abs(value) <= relative * size:

@@ -16,7 +16,7 @@ from statechart.automaton.regions import Hold
 
 # A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
 # mechanics are 1.
-_PIVOT = 0.5
+_MIN_PIVOT = 0.5
 
 Known = Mapping[sp.Symbol, sp.Expr]
 
@@ -135,7 +135,7 @@ def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr
         if not place.has(coordinate):
             continue
         pivot = sp.diff(place, coordinate)
-        if pivot.is_number and abs(pivot) >= max(_PIVOT, best[0] if best else 0.0):
+        if pivot.is_number and abs(pivot) >= max(_MIN_PIVOT, best[0] if best else 0.0):
             value = place.xreplace({coordinate: sp.S.Zero}) / -pivot
             best = float(abs(pivot)), coordinate, sp.expand_mul(value)
     return None if best is None else best[1:]

@@ -257,7 +257,7 @@ class TraceStore:
         return self._events[-1] + int(self.buffer.used[EVENTS]) + (self.last is not None)
 
     def _arc(self, place: int) -> Arc:
-        block, row = self._found(self._arcs, place)
+        block, row = self._locate(self._arcs, place)
         arc = arc_of(block, row, self.variables, self._kinds)
         if block is self.buffer:  # a later arc overwrites it
             arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
@@ -270,9 +270,9 @@ class TraceStore:
         if self.last is not None and j == self._count() - 1:
             return self.last()
         assert self._jump is not None
-        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
+        return self._jump(event_of(*self._locate(self._events, j), j, self._kinds))
 
-    def _found(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
+    def _locate(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
         """Return the block and the row of one item of a sequence."""
         block = bisect_right(begins, place) - 1
         row = place - begins[block]

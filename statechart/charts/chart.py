@@ -12,7 +12,6 @@ from statechart.charts.flatten import FlatRegion, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
-    Loc,
     check_listening,
     check_periods,
     declared_transitions,
@@ -34,7 +33,7 @@ from statechart.documents.fields import (
     value_of,
 )
 from statechart.documents.quantities import Quantity
-from statechart.errors import DeclarationProblem, undeclared
+from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
 

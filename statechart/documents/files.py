@@ -76,8 +76,8 @@ def obstacle(path: Path) -> str:
 
 
 @contextmanager
-def made(folder: Path) -> Iterator[None]:
-    """Make a folder and its parents; where the work in it fails, remove those that were made."""
+def new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and its parents; where the work in it fails, remove those that it made."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ def made(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+def staging_folder(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """Make a place for files that appear in `folder` at the end, and not at all after an error.
 
     A new folder appears at once. In one that exists, files are replaced one by one; those of
@@ -100,7 +100,7 @@ def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     # Inside a folder that exists: its parent may be read-only, or on another disk.
     exists = folder.exists()
     place = folder if exists else folder.parent
-    with made(place):
+    with new_folder(place):
         for left in {place, folder.parent}:
             _sweep(left, folder.name)
         temporary = Path(tempfile.mkdtemp(dir=place, prefix=_prefix(folder.name)))

@@ -20,9 +20,9 @@ from ruamel.yaml.reader import ReaderError
 
 from statechart.documents.files import read_bounded
 from statechart.documents.hints import YAML_HINTS
-from statechart.documents.validation import Document, Loc
+from statechart.documents.validation import Document
 from statechart.documents.yaml_text import resolve
-from statechart.errors import DeclarationError, Position
+from statechart.errors import DeclarationError, Loc, Position
 from statechart.formulas.hints import character
 
 # The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the

@@ -17,7 +17,7 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
+from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states

@@ -30,12 +30,12 @@ from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.extremes import widen
 from statechart.observation.sampling import (
-    Instant,
+    Endpoint,
     Points,
     Samples,
     Where,
     along,
-    at_instants,
+    at_endpoints,
     at_times,
     end_of,
     passed,
@@ -146,13 +146,13 @@ class Observer:
         return self._values(trace, formulas, [side_of(jump, before) for jump in jumps])
 
     def _values(
-        self, trace: Trace, formulas: Sequence[FormulaLike], instants: Sequence[Instant]
+        self, trace: Trace, formulas: Sequence[FormulaLike], instants: Sequence[Endpoint]
     ) -> Array:
         expressions = self.programs.expressions(formulas)
         return self._table(trace, expressions, self._instants(trace, instants))
 
-    def _instants(self, trace: Trace, instants: Sequence[Instant]) -> Points:
-        return at_instants(trace, instants, len(self.programs.solved))
+    def _instants(self, trace: Trace, instants: Sequence[Endpoint]) -> Points:
+        return at_endpoints(trace, instants, len(self.programs.solved))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the flow that each of the jumps ended, just before it.

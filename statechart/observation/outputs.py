@@ -24,7 +24,7 @@ from statechart.automaton.regions import happened
 from statechart.automaton.trace import Arc, Jump, Trace, visited_states
 from statechart.documents.outputs import Event, Moment, Value
 from statechart.documents.quantities import Dimension
-from statechart.execution.simulator import Batch
+from statechart.execution.compiled_loop import Batch
 from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
 from statechart.observation.observer import FormulaLike, Observer, include
 from statechart.observation.sampling import passed
@@ -282,7 +282,7 @@ def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
     return Outputs(observer).of(trace)
 
 
-_SMALL = 1e-3
+_NEARLY_ZERO = 1e-3
 """Part of the scale of its kind below which a quantity is nearly zero."""
 
 _TRAVELLED: tuple[Dimension, ...] = ("length", "angle")
@@ -299,8 +299,8 @@ _TOLERANCES: Mapping[Dimension, str] = {
 class RunScales:
     """The scales of one run.
 
-    `variables` (n,) are their largest magnitudes, or `_SMALL` of their kinds' scales where that is
-    more; below `zeros` (n,) they are zero but for round-off.
+    `variables` (n,) are their largest magnitudes, or the part `_NEARLY_ZERO` of their kinds' scales
+    where that is more; below `zeros` (n,) they are zero but for round-off.
     """
 
     def __init__(self, observer: Observer, trace: Trace) -> None:
@@ -323,7 +323,7 @@ class RunScales:
         self._fixed = frozenset(automaton.parameters)
         scales = np.array([self._kinds[kind] for kind in kinds])
         self._leaves |= zip(automaton.variables, np.maximum(scales, largest).tolist(), strict=True)
-        self.variables: Array = np.maximum(_SMALL * scales, largest)
+        self.variables: Array = np.maximum(_NEARLY_ZERO * scales, largest)
         self.zeros: Array = np.array([self._zero(kind) for kind in kinds])
 
     def of(self, formula: FormulaLike, own: float = 0.0) -> float:
@@ -333,7 +333,7 @@ class RunScales:
         the scale of lengths.
         """
         size = self._size(self._observer.programs.expression(formula))
-        return max(own, _SMALL * (size or 0.0))
+        return max(own, _NEARLY_ZERO * (size or 0.0))
 
     def zero(self, formula: FormulaLike) -> float:
         """Return what a formula is below where it is zero but for round-off."""

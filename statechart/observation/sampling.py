@@ -1,4 +1,4 @@
-"""Points of hybrid time: grids along arcs, instants, and the equations that hold there."""
+"""Points of hybrid time: grids along arcs, endpoints, and the equations that hold there."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Points:
     unknowns: Callable[[], Array | None]
 
 
-class Instant(NamedTuple):
-    """A point of hybrid time at the start of a flow, or at its end."""
+class Endpoint(NamedTuple):
+    """Start or end of a flow, in hybrid time."""
 
     t: float
     state: Array
@@ -88,32 +88,32 @@ def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     )
 
 
-def at_instants(trace: Trace, instants: Sequence[Instant], width: int) -> Points:
-    """Return the points of instants of a run that solves for, or sets, `width` numbers."""
+def at_endpoints(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Points:
+    """Return the points at ends of flows; a mode solves for, or sets, `width` numbers."""
     return Points(
-        np.array([one.t for one in instants]),
-        np.array([one.state for one in instants]).reshape(-1, len(trace.variables)),
-        range(1, len(instants) + 1),
-        lambda: [roles_at(trace, one.j, one.mode, ends=one.ends) for one in instants],
-        lambda: _solved_rows(trace, instants, width),
+        np.array([one.t for one in endpoints]),
+        np.array([one.state for one in endpoints]).reshape(-1, len(trace.variables)),
+        range(1, len(endpoints) + 1),
+        lambda: [roles_at(trace, one.j, one.mode, ends=one.ends) for one in endpoints],
+        lambda: _solved_rows(trace, endpoints, width),
     )
 
 
-def start_of(trace: Trace) -> Instant:
+def start_of(trace: Trace) -> Endpoint:
     """Return the start of a run, before any jump."""
-    return Instant(0.0, trace.initial, 0, trace.start_mode, False)
+    return Endpoint(0.0, trace.initial, 0, trace.start_mode, False)
 
 
-def end_of(trace: Trace) -> Instant:
+def end_of(trace: Trace) -> Endpoint:
     """Return the end of a run, after all jumps."""
-    return Instant(trace.t_end, trace.final, len(trace.jumps), trace.final_mode, True)
+    return Endpoint(trace.t_end, trace.final, len(trace.jumps), trace.final_mode, True)
 
 
-def side_of(jump: Jump, before: bool) -> Instant:
+def side_of(jump: Jump, before: bool) -> Endpoint:
     """Return the instant just before a jump, or just after it."""
     if before:
-        return Instant(jump.t, jump.before, jump.j, jump.source, True)
-    return Instant(jump.t, jump.after, jump.j + 1, jump.target, False)
+        return Endpoint(jump.t, jump.before, jump.j, jump.source, True)
+    return Endpoint(jump.t, jump.after, jump.j + 1, jump.target, False)
 
 
 def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
@@ -181,15 +181,15 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
     return roles_in(mode)
 
 
-def _solved_rows(trace: Trace, instants: Sequence[Instant], width: int) -> Array | None:
-    """Return what steps have solved for at instants.
+def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Array | None:
+    """Return what steps have solved for at the ends of flows.
 
     None where modes have to be solved for it; not a number where nothing flowed.
     """
     if trace.step is None:
         return None
-    rows = np.full((len(instants), width), np.nan)
-    for row, one in zip(rows, instants, strict=True):
+    rows = np.full((len(endpoints), width), np.nan)
+    for row, one in zip(rows, endpoints, strict=True):
         if trace.arcs:
             place = min(max(_place(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
             solved = trace.arcs[place].solved

@@ -26,8 +26,8 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.compiled_loop import T_HIGH
-from statechart.execution.simulator import Batch, BatchRunner
+from statechart.execution.compiled_loop import T_HIGH, Batch
+from statechart.execution.simulator import BatchRunner
 from statechart.formulas.formula import parse
 from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer

@@ -34,8 +34,8 @@ from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
 
-_FINER = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
-_KEPT = 64  # cases whose runs are kept for the next property
+_FINER_TOLERANCE = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
+_MAX_CASES = 64  # cases whose runs are kept for the next property
 
 
 class Subject:
@@ -85,7 +85,7 @@ class Subject:
         key = tuple(sorted(parameters.items()))
         found = self._cases.pop(key, None) or self.fresh(parameters)
         self._cases[key] = found
-        if len(self._cases) > _KEPT:
+        if len(self._cases) > _MAX_CASES:
             self._cases.popitem(last=False)
         return found
 
@@ -113,9 +113,9 @@ class Subject:
     def finer(self) -> Subject | None:
         """The same with impulses that miss less than `NUDGE` shows, if its own may miss more."""
         settings = self.model.settings
-        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER:
+        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER_TOLERANCE:
             return None
-        chosen = settings.model_copy(update={"impulse_tolerance": _FINER})
+        chosen = settings.model_copy(update={"impulse_tolerance": _FINER_TOLERANCE})
         return Subject(self.model.model_copy(update={"settings": chosen}))
 
     def end(self, parameters: Mapping[str, float]) -> float:

@@ -211,7 +211,7 @@ def test_what_a_killed_process_left_in_an_existing_folder_is_removed(tmp_path: P
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     (tmp_path / f".{tmp_path.name}.{platform.node()}-{ended.pid}-abcd_123").mkdir()
-    with files.aside(tmp_path, ["a"]) as place:
+    with files.staging_folder(tmp_path, ["a"]) as place:
         (place / "a").write_text("whole")
     assert os.listdir(tmp_path) == ["a"]
 
