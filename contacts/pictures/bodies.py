@@ -70,7 +70,6 @@ class BodyShapes:
         return Shape("outline", points, frame, frame, region=region, name=name)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
-        """Return the places in a body's frame that the scene names."""
         scene = self._scene
         touching = scene.contacts.items()
         points = [c.point for key, c in touching if key not in idle and c.radius is None]
@@ -161,7 +160,6 @@ class BodyShapes:
         return found
 
     def _coordinates(self, name: str) -> frozenset[sp.Symbol]:
-        """Return the coordinates that place a body."""
         (x, y), angle = self._mechanics.body_frame(name)
         used = {symbol for part in (x, y, angle) for symbol in part.free_symbols}
         return frozenset(used.intersection(self._mechanics.q))

@@ -147,7 +147,6 @@ def _graph(
 
 
 def _shifted(points: Array, lift: float) -> Array:
-    """Return a line moved to its right."""
     if lift == 0.0:
         return points
     along = np.gradient(points, axis=0)

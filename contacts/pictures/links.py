@@ -85,7 +85,6 @@ class Links:
         return found
 
     def _reactions(self) -> list[Shape]:
-        """Return what two forces are that are each other's reaction."""
         forces = [f for f in self._scene.forces.values() if f.force != (0, 0)]
         found = []
         for one, other in combinations(forces, 2):

@@ -32,7 +32,7 @@ from contacts.solvers.proximal_newton import by_proximal_points
 from contacts.solvers.status_newton import STEPS, by_status
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import beside, kernel, late
+from statechart.kernels.jit import kernel
 
 # Impulses of the step before are taken as they are where they miss by no more than this: what
 # rests does not creep.
@@ -50,7 +50,7 @@ _OF_BODIES = 2
 _SWEEPS, _ANEW, _SPARSE = (64, 64, 256, 1024), 1, 2
 
 
-@beside
+@kernel
 def solve_rows(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool, last: bool
 ) -> tuple[float, int]:
@@ -165,7 +165,7 @@ def dense_impulses(
     return left, impulses
 
 
-@late
+@kernel
 def _by_lemke(
     contacts: ContactRows, least: Array, allowed: float, bodies: bool, impulses: Array
 ) -> tuple[float, int]:

@@ -37,7 +37,7 @@ from contacts.solvers.status_equations import (
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # The compliance, of a contact's own: at first, at least, at most; by how much it falls where steps
 # settle, and grows where they do not.
@@ -48,7 +48,7 @@ _FALLS, _GROWS = 0.5, 4.0
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
 
 
-@part
+@kernel
 def _find_status(
     contacts: ContactRows, least: Array, now: Array, centre: Array, compliance: float,
     rates: Array, status: Ints, edges: Array,
@@ -75,7 +75,7 @@ def _find_status(
     return different
 
 
-@part
+@kernel
 def _take_step(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
@@ -90,7 +90,7 @@ def _take_step(
     moved(contacts, now, rates)
 
 
-@part
+@kernel
 def _settled(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
@@ -114,7 +114,7 @@ def _settled(
     return False, _SETTLING
 
 
-@late
+@kernel
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:

@@ -16,7 +16,7 @@ import numpy as np
 from contacts.solvers.contact_rows import ContactRows, moved, seen, slope
 from contacts.solvers.status_equations import OPEN, SLIDES, STICKS, Equations, eliminated, step
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # Changes of status, and how many of them the shift may grow after.
 _CHANGES, _TURNS = 160, 40
@@ -24,7 +24,7 @@ _CHANGES, _TURNS = 160, 40
 _FIRST, _SECOND = 0, 1
 
 
-@part
+@kernel
 def _kept(
     mu: float, status: int, edge: float, which: int, impulse: Array, normal: float, slip: float
 ) -> float:
@@ -42,7 +42,7 @@ def _kept(
     return -slip if edge > 0.0 else slip
 
 
-@part
+@kernel
 def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: float) -> int:
     """Give a contact its next status, in place; return which of its bounds it then begins at."""
     if status[i] == OPEN:
@@ -58,7 +58,7 @@ def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: flo
     return _FIRST if edges[i] > 0.0 else _SECOND
 
 
-@late
+@kernel
 def followed(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     shift: Array, compliance: float, rates: Array, status: Ints, edges: Array,

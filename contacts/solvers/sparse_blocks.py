@@ -16,7 +16,7 @@ import numpy as np
 
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 # Entries of the elimination that there is place for at first, for each body.
 _ENTRIES = 16
@@ -35,14 +35,14 @@ class Pattern(NamedTuple):
     targets: Ints
 
 
-@part
+@kernel
 def _body(contacts: ContactRows, i: int, side: int) -> int:
     """Return a body of a contact by its number; -1 where nothing moves."""
     body = contacts.bodies[i, side]
     return body if body < contacts.moving else -1
 
 
-@part
+@kernel
 def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
     """Return the neighbours of the bodies one after the other, and write where each one's begin."""
     count, bodies, total = len(contacts.own), len(sizes), 0
@@ -133,7 +133,7 @@ def pattern_of(contacts: ContactRows) -> Pattern:
     return Pattern(ends, entries, begins, others[:filled].copy(), targets)
 
 
-@part
+@kernel
 def _targets(begins: Ints, others: Ints) -> Ints:
     """Put the entries of each body in order; return `Pattern.targets`."""
     bodies, pairs = len(begins) - 1, 0
@@ -158,7 +158,7 @@ def _targets(begins: Ints, others: Ints) -> Ints:
     return targets
 
 
-@part
+@kernel
 def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> tuple[Ints, Ints]:
     """Return `Pattern.ends` and `Pattern.entries`."""
     count = len(contacts.own)
@@ -176,7 +176,7 @@ def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> 
     return ends, entries
 
 
-@part
+@kernel
 def _longer(array: Ints, needed: int) -> Ints:
     """Return a copy with place for twice as much as is needed."""
     result = np.empty(2 * needed, np.int64)
@@ -185,7 +185,7 @@ def _longer(array: Ints, needed: int) -> Ints:
     return result
 
 
-@part
+@kernel
 def _inverted(block: Array) -> bool:
     """Invert a block in place (Gauss and Jordan); False where a pivot fails."""
     for k in range(3):
@@ -204,7 +204,7 @@ def _inverted(block: Array) -> bool:
     return True
 
 
-@part
+@kernel
 def _less(block: Array, left: Array, right: Array) -> None:
     """Take a product of two blocks from one."""
     for r in range(3):
@@ -213,7 +213,7 @@ def _less(block: Array, left: Array, right: Array) -> None:
             block[3 * r + k] -= a * right[k] + b * right[3 + k] + c * right[6 + k]
 
 
-@part
+@kernel
 def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> bool:
     """Eliminate blocks in place: inverses of the pivots, and the factors; False if one fails."""
     begins, others, targets = pattern.begins, pattern.others, pattern.targets
@@ -238,7 +238,7 @@ def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> 
     return True
 
 
-@part
+@kernel
 def solved(pattern: Pattern, diagonal: Array, after: Array, before: Array, right: Array) -> None:
     """Solve factored equations for a right side (b, 3), in place."""
     begins, others = pattern.begins, pattern.others

@@ -14,7 +14,7 @@ import numpy as np
 from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.sparse_blocks import Pattern, factored, pattern_of, solved
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
 """The status of a contact."""
@@ -43,7 +43,7 @@ def equations_of(contacts: ContactRows) -> Equations:
     )  # fmt: skip
 
 
-@part
+@kernel
 def _add(
     contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
     block: Array,
@@ -56,7 +56,7 @@ def _add(
             block[3 * r + c] += column * rows[3 * other + c]
 
 
-@part
+@kernel
 def eliminated(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array
 ) -> bool:
@@ -95,7 +95,7 @@ def eliminated(
     return factored(pattern, diagonal, after, before)
 
 
-@part
+@kernel
 def step(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array,
     impulses: Array,

@@ -32,7 +32,7 @@ from contacts.solvers.saddle_point import eliminated, substitute
 from contacts.solvers.status_equations import OPEN, SLIDES, STICKS
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # So many steps, and for each contact.
 _STEPS, _STEPS_EACH = 12, 4
@@ -51,7 +51,7 @@ _REST = 1e-12
 _EDGE = 1e-9
 
 
-@part
+@kernel
 def _guess(
     contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints, edges: Array
 ) -> None:
@@ -74,7 +74,7 @@ def _guess(
             status[i], edges[i] = SLIDES, mu if pt > 0.0 else -mu
 
 
-@part
+@kernel
 def _changed(
     contacts: ContactRows,
     least: Array,
@@ -110,7 +110,7 @@ def _changed(
     return different
 
 
-@part
+@kernel
 def _solve(
     contacts: ContactRows, least: Array, impulses: Array, rates: Array, status: Ints,
     edges: Array, rest: float,
@@ -179,7 +179,7 @@ def _solve(
     return True
 
 
-@part
+@kernel
 def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edges: Array) -> bool:
     """Shorten a step, in place, to where the first contact leaves its cone; False if none does.
 
@@ -212,7 +212,7 @@ def _blocked(contacts: ContactRows, begin: Array, end: Array, status: Ints, edge
     return True
 
 
-@late
+@kernel
 def by_status(
     contacts: ContactRows, least: Array, size: float, lowest: float, impulses: Array,
     allowed: float, most: int,

@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
         added = verbs.add_parser(name, help=words, description=words, allow_abbrev=False)
         if file:
             added.add_argument("file", metavar="FILE", help="a path, or a shipped model's name")
-            _flag(added, "-q --quiet", "say nothing of progress; warnings and errors remain")
+            _flag(added, "-q --quiet", "show no progress; warnings and errors remain")
         return added
 
     verb("validate", "read a model and check it, its initial state too")
@@ -121,10 +121,10 @@ def _running(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record",
         choices=("modes", "poses", "nothing"),
-        help="what is kept of a run of the engine impulse: modes and their events, the states at "
-        "every step, or start, end and outputs alone",
+        help="what a run of the engine impulse keeps: modes and events, the states at every step, "
+        "or start, end and outputs",
     )
-    words = "longest step of the other engines, in time"
+    words = "longest time step of the other engines"
     _value(parser, "--max-step", "H", words, type=_number)
     words = "RK45, DOP853, Radau or LSODA (engine scipy), 'long double' (engine taylor)"
     _value(parser, "--method", "M", words)
@@ -135,30 +135,30 @@ def _running(parser: argparse.ArgumentParser) -> None:
 
 def _errors(group: argparse._ActionsContainer) -> None:
     _value(group, "--accuracy", "A", "relative error allowed", type=_number)
-    _value(group, "--tolerance", "R", "of every step, relative", type=_number)
+    _value(group, "--tolerance", "R", "relative tolerance of every step", type=_number)
 
 
 def _reporting(parser: argparse.ArgumentParser) -> None:
-    words = "prove of every step how far it is off, and estimate the error of the whole"
+    words = "enclose the defect of every step, and estimate the global error"
     _flag(parser, "--certify", words)
-    words = "run under the other choices of simultaneous: too, and show where that matters"
+    words = "also run with the other laws of simultaneous impacts, and compare"
     _flag(parser, "--alternatives", words)
-    words = "of every event: what fired, the margins, what else was considered, the energy"
+    words = "list for every event the guard that fired, margins, candidates and energy"
     _flag(parser, "--explain", words)
-    words = "write tables, data set and figure there; to STORE.zarr the states at every step"
+    words = "folder for tables, data set and figure; or STORE.zarr for the states at every step"
     _value(parser, "-o --output", "DIR", words)
     parser.add_argument(
         "--samples",
         action=argparse.BooleanOptionalAction,
-        help="write samples.csv there, too, which says what trace.nc says",
+        help="also write samples.csv, which has what trace.nc has",
     )
     _value(parser, "--animate", "FILM", "draw the bodies in motion: .gif, or .mp4 with ffmpeg")
-    words = "of the film: units of the run's time that pass in a second"
+    words = "run time that passes in a second of the film"
     _value(parser, "--speed", "V", words, type=_number)
-    _value(parser, "--size", "PIXELS", "of the film: its longer side; 720", type=_count)
-    words = "of the film: how far back in time trails reach; 0 for none"
+    _value(parser, "--size", "PIXELS", "longer side of the film; 720", type=_count)
+    words = "time that trails of the film reach back; 0 for none"
     _value(parser, "--trail", "T", words, type=_number)
-    _value(parser, "--report", "PAGE", "write the run as one page to look at and to send: .html")
+    _value(parser, "--report", "PAGE", "write the run as one page: .html")
     _json(parser, digits=True)
 
 
@@ -172,21 +172,21 @@ def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
 def _viewing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     _value(parser, "--until", "T", "end of the run", type=_number)
-    _value(parser, "-o --output", "PAGE", "write the page there, and not to a passing folder")
+    _value(parser, "-o --output", "PAGE", "file of the page; a temporary one by default")
 
 
 def _trading(parser: argparse.ArgumentParser) -> None:
     _json(parser)
-    words = "keep table, data and figure there; what was interrupted goes on from there"
+    words = "folder for table, data and figure; an interrupted study goes on from there"
     _value(parser, "-o --output", "DIR", words)
 
 
 def _listing(parser: argparse.ArgumentParser) -> None:
     _settable(parser)
     where = parser.add_mutually_exclusive_group()
-    words = "judge another configuration than the initial one, such as bar.angle=0.3"
+    words = "check this configuration instead of the initial one, such as bar.angle=0.3"
     _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_place)
-    _value(where, "--until", "T", "judge where a run is then", type=_number)
+    _value(where, "--until", "T", "check the state of a run at this time", type=_number)
     _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
@@ -212,7 +212,7 @@ def _drawing(parser: argparse.ArgumentParser) -> None:
 
 
 def _checking(parser: argparse.ArgumentParser) -> None:
-    _value(parser, "--examples", "N", "per property; 50", type=_positive, default=50)
+    _value(parser, "--examples", "N", "examples per property; 50", type=_positive, default=50)
     _value(parser, "--seed", "S", "repeats a check exactly", type=_count)
     _json(parser)
 
@@ -221,10 +221,9 @@ def _engine(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine",
         choices=("auto", "taylor", "scipy", "impulse"),
-        help="what integrates: taylor and scipy locate events, impulse takes fixed steps; "
-        "auto chooses",
+        help="taylor and scipy locate events, impulse takes fixed time steps; auto chooses",
     )
-    _value(parser, "--step", "H", "of the engine impulse, in time", type=_number)
+    _value(parser, "--step", "H", "time step of the engine impulse", type=_number)
 
 
 def _sweeping(parser: argparse.ArgumentParser) -> None:
@@ -234,10 +233,16 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
     )
     _value(parser, "--over", "NAME=RANGE", words, action="append", default=[], type=_range)
     cells = parser.add_mutually_exclusive_group()
-    words = "so many points of a Sobol sequence over NAME=lin:A:B, a power of two"
+    words = "points of a Sobol sequence over NAME=lin:A:B, a power of two"
     _value(cells, "--sobol", "N", words, type=_positive)
     _value(cells, "--samples", "TABLE.csv", "a column for every parameter, a row for every run")
-    _value(parser, "--outputs", "NAMES", "separated by commas; else all", type=_names)
+    _value(
+        parser,
+        "--outputs",
+        "NAMES",
+        "outputs to compute, separated by commas; all by default",
+        type=_names,
+    )
     _value(parser, "--until", "T", "end of the runs", type=_number)
     _engine(parser)
     _errors(parser.add_mutually_exclusive_group())
@@ -252,7 +257,7 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
 
 
 def _settable(parser: argparse.ArgumentParser) -> None:
-    words = "give a parameter another value: a number, 1/3, inf, 20*pi/180"
+    words = "value of a parameter: a number, 1/3, inf, 20*pi/180"
     more: Any = {"dest": "parameters", "action": "append", "default": [], "type": _assignment}
     _value(parser, "--set", "NAME=VALUE", words, **more)
 

@@ -25,7 +25,6 @@ def show(blocks: Iterable[Block]) -> None:
 
 
 def _ruled(table: Table) -> object:
-    """Return a table that wraps long cells."""
     from rich.table import Table as Ruled
     from rich.text import Text
 

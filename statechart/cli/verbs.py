@@ -160,7 +160,6 @@ def _save(
     output: str,
     samples: bool | None,
 ) -> None:
-    """Write a run into a folder or a store."""
     from statechart.documents.setting import Record
     from statechart.reporting.run_store import write_store
     from statechart.reporting.tables import write_run

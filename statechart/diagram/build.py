@@ -137,7 +137,6 @@ def active_states(automaton: Automaton) -> Callable[[Key], tuple[str, ...]]:
 
 
 def _judged(chart: Chart, reasons: Mapping[str, str | None]) -> Chart:
-    """Return a chart with the reasons why states are impossible."""
     nodes = (
         replace(node, infeasible=reasons.get(node.name) or node.infeasible) for node in chart.nodes
     )

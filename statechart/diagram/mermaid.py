@@ -45,7 +45,6 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
 
 
 def _fresh(name: str, states: dict[str, str]) -> str:
-    """Return an identifier that no state has."""
     taken = {identifier.lower() for identifier in states.values()}
     while name in taken:
         name += "_"
@@ -120,7 +119,6 @@ def _label(links: list[Link], guards: Guards) -> str:
 
 
 def _rows(table: Legend) -> list[str]:
-    """Return the lines of a legend."""
     lines = []
     for event in table.events:
         head = f"{event.event}, {event.route}:" if event.route else f"{event.event}:"

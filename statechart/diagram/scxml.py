@@ -277,7 +277,6 @@ class _MachineWriter:
         return self._text(relation.root) if exist and self._known(relation, roots) else None
 
     def _text(self, term: Term) -> str:
-        """Return a term of a relation in the words of ECMAScript."""
         match term:
             case Comparison():
                 return term.text

@@ -5,12 +5,12 @@ from __future__ import annotations
 from statechart.arrays import Array
 from statechart.kernels.boxes import Along, enclose
 from statechart.kernels.intervals import EPS, INF, TINY
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import run_tape
 
 
-@part
+@kernel
 def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> float:
     """Value of an output at one place of a step."""
     code, base, first, last, reads, times, coeffs, start = along
@@ -32,7 +32,7 @@ _WEIGHTS = (
 """Quadrature of Gauss and Legendre on [0, 1], exact for polynomials up to the ninth power."""
 
 
-@part
+@kernel
 def _risen(along: Along, step: int, output: int, place: float, bounds: Array, jets: Array) -> float:
     """Integral of the slope of an output over [0, place] of a step."""
     total = 0.0
@@ -42,7 +42,7 @@ def _risen(along: Along, step: int, output: int, place: float, bounds: Array, je
     return place * total
 
 
-@part
+@kernel
 def returned(
     along: Along, step: int, output: int, place: float, below: float, bounds: Array, regs: Array,
     jets: Array,
@@ -78,7 +78,7 @@ def returned(
     return place
 
 
-@part
+@kernel
 def last_place(
     along: Along,
     step: int,

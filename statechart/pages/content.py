@@ -343,7 +343,6 @@ def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[st
 
 
 def _short(values: Array) -> list[Any]:
-    """Return numbers with as many digits as a screen has."""
     found: list[Any] = [[float(f"{x:.6g}") for x in row] for row in values.tolist()]
     return found
 

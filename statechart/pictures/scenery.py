@@ -179,7 +179,6 @@ class _Bodies:
             ax.add_collection(artist, autolim=False)
 
     def show(self, instant: int) -> None:
-        """Move them to where they are at an instant."""
         from matplotlib.path import Path
 
         film, poses = self._film, self._film.poses[instant, self._of]
@@ -214,7 +213,6 @@ def _edge(shape: Shape) -> Path:
 
 
 def _ends(shape: Shape, poses: Array) -> Array:
-    """Return the two ends of a link in the world."""
     first = placed(shape.points[:1], poses[shape.frame])
     last = placed(shape.points[-1:], poses[shape.other])
     return np.concatenate([first, last])

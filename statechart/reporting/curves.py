@@ -313,7 +313,6 @@ def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]
 
 
 def _impulses(automaton: Automaton, trace: Trace, forces: Sequence[Panel]) -> list[Panel]:
-    """Return the impulses of those whose forces are not drawn."""
     drawn = {name.rpartition(".")[0] for panel in forces for name in panel.names}
     most: dict[str, float] = {}
     for jump in trace.jumps:

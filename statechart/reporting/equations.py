@@ -271,7 +271,6 @@ def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
 
 
 def _short(expression: sp.Expr) -> sp.Expr:
-    """Return the shortest of a few ways to write an expression."""
     if expression.count_ops() > _LONG:
         return expression
     ways: list[Callable[[sp.Expr], sp.Expr]] = [

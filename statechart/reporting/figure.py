@@ -219,7 +219,6 @@ def _limits(curves: Sequence[Array]) -> tuple[float, float]:
 
 
 def _time(unit: str, trace: Trace, end: float) -> str:
-    """Return the label of the axis of time."""
     label = entitled("time", unit)
     if end < trace.t_end:
         label += f"; until the end at {trace.t_end:.6g} nothing happens any more"

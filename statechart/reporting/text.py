@@ -246,7 +246,6 @@ def _event(event: Mapping[str, Any], digits: int) -> list[Block]:
 
 
 def _entitled(head: str, lines: list[tuple[str, ...]]) -> list[tuple[str, str]]:
-    """Return the lines of a table under one heading."""
     if not lines:
         return []
     texts = table(lines).splitlines()

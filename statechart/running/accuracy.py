@@ -243,7 +243,6 @@ class _Series:
     def estimate(
         self, observer: Observer, trace: Trace, warnings: tuple[str, ...] = ()
     ) -> RunEstimate:
-        """Return a run with the error estimated last."""
         decides = "" if self._error is None else self._error.decides
         endless = tuple(sorted(self._endless))
         return RunEstimate(observer, trace, self.error, self.cost, warnings, endless, decides)
@@ -361,7 +360,6 @@ class _Tightened(_Series):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Caveats of the comparison."""
         if self.diverged:
             return (self.diverged,)
         if self._merged is None:

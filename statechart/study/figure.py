@@ -137,7 +137,6 @@ def page_content(study: Measurements, label: str) -> dict[str, Any]:
 
 
 def _csv(study: Measurements) -> str:
-    """Return one row per point."""
     kinds = list(dict.fromkeys(name for p in study.points for name in p.errors.violations))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

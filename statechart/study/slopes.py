@@ -1,16 +1,26 @@
-"""Convergence orders: powers of the tolerance with which errors and steps fall, against theory."""
+"""Convergence orders against theory, and the warnings that explain why a family deviates.
+
+Errors and steps fall with powers of the tolerance, or of the step where it is fixed.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from statechart.study.measurements import MIN_POINTS, RESOLVED, Measurements, Point, median_slope
-from statechart.study.warnings import reasons
+from statechart.study.measurements import (
+    MIN_POINTS,
+    RESOLVED,
+    Measurements,
+    Point,
+    falls,
+    median_slope,
+)
 
 Quantity = Literal["error", "steps"]
 
@@ -130,7 +140,6 @@ def _same(study: Measurements, family: str) -> list[Point]:
 
 
 def _grown(study: Measurements, family: str, of: Quantity) -> list[Point]:
-    """Return them if their steps grow enough."""
     points = _same(study, family)
     steps = [p.steps for p in points]
     return points if points and max(steps) >= _GROWN[of] * min(steps) else []
@@ -148,3 +157,80 @@ def fitted(study: Measurements, family: str, of: Quantity) -> list[tuple[float, 
     least = RESOLVED * max(study.least, float(np.finfo(float).eps))
     pairs = [(p.setting.fineness, study.error(p)) for p in points]
     return [(x, e) for x, e in pairs if e is not None and least < e < _SATURATED]
+
+
+# Warnings that differ in numbers only are one.
+_NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[+-]?\d+)?\b")
+
+
+@dataclass(frozen=True)
+class Note:
+    """A warning, the labels of the settings whose runs have it, and whether its numbers differ."""
+
+    text: str
+    settings: tuple[str, ...]
+    differs: bool
+
+    def says_one_of(self, texts: Collection[str]) -> bool:
+        """Whether it is one of some warnings, but for numbers in them."""
+        return _alike(self.text) in map(_alike, texts)
+
+
+def notes(study: Measurements) -> tuple[Note, ...]:
+    """Return the warnings of the runs of all points, each text once."""
+    found: dict[str, list[tuple[str, Point]]] = {}
+    for point in study.points:
+        for text in beyond(point.warnings, ()):
+            found.setdefault(_alike(text), []).append((text, point))
+    return tuple(
+        Note(
+            alike[0][0],
+            tuple(point.setting.label for _, point in alike),
+            len({text for text, _ in alike}) > 1,
+        )
+        for alike in found.values()
+    )
+
+
+def reasons(study: Measurements) -> dict[str, tuple[str, ...]]:
+    """Return the families that deviate from the reference -> the warnings that explain it.
+
+    A family deviates where the finest of its runs takes other modes, or where its error, or that of
+    an output, does not fall with the step. A warning of the reference, too, is no reason.
+    """
+    families: dict[str, list[Point]] = {}
+    for point in study.points:
+        families.setdefault(point.setting.family, []).append(point)
+    found = {}
+    for family, points in families.items():
+        finest = min(points, key=lambda point: point.setting.fineness)
+        own = beyond(finest.warnings, study.warnings.get(study.reference, ()))
+        if own and _deviates(study, points, finest):
+            found[family] = own
+    return found
+
+
+def beyond(warnings: Sequence[str], known: Collection[str]) -> tuple[str, ...]:
+    """Return the warnings that are not known, each once, but for numbers in them."""
+    seen = set(map(_alike, known))
+    found = []
+    for text in warnings:
+        if _alike(text) not in seen:
+            seen.add(_alike(text))
+            found.append(text)
+    return tuple(found)
+
+
+def _deviates(study: Measurements, points: Sequence[Point], finest: Point) -> bool:
+    if study.parted is not None:
+        return False
+    if not finest.same_modes:
+        return True
+    if finest.setting.step is None:
+        return False
+    errors = [(p.setting.fineness, error) for p in points if (error := study.error(p)) is not None]
+    return bool(study.unsettled()) or not falls(errors, study.least)
+
+
+def _alike(text: str) -> str:
+    return _NUMBER.sub("#", text)

@@ -8,12 +8,19 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.study.measurements import Measurements, Point, Third
-from statechart.study.slopes import slopes, unfitted
-from statechart.study.warnings import Note, beyond, notes, reasons
+from statechart.study.slopes import Note, beyond, notes, reasons, slopes, unfitted
 from statechart.tabular import Block, Table, aligned, plain, several
 
 # Errors of an odd run are listed that are so much of its largest.
 _MUCH = 0.5
+_COLUMNS = {
+    "path": "mean distance from the reference over the run",
+    "constraint": "deepest penetration of closed contacts",
+    "cone": "largest force outside its friction cone",
+    "overlap": "deepest penetration of bodies",
+    "impulse": "allowed residual of impulses",
+    "inexact": "part of the steps that exceed it",
+}
 # Accuracies for which a setting is advised: the first that one reaches.
 _ADVISED = (1e-6, 1e-4, 1e-3, 1e-2)
 _OPTIONS = ("engine", "method", "tolerance", "step", "accuracy")
@@ -123,7 +130,10 @@ def _parting(study: Measurements) -> str:
 
 
 def _foot(study: Measurements) -> str:
-    lines = []
+    shown = {name for point in study.points for name in point.errors.violations}
+    shown |= {"path"} if study.parted is None and study.points else set()
+    told = "; ".join(f"{name}: {words}" for name, words in _COLUMNS.items() if name in shown)
+    lines = [told] if told else []
     if study.front():
         lines.append(
             "nothing else is as accurate and faster: * warm, where runs follow each other in one "
@@ -224,7 +234,6 @@ def _listed(study: Measurements) -> list[Note]:
 
 
 def _numbers(texts: Sequence[str], listed: Sequence[Note]) -> str:
-    """Return the numbers of warnings in the list."""
     places = [str(place) for place, note in enumerate(listed, 1) if note.says_one_of(texts)]
     return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
 

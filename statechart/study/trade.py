@@ -301,13 +301,11 @@ class _Trade:
         return True
 
     def leave(self, setting: Setting, why: str) -> None:
-        """Leave out a setting that cannot be run."""
         self._left_out[setting.label] = why
         self._say(setting, f"left out, {why}")
         self.kept()
 
     def take(self, point: Point) -> None:
-        """Take what was measured at a setting."""
         self._points[point.setting] = point
         self._time(point)
         self.kept()

@@ -98,7 +98,6 @@ class _Cells:
 
     @classmethod
     def of(cls, plan: Plan, data: xr.Dataset) -> _Cells:
-        """Return the cells of a sweep."""
         values = [
             np.broadcast_to(grid, plan.shape).ravel()
             for grid in (
@@ -206,7 +205,6 @@ class _Axis:
 
     @classmethod
     def of(cls, name: str, column: Array) -> _Axis:
-        """Return the axis of a parameter with these values."""
         values, ranks = np.unique(column, return_inverse=True)
         if not np.isfinite(values).all():
             return cls(name, ranks.astype(float), False, tuple(f"{v:.4g}" for v in values))
@@ -295,7 +293,6 @@ def _joined(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str)
 
 
 def _points(ax: Axes, x: Array, lists: Array, colour: str) -> None:
-    """Draw every value of lists as a point."""
     places = np.broadcast_to(x[:, None], lists.shape)
     known = np.isfinite(lists)
     size = float(np.clip(2e2 / np.sqrt(np.count_nonzero(known) + 1.0), 0.6, 4.0))
@@ -311,7 +308,6 @@ def _points(ax: Axes, x: Array, lists: Array, colour: str) -> None:
 
 
 def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
-    """Draw the modes of the cells as a band of colours."""
     edges, places = x.edges(), np.searchsorted(np.unique(x.at), x.at)
     for kind, colour in enumerate(cells.colours):
         mine = np.unique(places[cells.kinds == kind])

@@ -313,7 +313,6 @@ class Store:
             self._consolidate()
 
     def _check(self, group: zarr.Group) -> None:
-        """Raise `DeclarationError` where a store holds another sweep."""
         found, mine = dict(group.attrs), self._plan.attributes()
         if found.get("format") != mine["format"]:
             raise DeclarationError(
@@ -361,7 +360,6 @@ class Store:
         yield from zip(self._single, values, strict=True)
 
     def _write_sequences(self) -> None:
-        """Write the texts of sequences that are new."""
         if len(self._codes) == self._written:
             return
         # First where a sweep goes on from: a code without a text would be lost there.

@@ -309,7 +309,6 @@ class _Work:
         return job
 
     def _cells(self) -> Generator[_Job | None, int, None]:
-        """Yield as many cells of a chunk as are sent for."""
         size = yield None
         for tile in self._plan.tiles():
             places = self._store.undone(tile)
@@ -337,7 +336,6 @@ class _Work:
             self._shown.advance(len(job.places))
 
     def write(self) -> None:
-        """Write the results that are not written."""
         for chunk in self._open:
             if not chunk.written:
                 self._store.write(chunk.tile, chunk.block)

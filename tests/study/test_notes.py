@@ -8,8 +8,8 @@ from studies import point, study, traded
 from statechart.documents.setting import Setting
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point
+from statechart.study.slopes import notes, reasons
 from statechart.study.text import format_text, to_dict
-from statechart.study.warnings import notes, reasons
 
 LAW = "time stepping applies another law"
 

@@ -245,7 +245,6 @@ class _Grid:
         return self.nodes[across][place] if axis == 0 else self.nodes[place][across]
 
     def states(self) -> Iterator[Box]:
-        """Yield the states."""
         for row, y in zip(self.nodes, self.places[1], strict=True):
             for node, x in zip(row, self.places[0], strict=True):
                 name = self.names[node.name]
@@ -283,7 +282,6 @@ class _Grid:
                 yield Box(f"{name}_{other}", centre, self.sizes[name], self.looks[name])
 
     def arrows(self, k: int) -> Iterator[Arrow]:
-        """Yield all arrows."""
         for number, bond in enumerate(self.axes[k].bonds):
             for other, v in enumerate(self.places[1 - k]):
                 (tail, no_tail), (head, no_head) = (
@@ -317,7 +315,6 @@ class _Grid:
         return points
 
     def _border(self, k: int, span: Span, side: int) -> float:
-        """Return where an arrow meets a state or a frame on one side."""
         deep = next((d for _, other, d in self.axes[k].frames if other == span), 0)
         return self._side(k, span[side > 0], side, deep)
 

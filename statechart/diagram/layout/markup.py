@@ -156,7 +156,6 @@ def _loops(node: Node, chart: Chart, style: Style) -> list[str]:
 
 
 def _spoken(links: Sequence[Link], style: Style) -> list[str]:
-    """Return the lines that stand at an arrow."""
     if style.guards == "legend":
         return list(filter(None, [events(links)]))
     lines: list[str] = []
