@@ -15,7 +15,7 @@ import sympy as sp
 from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
-from contacts.dynamics.parameters import COEFFICIENTS, friction_cones, scene_parameters
+from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
@@ -452,8 +452,9 @@ class Mechanics(Geometry):
         stuck, anchors = self._stuck(name, contact, anchor, tangent)
         normal_a = sp.Add(bias_n, *self._nonzero(jacobian_n))
         tangential_a = sp.Add(bias_t, *self._nonzero(jacobian_t))
+        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
-            name, around.gap, around.gap_rate, slip, normal_a, tangential_a, V, H,
+            name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
             *self._cones[name], (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),

@@ -16,6 +16,8 @@ from statechart.formulas.parameters import Parameters
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
 
+GAP_OFFSET = "gap_offset"
+"""Parameter of a contact, ``tip.gap_offset``: see `contacts.scene.modes.ContactSymbols`."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 ORDINARY = 1e-40, 1e40
@@ -45,6 +47,7 @@ def scene_parameters(scene: Scene) -> Parameters:
 
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
         found = _derived(scene, known)
+        found |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not ORDINARY[0] <= min(masses) <= max(masses) <= ORDINARY[1]:

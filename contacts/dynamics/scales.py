@@ -23,9 +23,6 @@ _EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what
 # some steps add up.
 _UNITS = 16.0
-# No bounce faster than this, in the scene's own speed, is summed but those that rise less than so
-# many round-offs.
-_FAST, _NOISE = 1e-2, 2.0
 # A turning surface moves a point by at most so many times its distance from the pivot.
 _TURNED = 2.0
 # Beyond these the squares of lengths, times and rates leave the floats; a length below is none.
@@ -266,13 +263,6 @@ def _prescribed(
             texts = [text for text in (joint.to.x, joint.to.y) if text is not None]
             shifts |= dict.fromkeys(parse(text).to_sympy(mechanics.known) for text in texts)
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
-
-
-@kernel
-def bounce_limits(speed: float, acceleration: float, rounding: float) -> tuple[float, float]:
-    """Return the height of bounces that are noise, and the speed of the fastest that are summed."""
-    noise = _NOISE * rounding
-    return noise, max(_FAST * speed, math.sqrt(2.0 * acceleration * noise))
 
 
 @kernel

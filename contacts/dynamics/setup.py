@@ -29,10 +29,6 @@ class SceneSetup(Setup):
     scales: Scales  # Of this run
     contacts: tuple[ContactLaw, ...]  # With this run's coefficients
     capture: float  # Rebounds slower than this are summed instead of simulated
-    # `lowest`, `fast`: Bounces lower than the first are summed, too; none is that is faster than
-    # the second
-    lowest: float
-    fast: float
     # Stop condition -> how near zero its margin counts as met; from its value at the start
     bands: Mapping[str, float]
     start_depth: float = 0.0  # How deep bodies with shapes start in what they touch

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.parameters import MASS_UNIT
-from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, horizon, mass_unit, measure
+from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
+from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.lint import lint
@@ -57,6 +57,8 @@ class SceneNumbers:
         self._remembered = len(mechanics.memory)
         # Parameter -> its place among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
+        offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
+        self.gap_offsets = np.array(offsets, np.int64)
         self.scale_tape = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
@@ -132,7 +134,6 @@ class SceneNumbers:
                     loc=("stop", "conditions", name),
                 )
         gap, speed, force = tolerated(relative)
-        lowest, fast = bounce_limits(scales.speed, scales.acceleration, scales.rounding)
         tolerances = {
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
@@ -151,8 +152,6 @@ class SceneNumbers:
             scales=scales,
             contacts=self.contacts(values),
             capture=doubtful(relative) * scales.speed,
-            lowest=lowest,
-            fast=fast,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)

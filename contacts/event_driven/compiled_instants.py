@@ -23,13 +23,10 @@ from contacts.dynamics.gates import (
     truths,
 )
 from contacts.dynamics.snapshot import SCALARS
-from contacts.impacts.bounces import DIGITS, EPS
 from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
 from contacts.impacts.impulses import strike_group
 from contacts.modes.classification import ModeRules, classify
 from contacts.scene.parts import MOREAU
-from contacts.solvers.mode_solver import solve_modes
-from contacts.solvers.saddle_point import SOLVED
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace_store import EVENTS, MADE, TraceBuffer
@@ -75,6 +72,7 @@ class SceneWatch(NamedTuple):
     cones: Array  # shape (c, 2)
     restitution: Array  # shape (c,)
     meanings: Ints  # (c,): what it means; -1 where the impact is none of a path.
+    offsets: Ints  # (c,): places of the gaps' offsets among the parameters.
     near: float
     creep: float
     gap: float
@@ -84,11 +82,7 @@ class SceneWatch(NamedTuple):
     force: float
     acceleration: float
     short: float
-    # Rebounds slower than the first may stand for those that follow; they do where they rise less
-    # than the second, or are slower than the third.
-    fast: float
-    lowest: float
-    capture: float
+    capture: float  # Rebounds slower than this may stand for those that follow.
 
 
 @kernel
@@ -179,55 +173,6 @@ def _alone(
 
 
 @kernel
-def _flies(
-    numbers: Array, state: Array, cones: Array, fast: Bools, lowest: float, capture: float,
-    force: float, acceleration: float,
-) -> bool:  # fmt: skip
-    """Whether rebounds stand for none that follow them, by far, where nothing lies on anything.
-
-    Parameters
-    ----------
-    numbers : (o,) array
-        The scene's.
-    state : (2 n,) array
-        After the impact.
-    cones : (c, 2) array
-    fast : (c,) array of bool
-        Which contacts may rebound as slowly as that.
-    lowest, capture, force, acceleration : float
-        See `contacts.dynamics.setup.SceneSetup`; the scales.
-
-    See `contacts.impacts.bounces.rests_of_bounces`.
-    """
-    contacts, n = cones.shape[0], state.shape[0] // 2
-    at = n * n + n + 1
-    biases = numbers[at + 2 * n * contacts : at + (2 * n + 2) * contacts].reshape((contacts, 2))
-    jacobians = numbers[at : at + 2 * n * contacts].reshape((contacts, 2, n))
-    first = at + (2 * n + 2) * contacts
-    open_ = np.zeros(contacts, np.bool_)
-    status, found = np.empty(1, np.int64), np.empty((1, n))
-    solve_modes(
-        numbers[: n * n].reshape((n, n)), numbers[n * n : n * n + n], jacobians, biases, cones,
-        np.full((1, contacts), FREE), open_, open_, force, acceleration, status, found,
-        np.empty((1, contacts, 2)), np.empty((1, 4)), 0.0,
-    )  # fmt: skip
-    if status[0] != SOLVED:
-        return False
-    for c in range(contacts):
-        if not fast[c]:
-            continue
-        falling, rounding = -biases[c, 0], 0.0
-        for i in range(n):
-            falling -= jacobians[c, 0, i] * found[0, i]
-            rounding += abs(jacobians[c, 0, i] * state[i])
-        rate = numbers[first + SCALARS * c + 1]
-        height = rate * rate / (2.0 * falling) if falling > 0.0 else math.inf
-        if rate <= 2.0 * capture or not 2.0 * max(lowest, DIGITS * EPS * rounding) < height:
-            return False
-    return True
-
-
-@kernel
 def hit(
     program: Program,
     scene: SceneWatch,
@@ -287,27 +232,13 @@ def hit(
     energy = numbers[at - 1]
     evaluate(program, scene.numbers, after, parameters, time, numbers)
     lowest, resting, slowly = np.full(contacts, -scene.gap), False, False
-    fast = np.zeros(contacts, np.bool_)
     for k in range(count):
         rate, e = numbers[scalars + SCALARS * group[k] + 1], scene.restitution[group[k]]
         if rate < -scene.speed:
             return -1, 0, 0
-        fast[group[k]] = 0.0 < e < 1.0 and scene.speed < rate <= scene.fast
-        slowly = slowly or fast[group[k]]
+        slowly = slowly or (0.0 < e < 1.0 and scene.speed < rate <= 2.0 * scene.capture)
         resting = resting or rate <= scene.speed
-    if slowly and (
-        resting
-        or not _flies(
-            numbers,
-            after,
-            scene.cones,
-            fast,
-            scene.lowest,
-            scene.capture,
-            scene.force,
-            scene.acceleration,
-        )
-    ):
+    if slowly:
         return -1, 0, 0
     if count > 1 and numbers[at - 1] >= energy:
         return -1, 0, 0
@@ -567,7 +498,13 @@ def instant(
         while kept[changed] == taken[changed]:
             changed += 1
         row = _PER_CAUSE * changed + _cause(kept[changed], taken[changed])
-    for c in range(kept.shape[0]):
+    for c in range(contacts):
+        gap, lay = numbers[first + SCALARS * c], kept[c] != FREE and kept[c] != OFF_CODE
+        if taken[c] != FREE:
+            watch.parameters[scene.offsets[c]] = 0.0
+        elif lay or c == struck or (struck >= 0 and (group >> c) & 1 == 1):
+            # Its flight is measured from where round-off has left it.
+            watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         kept[c] = taken[c]
     rest = follow(series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
     if rest >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):

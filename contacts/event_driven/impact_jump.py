@@ -24,6 +24,7 @@ from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
+from statechart.errors import NoConsistentMode
 
 
 class Rules(NamedTuple):
@@ -198,13 +199,17 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
         return _Struck(laws, result, after, following, rests)
 
     made = under(setup.contacts, {})
-    rests = rests_of_bounces(setup, made.snapshot, made.state, closed)
+    rests = rests_of_bounces(setup, made.snapshot, closed)
     if not rests:
         return made
     plastic = tuple(
         law._replace(restitution=0.0) if i in rests else law for i, law in enumerate(made.laws)
     )
-    captured = under(plastic, rests)
+    try:
+        captured = under(plastic, rests)
+    except NoConsistentMode:
+        # Friction jams a plastic impact: the bounces are resolved.
+        return made
     if not stands_for_bounces(rests, made.snapshot, captured.snapshot, closed):
         return made
     lasting = corrected(

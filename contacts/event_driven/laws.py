@@ -171,7 +171,7 @@ class SceneLaws:
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
-        made = self._jump(at)
+        made = self._with_gap_offsets(at, self._jump(at))
         if not self.conditions.present:
             return made
         assert isinstance(at.setup, SceneSetup)
@@ -181,6 +181,36 @@ class SceneLaws:
         state = flow.start if jump is None else jump.after
         where = at.state if state is None else state
         return self._switching.watched(at.setup, where, at.clock.high, made)
+
+    def _with_gap_offsets(
+        self, at: Instant, made: tuple[Jump | None, Flow] | None
+    ) -> tuple[Jump | None, Flow] | None:
+        """Measure the flights that begin with a jump from where round-off has left their gaps."""
+        if made is None or (jump := made[0]) is None:
+            return made
+        flow, setup, offsets = made[1], at.setup, self.numbers.gap_offsets
+        # What controllers remember stands before the parameters here.
+        parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
+        known = parameters if at.flow.values is None else at.flow.values
+        before, moving = moving_mode(at.flow.roles), moving_mode(flow.roles)
+        began = [
+            now == "free" and (name in jump.impulse or was not in OPEN)
+            for name, was, now in zip(self._names, before, moving, strict=True)
+        ]
+        flying = [state == "free" for state in moving]
+        if not (any(began) or known[offsets].any()):
+            return made
+        found = np.where(flying, known[offsets], 0.0)
+        if any(began):
+            contacts = self._tape.at(setup.values, jump.after, at.clock.high).contacts
+            gaps = np.array([contact.gap for contact in contacts])
+            near = np.abs(gaps) <= setup.tolerances["gap"]
+            found = np.where(began, np.where(near, gaps, 0.0), found)
+        values = None
+        if found.any():
+            values = parameters.copy()
+            values[offsets] = found
+        return jump, flow._replace(values=values)
 
     def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.scales import bounce_limits
 from contacts.dynamics.setup import FORCE_BAND, SHORT, TIE, SceneSetup, doubtful, tolerated
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
@@ -114,7 +113,6 @@ def _watches(
     """
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
-    lowest, fast = bounce_limits(speed, acceleration, numbers.scales[4])
     gap, slow, weak = watch.kinds[GAP], watch.kinds[SPEED], watch.kinds[FORCE]
     put(numbers.values, watch.parameters)
     for i in range(scene.sources.shape[0]):
@@ -138,8 +136,9 @@ def _watches(
     ), SceneWatch(
         instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         scene.gap, instants.allowed,
-        instants.cones, instants.restitution, instants.meanings, DRIFT * gap, CREEP * slow, gap,
-        slow, TIE * weak / force, scene.doubtful, force, acceleration, SHORT, fast, lowest,
+        instants.cones, instants.restitution, instants.meanings, instants.offsets,
+        DRIFT * gap, CREEP * slow, gap, slow, TIE * weak / force, scene.doubtful, force,
+        acceleration, SHORT,
         scene.doubtful * speed,
     )  # fmt: skip
 
@@ -480,6 +479,9 @@ def run_batch(
         if rows.alone and how in (runs.UNUSUAL, runs.CLOSING):
             how = runs.HANDED
         ends[runs.HOW] = how
+        if how == runs.HANDED:
+            # Those of the flow that it has come to.
+            put(watch.parameters, found.values[row])
         if how == runs.UNUSUAL:
             _put_ints(before, used)
             continue
@@ -546,7 +548,7 @@ class SceneLoop:
         assert setup.sizes is not None
         numbers, watch, _ = self._memory
         scales = setup.scales
-        numbers.values[:], numbers.sizes[:] = setup.values, setup.sizes
+        numbers.values[:], numbers.sizes[:] = found.values[0], setup.sizes
         numbers.scales[:] = (
             scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
         )  # fmt: skip
@@ -655,6 +657,7 @@ def _memory(
         np.empty((contacts, 2)),
         np.empty(contacts),
         np.array([meaning(law) for law in laws], np.int64),
-        *[0.0] * 12,
+        numbers.gap_offsets,
+        *[0.0] * 10,
     )
     return run_buffer(parameters, variables, rules), watch, instants

@@ -139,6 +139,10 @@ def _at_once(
     names = ", ".join(laws[i].name for i in group)
     elastic = [law.restitution for law in laws]
     plastic = collisions(snapshot, laws, closed, [0.0] * len(laws))
+    if not plastic and rebound and any(elastic[i] > 0.0 for i in group):
+        done = _in_sequence(snapshot, laws, group)
+        why = f"no impulse at once of {names} agrees with their cones of friction: hit in turn"
+        return done._replace(warning="; ".join(filter(None, (why, done.warning))))
     if not plastic:
         raise NoConsistentMode(f"no plastic impulse of {names} agrees with their cones of friction")
     base, found = plastic[0], plastic

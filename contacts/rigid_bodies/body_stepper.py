@@ -222,8 +222,6 @@ class BodyStepper(Stepper):
             scales=scales,
             contacts=(),
             capture=0.0,
-            lowest=0.0,
-            fast=0.0,
             bands={},
             sizes=scales.state(remembered),
             warnings=(

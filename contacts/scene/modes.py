@@ -23,6 +23,9 @@ class ContactSymbols:
 
     name: str  # Of the contact
     gap: sp.Expr  # Distance from the surface, to first order; >= 0
+    # What round-off has left of the gap where a flight begins: flights are measured from there, so
+    # that how long they are depends on their velocity alone
+    gap_offset: sp.Expr
     # `gap_rate`, `slip`: Normal and tangential velocity of the point relative to the surface
     gap_rate: sp.Expr
     slip: sp.Expr
@@ -55,7 +58,10 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", contact.gap, "gap"),))
+        from statechart.formulas.writer import Difference
+
+        gap = Difference(contact.gap, contact.gap_offset)
+        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", gap, "gap"),))
 
 
 class Slide(Part):

@@ -105,6 +105,8 @@ class Flow(NamedTuple):
     # (n,): where to flow on from, where a mode holds but its state is brought back onto its
     # constraints; None where it is the state that the laws were asked about.
     start: Array | None = None
+    # (p,): the parameters of this flow; None where they are those of the run.
+    values: Array | None = None
     # Whether forces may begin beyond their bounds, by what the run is off by: then they fall from
     # where they begin.
     doubted: bool = False

@@ -249,8 +249,9 @@ class LoopModes:
         assert isinstance(floor, float)
         call = self._made()
         kinds = call.loop.kinds
-        found = BatchResult.empty(1, 0, len(state), len(kinds))
+        found = BatchResult.empty(1, len(setup.values), len(state), len(kinds))
         found.now[0], found.final[0] = now, state
+        found.values[0] = setup.values if flow.values is None else flow.values
         found.place[0, :N_STEPS] = kinds.index(kind), *counts
         call.resume(setup, floor, buffer, found, series)
         return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)

@@ -187,7 +187,8 @@ class Execution:
         if jumped:
             kind = made.kinds[place[runs.N_MODE]]
             flow = loop.flow(self.setup, kind, self.state, self.clock.high)
-            flow = flow._replace(settled=bool(place[runs.N_ASKED] == 0))
+            values = made.found.values[0]
+            flow = flow._replace(settled=bool(place[runs.N_ASKED] == 0), values=values)
         if ends[runs.REASON] == runs.OVER or (
             ends[runs.REASON] == runs.FELL and ends[runs.MARGIN] >= 0
         ):
@@ -248,8 +249,9 @@ class Execution:
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
         reconstruction = compiled.reconstruction.begun(self.state, setup.values, start)
+        values = setup.values if flow.values is None else flow.values
         return FlowWatch(
-            compiled.guards, np.array(allowed), constraints, setup.values, start, reconstruction
+            compiled.guards, np.array(allowed), constraints, values, start, reconstruction
         )
 
     def _keep(self, flow: Flow, reached: Advance) -> None:
@@ -275,7 +277,9 @@ class Execution:
             self.horizon = LOOK_AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
         following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
-        self.flow = following._replace(held=flow.held, tolerances=flow.tolerances, terms=terms)
+        self.flow = following._replace(
+            held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values
+        )
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""

@@ -28,6 +28,16 @@ class Whole(sp.Function):
         return sp.Integer(whole(float(of))) if of.is_number and of.is_finite else None
 
 
+class Difference(sp.Function):
+    """A difference that is evaluated as it is written: zero where both sides are equal."""
+
+    is_extended_real = True
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """Return the derivative by one side."""
+        return sp.S.One if argindex == 1 else sp.S.NegativeOne
+
+
 _UNARY: dict[type[sp.Basic], str] = {
     sp.exp: "exp",
     sp.log: "log",
@@ -146,6 +156,8 @@ class _Writer:
         if kind in _RECIPROCAL:
             below = self._emit(_RECIPROCAL[kind], self.register(node.args[0]))
             return self._emit("div", self._constant(1.0), below)
+        if kind is Difference:
+            return self._fold("sub", [self.register(side) for side in node.args])
         if kind.__name__ in ("Min", "Max", "atan2", "hypot"):
             return self._fold(kind.__name__.lower(), [self.register(a) for a in node.args])
         raise StatechartError(

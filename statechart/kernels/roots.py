@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from statechart.arrays import Array
-from statechart.kernels.boxes import Along
-from statechart.kernels.intervals import EPS, TINY
+from statechart.kernels.boxes import Along, enclose
+from statechart.kernels.intervals import EPS, INF, TINY
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import run_tape
@@ -23,6 +23,59 @@ def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> flo
             regs[v, 0] = horner(coeffs, step, v, s)
     run_tape(code, first, last, base, regs, 1)
     return regs[output, 0]
+
+
+_NODES = (0.046910077030668, 0.230765344947158, 0.5, 0.769234655052842, 0.953089922969332)
+_WEIGHTS = (
+    0.118463442528095, 0.239314335249683, 0.284444444444444, 0.239314335249683, 0.118463442528095,
+)  # fmt: skip
+"""Quadrature of Gauss and Legendre on [0, 1], exact for polynomials up to the ninth power."""
+
+
+@kernel
+def _risen(along: Along, step: int, output: int, place: float, bounds: Array, jets: Array) -> float:
+    """Integral of the slope of an output over [0, place] of a step."""
+    total = 0.0
+    for k in range(len(_NODES)):
+        enclose(along, step, bounds, place * _NODES[k], 0.0, 1, jets)
+        total += _WEIGHTS[k] * 0.5 * (jets[output, 2] + jets[output, 3])
+    return place * total
+
+
+@kernel
+def returned(
+    along: Along, step: int, output: int, place: float, below: float, bounds: Array, regs: Array,
+    jets: Array,
+) -> float:  # fmt: skip
+    """Improve the place where an output comes back to zero that starts the step at exactly zero.
+
+    Its values are differences of coordinates, and known to the round-off of these; its slope is
+    not. The integral of the slope therefore gives the duration of a low flight wherever the origin
+    is, by Newton's method from a place where the output is `below` zero. The place moves within
+    the round-off of the value only: over a long step the quadrature may be worse.
+    """
+    if value_at(along, step, output, 0.0, regs) != 0.0:
+        return place
+    enclose(along, step, bounds, place, 0.0, 0, jets)
+    noise, found = jets[output, 1] - jets[output, 0], below
+    if not abs(_risen(along, step, output, place, bounds, jets)) <= noise:
+        return place
+    last = INF
+    for _ in range(64):
+        height = _risen(along, step, output, found, bounds, jets)
+        enclose(along, step, bounds, found, 0.0, 1, jets)
+        slope = 0.5 * (jets[output, 2] + jets[output, 3])
+        if not slope < 0.0:
+            return place
+        move = height / slope
+        found -= move
+        if not found > 0.0:
+            return place
+        # The moves shrink, at first to half, down to the round-off of the slope.
+        if abs(move) <= EPS * found or abs(move) > 0.75 * last:
+            return found
+        last = abs(move)
+    return place
 
 
 @kernel

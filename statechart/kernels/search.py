@@ -20,7 +20,7 @@ from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
 from statechart.kernels.needed import bit, narrowed
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.roots import last_place, value_at
+from statechart.kernels.roots import last_place, returned, value_at
 from statechart.kernels.search_memory import BOXES, Ready, ready_along, room
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
@@ -360,6 +360,8 @@ def search_step(
         guard = outputs[found : found + 1]
         alone = narrowed(needs, along, bit(found))
         event_step, event = _descent(alone, guard, step, found_left, root, scratch)
+        below = root if event_step == step else 1.0
+        event = returned(alone, event_step, guard[0], event, below, bounds, regs, jets)
         at = local_time(times, event_step, event)
         return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes

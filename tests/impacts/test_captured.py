@@ -126,3 +126,23 @@ def test_feet_that_rattle_bear_together_only_when_they_have_come_to_rest(name: s
     (zeno,) = times(trace, "zeno")
     assert times(trace, "stand") == [zeno]
     assert sum(jump.cause == "touchdown" for jump in trace.jumps) > 10
+
+
+@both
+@pytest.mark.parametrize(("e", "count"), [(0.5, 24), (0.8, 70)])
+@pytest.mark.parametrize("base", [0.0, 0.1, 5.0, 1e3])
+def test_as_many_bounces_are_resolved_wherever_the_origin_is(
+    name: str, base: float, e: float, count: int
+) -> None:
+    values = {"base": 0.0, "e": e, "mu": 0.1, "v": 0.3, "h": 0.25, "part": 99.0}
+    trace = drop(name).run({**values, "base": base}, until=4.0)
+    found = [jump.t for jump in trace.jumps if jump.cause == "touchdown"]
+    (rests,) = (jump.t for jump in trace.jumps if jump.cause == "zeno")
+    if name == "taylor":
+        assert len(found) == count - 1
+        expected = math.sqrt(2.0 * 0.25 / 9.81) * (1.0 + e) / (1.0 - e)
+        assert rests == pytest.approx(expected, abs=1e-12 + 4e-16 * base)
+    else:
+        alone = drop(name).run(values, until=4.0)
+        others = [jump.t for jump in alone.jumps if jump.cause == "touchdown"]
+        assert len(found) == len(others)
