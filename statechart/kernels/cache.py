@@ -42,7 +42,7 @@ class CodeCache:
         stamps: dict[str, bytes] = {}
         # A function without a file is not kept.
         with suppress(OSError):
-            for name in ("jit", "compiler", "cache"):
+            for name in ("jit", "compiler", "lowering", "cache"):
                 stamps[name] = _content(Path(__file__).with_name(f"{name}.py"))
             _collect(function, seen, stamps)
             self._folders = [beside / "__pycache__", user / "statechart"]

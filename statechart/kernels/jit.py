@@ -243,7 +243,3 @@ def _python_numbers(result: Any) -> Any:
     if isinstance(result, tuple):
         return tuple(_python_numbers(item) for item in result)
     return result.item() if isinstance(result, np.generic) else result
-
-
-# Former names: they go when no branch uses them any more.
-part = late = beside = seldom = stepwise = kernel

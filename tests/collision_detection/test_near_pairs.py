@@ -31,7 +31,7 @@ def test_pairs_are_those_of_brute_force_as_bodies_move(seed: int, large: int) ->
         if k == 30:  # another goes fast all of a sudden
             rates[9] *= 40.0
         reach = 2.0 * np.linalg.norm(rates, axis=1)
-        found = near_pairs.as_written(centres, sizes, reach, grid)
+        found = near_pairs.py_func(centres, sizes, reach, grid)
         assert grid.pairs[:found].tolist() == of_all(centres, sizes + reach)
         listings += not np.array_equal(last, grid.circles)
         last = grid.circles.copy()
@@ -40,7 +40,7 @@ def test_pairs_are_those_of_brute_force_as_bodies_move(seed: int, large: int) ->
 
 def test_too_little_place_is_told_until_there_is_enough() -> None:
     centres, sizes = np.zeros((5, 2)), np.ones(5)
-    assert near_pairs.as_written(centres, sizes, np.zeros(5), Grid.allocate(5, 9)) == -1
+    assert near_pairs.py_func(centres, sizes, np.zeros(5), Grid.allocate(5, 9)) == -1
     grid = Grid.allocate(5, 10)
-    assert near_pairs.as_written(centres, sizes, np.zeros(5), grid) == 10
-    assert near_pairs.as_written(centres + 9.0, sizes, np.zeros(5), grid) == 10
+    assert near_pairs.py_func(centres, sizes, np.zeros(5), grid) == 10
+    assert near_pairs.py_func(centres + 9.0, sizes, np.zeros(5), grid) == 10
