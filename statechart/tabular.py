@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 FEW = 10
 """Items shown from each end of a list that has more than twice as many."""
+
+DIGITS, ALL_DIGITS = 7, 17
+"""Significant digits of numbers for people, and those that tell all floats apart."""
+MAX_LISTED = 6
+"""Values of a list that are written out; a longer one is summarised."""
+_NUMBER = re.compile(r"(-?\d+)(\.\d+)?(e[+-]?\d+)?")
 
 # What is counted one by one; above it two digits say as much.
 _COUNTED = 10**9
@@ -50,6 +58,33 @@ def table(rows: Sequence[Sequence[str]]) -> str:
         + "\n"
         for row in rows
     )
+
+
+def number(value: Any, digits: int = DIGITS) -> str:
+    """Return a value as people read it: rounded, a list of more than a few values in summary."""
+    if value is None:
+        return "none"
+    if isinstance(value, float):
+        # Adding zero takes the sign of a negative zero.
+        return repr(value) if digits >= ALL_DIGITS else f"{value + 0.0:.{digits}g}"
+    if not isinstance(value, list):
+        return str(value)
+    if len(value) <= MAX_LISTED:
+        return f"[{', '.join(number(part, digits) for part in value)}]"
+    known = [x for x in value if isinstance(x, int | float) and math.isfinite(x)]
+    ends = [number(x, digits) for x in (value[0], value[-1])]
+    between = [number(best(known), digits) for best in (min, max)] if known else ends
+    return f"{len(value)} values: {' ... '.join(ends)}, from {' to '.join(between)}"
+
+
+def aligned(texts: Sequence[str]) -> list[str]:
+    """Return the texts of a column with the decimal points of its numbers below each other."""
+    found = [_NUMBER.fullmatch(text) for text in texts]
+    width = max((len(one[1]) for one in found if one), default=0)
+    return [
+        text if one is None else " " * (width - len(one[1])) + text
+        for text, one in zip(texts, found, strict=True)
+    ]
 
 
 def whole(number: int) -> str:

@@ -32,7 +32,10 @@ def test_the_scene_in_yaml_is_the_one_in_python() -> None:
 def test_the_readme_opens_with_two_commands() -> None:
     first, second = re.findall(r"```bash\n(.*?)```", README, re.S)
     assert first.rstrip().endswith("statechart run models/toppling_stick.yaml")
-    assert second == ".venv/bin/python -m pytest -n 2\n"
+    assert "dev" not in first
+    install, test = second.split(" && ")
+    assert install == '.venv/bin/pip install --quiet -e ".[dev]"'
+    assert test == ".venv/bin/python -m pytest -n 2\n"
 
 
 def test_links_and_pictures_of_the_documentation_exist() -> None:

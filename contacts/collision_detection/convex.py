@@ -237,7 +237,6 @@ def against_faces(
     Parameters
     ----------
     one, other : (k, 2)
-    within : float
     flip : bool
         Whether the first is the second body.
     found : (m, FOUND), features : (m,) array of int

@@ -29,13 +29,12 @@ from contacts.collision_detection.obstacles import (
 )
 from contacts.collision_detection.surfaces import PLATE, ROUND
 from contacts.collision_detection.time_of_impact import (
-    crossing_time,
     entered_elsewhere,
     hits_ahead,
     hits_turning,
     nearby,
     overlap,
-    turned_past,
+    passing_time,
     turning,
 )
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
@@ -167,17 +166,14 @@ def _of_pieces(
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
     # Of what grazes the approach is slow.
     core = _CORE if pair.slowly else _WHOLE
-    if pair.turns:
-        deep = (1.0 - core) * (cores[p] + cores[q])
-        past = turned_past(numbers, mid, (p, q), min(since, times.h), deep, points.aside)
-        _note(points, PASSED, past / times.h)
-    elif pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since):
+    if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
         begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))
         if -since < begin and begin + end < 0.0:
             _note(points, PASSED, (end - begin) / times.h)
     else:
-        crossed = crossing_time(numbers, mid, (p, q), since, core, points.aside)
-        _note(points, PASSED, crossed / times.h)
+        deep = (1.0 - core) * (cores[p] + cores[q])
+        past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.aside)
+        _note(points, PASSED, past / times.h)
     return between(
         mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
         mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
@@ -369,8 +365,6 @@ def find_contacts(
 
     Parameters
     ----------
-    numbers : BodyNumbers
-    ground : Ground
     memory : Memory
         Of the step before.
     mid : Midpoint
@@ -379,7 +373,7 @@ def find_contacts(
         Is overwritten.
     h : float
         Length of the step.
-    touches : ActiveContacts
+    active : ActiveContacts
         To be filled.
     """
     sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys

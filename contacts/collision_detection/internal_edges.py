@@ -91,12 +91,8 @@ def _covered_to(
 ) -> float:  # fmt: skip
     """Return how far solid obstacles cover a face from its end on.
 
-    Parameters
-    ----------
-    start, way
-        The end of the face, and the direction from there along it.
-    along_face : float
-        1 where that is the direction of the face, in which its solid is on the left; else -1.
+    `start`, `way`: the end of the face, and the direction from there along it; `along_face`: 1
+    where that is the direction of the face, in which its solid is on the left; else -1.
     """
     (x, y), (ux, uy), covered, gained = start, way, 0.0, True
     while gained and covered < length - FLUSH * one.size:
@@ -201,7 +197,6 @@ def drop_internal_edges(
 
     Parameters
     ----------
-    numbers, ground, look
     pair : (int, int)
         What is touched, a piece or a plate, and what touches it.
     covering : (c,) array of int
@@ -305,7 +300,6 @@ def met_by_faces(
 
     Parameters
     ----------
-    numbers, ground, look
     pair : (int, int)
         What is touched, and what touches it.
     side : float

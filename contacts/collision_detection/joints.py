@@ -46,7 +46,6 @@ def _joint_rows(
 
     Parameters
     ----------
-    joints, j
     places, old, loose : (b, 3)
         Where bodies are at this detection, their rates before it, and after it without impulses.
     paths : (3, j, 2)

@@ -61,14 +61,12 @@ def _apply(
 
     Parameters
     ----------
-    forces : ForceProgram
     registers : (int, array)
         See `statechart.kernels.tapes.filled`.
     places, old : (b, 3)
         Where bodies are in the middle of the step, and their rates before it.
     memory : (w,)
         What controllers remember.
-    time, h : float
     inverse : (b, 3)
     """
     base, numbers = registers

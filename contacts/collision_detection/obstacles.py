@@ -312,13 +312,11 @@ def near_obstacles(
 
     Parameters
     ----------
-    numbers, ground, look
     pair : (int, int)
         What is touched, and what touches it.
     near_pieces : Neighbours
         Its `covering` is filled with the first, and with pieces and surfaces that do not move
         against it and touch the second.
-    h : float
     found : (m, FOUND), count : int
         Points of contact.
     """

@@ -85,13 +85,8 @@ def crossed(
 ) -> float:  # fmt: skip
     """Return the part of a step for which a body was in a surface that it has passed; else 0.
 
-    Parameters
-    ----------
-    surfaces, s
-    before, after : (float, float)
-        Its centre in the surface's frame, a step ago and now.
-    core : float
-        How far it reaches at least.
+    `before`, `after`: its centre in the surface's frame, a step ago and now; `core`: how far it
+    reaches at least.
     """
     kind = surfaces.kinds[s]
     a, b, c, d = surfaces.numbers[s]
@@ -136,7 +131,6 @@ def against_surface(
 
     Parameters
     ----------
-    surfaces : SurfaceNumbers
     s : int
         Which of them.
     pose : (3,)

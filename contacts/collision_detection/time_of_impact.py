@@ -40,18 +40,6 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 
 @part
-def _within(
-    corners: Array, centre: Array, radius: float, nx: float, ny: float
-) -> tuple[float, float]:
-    """Return the middle of a piece along a normal, and half of how wide it is."""
-    least = most = nx * centre[0] + ny * centre[1]
-    for k in range(len(corners)):
-        along = nx * corners[k, 0] + ny * corners[k, 1]
-        least, most = (along, along) if k == 0 else (min(least, along), max(most, along))
-    return 0.5 * (least + most), 0.5 * (most - least) + radius
-
-
-@part
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
     """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
@@ -106,7 +94,6 @@ def _met(
 
     Parameters
     ----------
-    numbers : BodyNumbers
     mid : Midpoint
         Where their bodies are, and how fast, at the time zero.
     pair : (int, int)
@@ -185,7 +172,7 @@ def hits_turning(
 
 
 @late
-def turned_past(
+def passing_time(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, deep: float,
     aside: Array,
 ) -> float:  # fmt: skip
@@ -205,60 +192,3 @@ def entered_elsewhere(
     """Return for how long a body was in another that it leaves: if it came by another side."""
     earlier, _ = _met(numbers, mid, pair, -since, normal, aside)
     return _ELSEWHERE if earlier > 0.0 else 0.0
-
-
-@part
-def _swept(mid: Midpoint, pieces: PieceNumbers, p: int, q: int, core: float) -> tuple[float, float]:
-    """When two pieces that do not turn overlap; inf, inf if never.
-
-    Separating axes of what moves in straight lines: normals of edges, and that of the motion.
-
-    Parameters
-    ----------
-    mid : Midpoint
-        Where they are at the time zero.
-    pieces : PieceNumbers
-    p, q : int
-    core : float
-        What part of their widths counts.
-    """
-    one = mid.world[pieces.firsts[p] : pieces.firsts[p + 1]]
-    other = mid.world[pieces.firsts[q] : pieces.firsts[q + 1]]
-    u, v = mid.drifts[p, 0] - mid.drifts[q, 0], mid.drifts[p, 1] - mid.drifts[q, 1]
-    begin, end, count = -math.inf, math.inf, len(one) + len(other)
-    for i in range(count + 1):
-        x, y = u, v
-        if i < count:
-            corners, k = (one, i) if i < len(one) else (other, i - len(one))
-            m = (k + 1) % len(corners)
-            x, y = corners[m, 0] - corners[k, 0], corners[m, 1] - corners[k, 1]
-        length = norm(x, y)
-        nx, ny = y / length, -x / length
-        here, half = _within(one, mid.centres[p], pieces.radii[p], nx, ny)
-        there, wide = _within(other, mid.centres[q], pieces.radii[q], nx, ny)
-        away, reach = here - there, core * (half + wide)
-        # The last normal is across the motion.
-        speed = nx * u + ny * v if i < count else 0.0
-        if speed == 0.0:
-            if abs(away) >= reach:
-                return math.inf, math.inf
-            continue
-        begin = max(begin, (-away - math.copysign(reach, speed)) / speed)
-        end = min(end, (-away + math.copysign(reach, speed)) / speed)
-    return (begin, end) if begin < end else (math.inf, math.inf)
-
-
-@late
-def crossing_time(
-    numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, core: float,
-    aside: Array,
-) -> float:  # fmt: skip
-    """Return for how long pieces that passed each other have overlapped."""
-    begin, end = _swept(mid, numbers.pieces, pair[0], pair[1], core)
-    # What is still in the other is hit, from the side that it came by.
-    if not -since < begin < end < 0.0:
-        return 0.0
-    # They have turned since.
-    middle = 0.5 * (begin + end)
-    gap, _ = _met(numbers, mid, pair, middle, (1.0, 0.0), aside)
-    return end - begin if gap < 0.0 else 0.0

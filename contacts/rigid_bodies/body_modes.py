@@ -166,7 +166,6 @@ def settle_bodies(
 
     Parameters
     ----------
-    numbers : BodyNumbers
     memory : Memory
         Of this step. Changed in place.
     space : Workspace
@@ -175,7 +174,6 @@ def settle_bodies(
         After the step.
     count : int
         Contacts.
-    k : int
     chunk : Chunk
         Its step k is changed in place.
     """

@@ -267,7 +267,6 @@ def step_bodies(
 
     Parameters
     ----------
-    numbers : BodyNumbers
     around : Prescribed
         What acts on the bodies.
     start, done : float, int
@@ -278,7 +277,6 @@ def step_bodies(
         Whether somebody reads the unknowns, which else are not written.
     memory : Memory
         Where it has too little place the status is `FULL`. Changed in place.
-    space : Workspace
     bounds : (float, float)
         Residual of impulses that are good enough; a step that closes a larger gap, or in which
         bodies pass or sink into each other or turn by more than half a turn, or which leaves

@@ -107,19 +107,16 @@ class BodyStepper(Stepper):
         stops: Sequence[StopCondition],
         regions: tuple[Region, ...],
     ) -> None:
-        self._controllers = Controllers(mechanics)
         super().__init__(
             mechanics,
             stops,
-            mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=regions,
-            controls=self._controllers.initial,
+            regions,
+            Controllers(mechanics),
             again=BODY_BLOW,
             forces=None,
             sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
         )
-        self._declared, self._bodies, self._regions = declared, mechanics, regions
+        self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
         self._recall = ControllerFlow(mechanics)
         # What no value of a parameter changes.
@@ -170,9 +167,7 @@ class BodyStepper(Stepper):
         free = np.full(len(self._scene.bodies), FREE)
         control = None
         if self._scene.regions:
-            control = StepControl(
-                self._bodies, self._controllers, setup, bodies, bodies.switch, self._regions
-            )
+            control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
         return RunInputs(setup, bodies, free, self._lacks(setup), control, failure)
 
     def _made(

@@ -149,7 +149,6 @@ def closed_joints(
     ----------
     scene : Scene
         Its bodies one by one.
-    joints : JointNumbers
     moved : (6 b,)
         Coordinates and rates of the bodies.
     places, speeds : (j, 2)

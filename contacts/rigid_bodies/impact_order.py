@@ -50,7 +50,6 @@ def impacts_in_turn(
 
     Parameters
     ----------
-    numbers, active
     members : (m,) array of int
         The island's contacts.
     contacts : ContactRows

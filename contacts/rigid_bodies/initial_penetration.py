@@ -50,7 +50,6 @@ def check_apart(
     ----------
     tried : callable
         See `Tried`.
-    numbers : BodyNumbers
     names, owners : sequence of str
         Of the bodies, and what they are declared by.
     initial : (6 b,) array
@@ -249,7 +248,6 @@ def check_inside(
         Its bodies one by one.
     owners : sequence of str
         What they are declared by.
-    numbers : BodyNumbers
     initial : (6 b,)
         Coordinates and rates.
     frames : (s, 3)

@@ -28,12 +28,9 @@ def _followed(
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Ask joints of an island to close as their arms turn now; return what would be left of that.
 
-    Parameters
-    ----------
-    numbers, space, members, contacts, h, impulses, sudden, in_turn
-        See `contacts.rigid_bodies.island_step.solve_islands`.
-    turns : (2, b)
-        How far bodies turn in the step, as is asked by now, and to work with.
+    `numbers`, `space`, `members`, `contacts`, `h`, `impulses`, `sudden`, `in_turn`: see
+    `contacts.rigid_bodies.island_step.solve_islands`; `turns` (2, b): how far bodies turn in the
+    step, as is asked by now, and to work with.
 
     Returns
     -------
@@ -98,12 +95,9 @@ def close_joints(
     Where they go round in circles, as what may stick as well as slip does, those are taken that
     leave joints the least work.
 
-    Parameters
-    ----------
-    numbers, space, members, contacts, h, rebounds, sudden, in_turn, allowed
-        See `contacts.rigid_bodies.island_step.solve_islands`.
-    near, bound, missed, softened
-        See `island_impulses`: what is asked of it, and what it gave.
+    `numbers`, `space`, `members`, `contacts`, `h`, `rebounds`, `sudden`, `in_turn`, `allowed`: see
+    `contacts.rigid_bodies.island_step.solve_islands`; `near`, `bound`, `missed`, `softened`: see
+    `island_impulses`: what is asked of it, and what it gave.
 
     Returns
     -------

@@ -73,7 +73,6 @@ def forced_speed(
     ----------
     each : iterable of Forces
         Under every state of a controller.
-    numbers : BodyNumbers
     state : (6 b + w,)
         Where the run starts.
     end : float

@@ -20,7 +20,7 @@ from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.stiff_forces import UNSTABLE, Held, check_followed, stiffness
 from contacts.rigid_bodies.workspace import Workspace
-from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
 from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
@@ -169,7 +169,7 @@ class _MetContacts(NamedTuple):
         )
 
 
-class RigidBodyRun:
+class RigidBodyRun(SteppedSystem):
     """One run of colliding bodies: what lasts from step to step.
 
     Parameters

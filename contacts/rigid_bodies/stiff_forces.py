@@ -73,14 +73,11 @@ def stiffness(
 
     Parameters
     ----------
-    forces : Forces
     inverse : (b, 3)
         See `contacts.collision_detection.body_numbers.BodyNumbers`.
     size : float
         Of a body.
-    h : float
     state : (6 b + w,)
-    time : float
     """
     n, tape = inverse.size, forces.tape
     outputs, variables, colours = tape.apart(2 * n)

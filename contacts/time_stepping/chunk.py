@@ -5,7 +5,8 @@ What points on surfaces and bodies with shapes have in common; both have a compi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -120,6 +121,45 @@ class Chunk(NamedTuple):
         return Chunk._make((self.h, *(rows[count:] for rows in self[1:])))
 
 
+class SteppedSystem(ABC):
+    """A system that is stepped: it gives (M, f, rows of contacts and joints) to its time step."""
+
+    @property
+    @abstractmethod
+    def margins(self) -> dict[str, float]:
+        """The least values seen, at the midpoints of steps."""
+
+    @property
+    @abstractmethod
+    def remarks(self) -> tuple[str, ...]:
+        """Warnings of the run."""
+
+    @abstractmethod
+    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
+        """Take up to `count` steps from a state.
+
+        Raises
+        ------
+        SimulationError
+            Where not one step can be taken.
+        """
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Take back the last steps."""
+
+    @abstractmethod
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+
+    @abstractmethod
+    def depth_left(self, state: Array, time: float) -> float:
+        """Return how deep something stays in what it touches, whatever moves.
+
+        After the last steps, which have come near that state; see `step_rejection`.
+        """
+
+
 @part
 def arriving(
     gap: float, level: float, lasting: bool, nearing: float, ahead: float, slow: float,
@@ -141,7 +181,6 @@ def arriving(
         What touches within this part of a step is struck in it.
     near : float
         Gap tolerance: a contact touches up to this gap.
-    h : float
     """
     if not lasting:
         # What has come out does not go as deep again.

@@ -9,23 +9,21 @@ at a time under the forces of the states at hand; those after a transition are t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Protocol
 
 import numpy as np
 
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.time_stepping.chunk import Chunk
+from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
-from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region
-from statechart.automaton.trace import Jump, Key
+from statechart.automaton.trace import Jump
 from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop
 
@@ -34,32 +32,6 @@ _MOST_TURNS = 100
 # What becomes true within this part of a step after its end is true at its end: times of steps, and
 # so timeouts that end with one, are rounded.
 _AT_END = 1e-6
-
-
-class SteppedTapes(Controllers):
-    """The equations of a scene in the states of its controllers, each compiled when entered."""
-
-    def __init__(self, mechanics: Mechanics) -> None:
-        super().__init__(mechanics)
-        self._tapes: dict[Key, SteppedTape] = {}
-
-    def at(self, states: Key) -> SteppedTape:
-        """Return the equations."""
-        if states not in self._tapes:
-            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
-        return self._tapes[states]
-
-
-class Controlled(Protocol):
-    """What is stepped, and can be controlled."""
-
-    def forget(self) -> None:
-        """Take back the last steps."""
-        ...
-
-    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps."""
-        ...
 
 
 class StepControl:
@@ -73,10 +45,7 @@ class StepControl:
         Of the scene.
     setup : SceneSetup
         The run's numbers.
-    scene : Controlled
-        What is controlled.
-    switch : callable
-        Told the controllers' states, by name, where these change.
+    scene : SteppedSystem
     regions : sequence of Region
         All, those of the controllers last.
     """
@@ -86,14 +55,13 @@ class StepControl:
         mechanics: Mechanics,
         controllers: Controllers,
         setup: SceneSetup,
-        scene: Controlled,
-        switch: Callable[[Mapping[str, str]], None],
+        scene: SteppedSystem,
         regions: Sequence[Region],
     ) -> None:
         self._controllers = mechanics.scene.controlled.flat
         self._names = tuple(self._controllers)
         self._states, self._setup, self._scene = controllers, setup, scene
-        self._switch, self._memory = switch, ControllerState(mechanics)
+        self._memory = ControllerState(mechanics)
         self._listening = Listening(regions, self._controllers)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
@@ -132,7 +100,6 @@ class StepControl:
         state : (2 n,)
         solved : (u,)
             Unknowns of the step.
-        h : float
 
         Raises
         ------
@@ -179,7 +146,7 @@ class StepControl:
             )
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
-            self._switch(self._states.named(self.states))
+            self._scene.switch(self._states.named(self.states))
         last = (f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.told[-_TOLD:])
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"

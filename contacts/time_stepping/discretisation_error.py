@@ -109,8 +109,6 @@ class DiscretisationError:
 
         Parameters
         ----------
-        now : Equations
-        chunk : Chunk
         start : float
             When they begin.
         codes : (c,) array of int

@@ -264,10 +264,7 @@ def factored(
         Of the step; see `contacts.time_stepping.scene_step.step_scene`.
     n : int
         Number of coordinates.
-    h : float
-    damped : bool
     held : (c,) array of int
-    joints : int
     light : bool
         Give coordinates without an inertia of their own a small one.
     """

@@ -39,12 +39,8 @@ def force_quadrature_error(
 ) -> tuple[Array, Array]:
     """Integral of every output over each step less that of its value in the middle, (m, n_out).
 
-    Parameters
-    ----------
-    code, constants, outputs, reads, n_fixed
-        Tape of the forces (n_out,).
-    parameters, start, times, coeffs
-        As in `statechart.kernels.search.search`.
+    `code`, `constants`, `outputs`, `reads`, `n_fixed`: tape of the forces (n_out,); `parameters`,
+    `start`, `times`, `coeffs`: as in `statechart.kernels.search.search`.
 
     Returns
     -------

@@ -370,7 +370,6 @@ def step_scene(
 
     Parameters
     ----------
-    scene : StepConstants
     memory : ContactMemory
         Changed in place.
     start, done : float, int

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.controllers import ControllerState, given
+from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -19,8 +19,8 @@ from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, stepped
-from contacts.time_stepping.control import StepControl, SteppedTapes
+from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem, stepped
+from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactMemory, StepConstants
 from contacts.time_stepping.limits import Swings, check_swing, remarks
@@ -32,6 +32,7 @@ from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
+from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.jit import by_python
 
@@ -59,29 +60,42 @@ class _Memory:
         return _Memory(**{name: array.copy() for name, array in vars(self).items()})
 
 
-class SteppedScene:
-    """One run of such a scene.
+class SteppedTapes(Controllers):
+    """The equations of a scene in the states of its controllers, each compiled when entered."""
 
-    Parameters
-    ----------
-    source : SteppedTape
-        The scene.
-    setup : SceneSetup
-        The run's numbers.
-    off : (c,) array of bool
-        Contacts that are off at the start.
-    allowed : float
-        Residual of impulses that are good enough.
+    def __init__(self, mechanics: Mechanics) -> None:
+        super().__init__(mechanics)
+        self._tapes: dict[Key, SteppedTape] = {}
+
+    def at(self, states: Key) -> SteppedTape:
+        """Return the equations."""
+        if states not in self._tapes:
+            self._tapes[states] = SteppedTape(self._mechanics, self.named(states))
+        return self._tapes[states]
+
+
+class SteppedScene(SteppedSystem):
+    """One run of a scene of points against surfaces.
+
+    Contacts (c,) may be off at the start; impulses with the allowed residual are good enough.
     """
 
-    def __init__(self, source: SteppedTape, setup: SceneSetup, off: Bools, allowed: float) -> None:
+    def __init__(
+        self,
+        tapes: SteppedTapes,
+        numbers: SceneNumbers,
+        setup: SceneSetup,
+        off: Bools,
+        allowed: float,
+    ) -> None:
+        self._tapes, self._numbers = tapes, numbers
         count = len(setup.contacts)
         self._values, self._near = setup.values, setup.tolerances["gap"]
         self._still = setup.tolerances["speed"]
         self._nearly = NEARLY_MEETING * setup.scales.length
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
-        self.switch(source, setup.contacts)
+        self._use(tapes.at(tapes.initial), setup.contacts)
         self._memory = _Memory(
             ContactMemory.of(off),
             np.full(count, FREE),
@@ -93,13 +107,20 @@ class SteppedScene:
         self._misses = DiscretisationError(setup.scales)
         self._misses_kept = self._misses.copy()
 
-    def change(self, setup: SceneSetup) -> None:
-        """Go on with other values of parameters."""
+    def change(self, values: Mapping[str, float]) -> SceneSetup:
+        """Go on with other values of parameters; return the numbers."""
+        setup = self._numbers.at(values, RELATIVE)
         self._values = setup.values
-        self.switch(self._source, setup.contacts)
+        self._use(self._source, setup.contacts)
+        return setup
 
-    def switch(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
-        """Go on with other forces and coefficients."""
+    def switch(self, states: Mapping[str, str]) -> None:
+        """Go on with controllers in other states."""
+        contacts = self._numbers.contacts(self._values, states)
+        self._use(self._tapes.at(tuple(states.values())), contacts)
+
+    def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
+        """Use these equations and coefficients."""
         self._source = source
         self._cones = smoothed(cones(tuple(contacts)))
         self._restitution = np.array([law.restitution for law in contacts])
@@ -357,57 +378,32 @@ class SceneStepper(Stepper):
         super().__init__(
             mechanics,
             stops,
-            mechanics.energy,
-            (*mechanics.a, *mechanics.unknown_forces, *given(mechanics)),
-            regions=regions,
-            controls=self._tapes.initial,
+            regions,
+            self._tapes,
             again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows),
             sticks=np.array([{"pin", "slide"} <= c.kinds for c in contacts.values()], bool),
         )
         self._numbers = SceneNumbers(mechanics, stops)
-        self._regions = regions
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
+        setup, failure, warnings = self._numbers.at(overrides, RELATIVE), None, tuple[str, ...]()
+        off = np.zeros(len(setup.contacts), np.bool_)
+        codes = np.full(len(off), FREE)
         try:
-            return self._checked(overrides, allowed)
+            codes, off, warnings = self._checked(setup, allowed)
         except SimulationError as error:
-            setup = self._numbers.at(overrides, RELATIVE)
-            free = np.full(len(setup.contacts), FREE)
-            return self._begun(setup, free, np.zeros(len(free), np.bool_), allowed, (), error)
+            failure = error
+        scene = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
+        if not self._scene.regions:
+            return RunInputs(setup, scene, codes, warnings, None, failure, scene.change)
+        control = StepControl(self._mechanics, self._tapes, setup, scene, self._regions)
+        return RunInputs(setup, scene, codes, warnings, control, failure)
 
-    def _begun(
-        self,
-        setup: SceneSetup,
-        codes: Ints,
-        off: Bools,
-        allowed: float,
-        warnings: tuple[str, ...],
-        failure: SimulationError | None = None,
-    ) -> RunInputs:
-        scene = SteppedScene(self._tapes.at(self._tapes.initial), setup, off, allowed)
-        control = None
-
-        def change(values: Mapping[str, float]) -> SceneSetup:
-            numbers = self._numbers.at(values, RELATIVE)
-            scene.change(numbers)
-            return numbers
-
-        if self._scene.regions:
-            tapes, numbers = self._tapes, self._numbers
-
-            def switch(states: Mapping[str, str]) -> None:
-                contacts = numbers.contacts(setup.values, states)
-                scene.switch(tapes.at(tuple(states.values())), contacts)
-
-            control = StepControl(self._mechanics, tapes, setup, scene, switch, self._regions)
-        able = None if self._scene.regions else change
-        return RunInputs(setup, scene, codes, warnings, control, failure, able)
-
-    def _checked(self, overrides: Mapping[str, float], allowed: float) -> RunInputs:
-        setup = self._numbers.at(overrides, RELATIVE)
+    def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
+        """Check the initial state; return modes at the start, contacts that are off, warnings."""
         warnings = [*self._lacks(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
         within = memory.within(setup, setup.initial)
@@ -434,7 +430,7 @@ class SceneStepper(Stepper):
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
 
         def tried(closed: Bools) -> tuple[SteppedScene, Chunk]:
-            trial = SteppedScene(tape, setup, off, allowed)
+            trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
@@ -451,7 +447,7 @@ class SceneStepper(Stepper):
                 "coordinates without an inertia of their own are computed with 1e-9 of the bodies' "
                 "at the contacts"
             )
-        return self._begun(setup, codes, off, allowed, tuple(warnings))
+        return codes, off, tuple(warnings)
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield whose friction is computed as less."""

@@ -190,14 +190,12 @@ def settle(
 
     Parameters
     ----------
-    scene : StepConstants
     memory : ContactMemory
         Changed in place.
     tape : Tape
         In the middle of the step, with the velocities after it.
     factors, order
         The equations of the step (`contacts.time_stepping.equations.factored`).
-    k : int
     chunk : Chunk
         Its step k is changed in place.
     """

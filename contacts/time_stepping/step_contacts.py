@@ -135,12 +135,8 @@ def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed
 def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
     """Return the velocity of contact `a` after a step, 0 where that is rounding.
 
-    Parameters
-    ----------
-    compliance : (2 m, 2 m), least : (m, 2), impulses : (m, 2)
-        Of the step's contact problem.
-    a, d : int
-        Which contact; 0 along its normal, 1 along its tangent.
+    `compliance` (2 m, 2 m), `least` (m, 2), `impulses` (m, 2): of the step's contact problem; `a`,
+    `d`: which contact; 0 along its normal, 1 along its tangent.
     """
     after, terms = least[a, d], abs(least[a, d])
     for b in range(len(impulses)):
@@ -480,12 +476,9 @@ def coupled_order_matters(
 ) -> bool:
     """Return whether a body is struck at once at contacts whose impacts change each other.
 
-    Parameters
-    ----------
-    bodies, pairs, lively
-        Bodies (m, 2) of contacts, which pairs of them touch, and whose impacts are `LIVELY`.
-    delassus : (2 m, 2 m), cones : (m, 2), impulses : (m, 2)
-        Of the step's contact problem.
+    `bodies`, `pairs`, `lively`: bodies (m, 2) of contacts, which pairs of them touch, and whose
+    impacts are `LIVELY`; `delassus` (2 m, 2 m), `cones` (m, 2), `impulses` (m, 2): of the step's
+    contact problem.
     """
     for a in range(len(pairs)):
         for b in range(len(pairs)):

@@ -41,10 +41,8 @@ def too_large(
 
     Parameters
     ----------
-    chunk : Chunk
     angles : slice or (a,) array of int
         Where the rates of angles are in a state; see `evenly`.
-    regions : sequence of str
     size : float
         Of the scene.
     step : float

@@ -31,25 +31,26 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-import sympy as sp
 
+from contacts.dynamics.controllers import Controllers, given
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import replaced
 from contacts.states import STATES
-from contacts.time_stepping.chunk import WORK, Chunk
+from contacts.time_stepping.chunk import WORK, Chunk, SteppedSystem
+from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.lazy_arcs import TERMS
 from contacts.time_stepping.recorder import PoseRecorder, Recorder
 from contacts.time_stepping.solver_residual import SolverResidual
 from contacts.time_stepping.step_rejection import Rejection, Squeezed, evenly, no_room, too_large
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.time_stepper import (
     RECORD_ALL,
@@ -77,77 +78,16 @@ from statechart.formulas.tape import Tape
 from statechart.tabular import several
 
 
-class Stepped(Protocol):
-    """What is stepped."""
-
-    @property
-    def margins(self) -> dict[str, float]:
-        """The least values seen."""
-        ...
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the run."""
-        ...
-
-    def steps(self, start: float, h: float, state: Array, count: int) -> Chunk:
-        """Take steps."""
-        ...
-
-    def depth_left(self, state: Array, time: float) -> float:
-        """Return how deep something stays in what it touches, whatever moves; see `step_rejection`.
-
-        After the last steps, which have come near that state.
-        """
-        ...
-
-
-class Control(Protocol):
-    """Controllers and stops at the ends of steps."""
-
-    def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
-        """Return the steps up to the first after which it may act, and whether there is one."""
-        ...
-
-    def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
-        """Return the first step at whose end what it waits for has no value, and its name."""
-        ...
-
-    def turn(
-        self, recorder: Recorder, jumps: Sequence[Jump], state: Array, solved: Array, h: float
-    ) -> Array:
-        """Act at the end of a step, after the jumps of the step; return the state then."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Stepping:
-    """Inputs of a run of a scene."""
-
-    name: str  # Of the model.
-    # Of the variables and the parameters.
-    names: tuple[str, ...]
-    parameter_names: tuple[str, ...]
-    regions: tuple[str, ...]
-    controls: Key  # States at the start of those of them, the last, that no step recognises.
-    again: str  # Cause of an impact on a region that is not free.
-    forces: int | None  # See `Recorder`.
-    sticks: Bools  # (r,): see `Recorder`.
-    angles: Bools  # (n,): which coordinates are angles.
-    stops: StopTapes
-    energy: Tape
-
-
 class RunInputs(NamedTuple):
     """A run that can start, or why it cannot."""
 
     setup: SceneSetup
-    stepped: Stepped
+    stepped: SteppedSystem
     codes: Ints  # (r,): modes at the start, as `contacts.states` numbers them.
     warnings: tuple[str, ...]  # Besides those of the setup.
-    control: Control | None = None  # What acts at the ends of steps.
+    control: StepControl | None = None  # Acts at the ends of steps.
     failure: SimulationError | None = None  # Why not even one step can be made.
-    # Lets it go on with other values of parameters; returns the numbers. None where it cannot.
+    # Continues with other values of parameters; returns the numbers. None where it cannot.
     change: Callable[[Mapping[str, float]], SceneSetup] | None = None
 
 
@@ -179,44 +119,36 @@ _COUNTED = 2.0**53
 _KNOWN = 2**15
 
 
-def made_ready(stepping: Stepping, begun: RunInputs, span: Span) -> SteppedRun:
-    """Return a run of a scene from its initial state."""
-    values, (record, watch) = begun.setup.values, span.policy
-    told = record is Record.MODES or begun.control is not None
-    recorder = Recorder(
-        stepping.regions[: len(begun.codes)],
-        begun.codes,
-        stepping.controls,
-        stepping.sticks,
-        stepping.again,
-        stepping.forces,
-        lambda states, times: stepping.energy.table(states, values, times)[:, 0],
-        len(stepping.angles),
-        # Controllers wait for the events of regions.
-        told or (watch is not None and watch.events),
-        told or (watch is not None and watch.motion),
-    )
-    return SteppedRun(stepping, begun, recorder, span)
-
-
 class SteppedRun:
     """A run by steps, as far as it has come."""
 
-    def __init__(
-        self, stepping: Stepping, begun: RunInputs, recorder: Recorder, span: Span
-    ) -> None:
-        self._begun = begun
-        self.stepping, self.recorder, self.span = stepping, recorder, span
+    def __init__(self, stepper: Stepper, begun: RunInputs, span: Span) -> None:
+        self._begun, self.stepper, self.span = begun, stepper, span
         self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
-        self.stops = StopConditions(stepping.stops, self.setup)
+        values, (record, watch) = self.setup.values, span.policy
+        # Controllers wait for the events of regions.
+        told = record is Record.MODES or begun.control is not None
+        self.recorder = Recorder(
+            stepper.regions[: len(begun.codes)],
+            begun.codes,
+            stepper.controls,
+            stepper.sticks,
+            stepper.again,
+            stepper.forces,
+            lambda states, times: stepper.energy.table(states, values, times)[:, 0],
+            len(stepper.angles),
+            told or (watch is not None and watch.events),
+            told or (watch is not None and watch.motion),
+        )
+        self.stops = StopConditions(stepper.stops, self.setup)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = SolverResidual(span.impulses)
-        self._squeezed = Squeezed(stepping.regions, span.step, begun.setup.start_depth)
-        poses = span.policy.record is Record.POSES
-        self._poses = PoseRecorder(len(stepping.angles)) if poses else None
-        self._turning = evenly(len(stepping.angles) + np.flatnonzero(stepping.angles))
+        self._squeezed = Squeezed(stepper.regions, span.step, begun.setup.start_depth)
+        poses = record is Record.POSES
+        self._poses = PoseRecorder(len(stepper.angles)) if poses else None
+        self._turning = evenly(len(stepper.angles) + np.flatnonzero(stepper.angles))
 
     def end(self, outcome: Outcome, message: str) -> None:
         """Let the run end, and say why."""
@@ -257,7 +189,7 @@ class SteppedRun:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
         largest = max(1, min(_CHUNK, _ROOM // (TERMS * self.state.nbytes)))
-        most = min(largest, max(1, _CHUNK // max(1, len(self.stepping.regions))))
+        most = min(largest, max(1, _CHUNK // max(1, len(self.stepper.regions))))
         each = max(1, round(min(self.span.every / step, _COUNTED)))
         for count, h in counts:
             # A step may be taken in parts, of which there are a power of two.
@@ -370,7 +302,7 @@ class SteppedRun:
         """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
         steps = self.span.until / self.span.step
         most = FAR_TOO_MANY * LARGEST
-        if self.taken >= _KNOWN and not self.stepping.stops.names:
+        if self.taken >= _KNOWN and not self.stepper.stops.names:
             needed = self.size / self.taken * steps
             if needed > most:
                 raise TooLong(
@@ -380,7 +312,7 @@ class SteppedRun:
 
     def _rejected(self, chunk: Chunk, start: float) -> Rejection | None:
         """Return the first step that cannot be taken as it is."""
-        regions, size, step = self.stepping.regions, self.setup.scales.length, self.span.step
+        regions, size, step = self.stepper.regions, self.setup.scales.length, self.span.step
         found = too_large(chunk, self._turning, regions, size, step)
         if found is None or not found.deep:
             return found
@@ -389,7 +321,7 @@ class SteppedRun:
         return found._replace(why=no_room(found.deep, depth, size) or found.why)
 
     def _stop(self, condition: int) -> None:
-        name = self.stepping.stops.names[condition]
+        name = self.stepper.stops.names[condition]
         self.time = self.recorder.clock.high
         self.recorder.stop(name, self.state)
         self.end(Outcome.STOPPED, f"{name} at t = {self.time:.6g}")
@@ -416,11 +348,11 @@ class SteppedRun:
         return replace(self._trace(record, arcs, tuple(recorder.told)), outputs=outputs)
 
     def _trace(self, record: Record, arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Trace:
-        recorder, stepping, warnings = self.recorder, self.stepping, self._begun.warnings
-        regions, start, final = stepping.regions, recorder.start_key, recorder.key
+        recorder, stepper, warnings = self.recorder, self.stepper, self._begun.warnings
+        regions, start, final = stepper.regions, recorder.start_key, recorder.key
         if record is Record.POSES:
-            controlled = len(regions) - len(stepping.controls)
-            regions, start, final = regions[controlled:], stepping.controls, recorder.controls
+            controlled = len(regions) - len(stepper.controls)
+            regions, start, final = regions[controlled:], stepper.controls, recorder.controls
         elif record is Record.NOTHING:
             regions, start, final = (), (), ()
         tolerances = dict(self.setup.tolerances)
@@ -429,10 +361,10 @@ class SteppedRun:
         tolerances["gap"] = max(tolerances["gap"], landed)
         tolerances["impulse"] = self.effort.residual
         return Trace(
-            name=stepping.name,
+            name=stepper.name,
             regions=regions,
-            variables=stepping.names,
-            parameters=dict(zip(stepping.parameter_names, self.setup.values.tolist(), strict=True)),
+            variables=stepper.names,
+            parameters=dict(zip(stepper.parameter_names, self.setup.values.tolist(), strict=True)),
             arcs=arcs,
             jumps=jumps,
             initial=self.setup.initial,
@@ -483,40 +415,37 @@ class Stepper(ABC):
     mechanics : Mechanics
         The scene's equations, or no more than its names and symbols.
     stops : sequence of StopCondition
-    energy : Expr
-    unknowns : sequence of Symbol
-        What stop conditions may use that steps solve for.
-    regions, controls, again, forces, sticks
-        See `contacts.time_stepping.stepper.Stepping`.
+    regions : sequence of Region
+        All, those of the controllers last.
+    controllers : Controllers
+    again : str
+        Cause of an impact on a region that is not free.
+    forces, sticks
+        See `Recorder`.
     """
 
     def __init__(
         self,
         mechanics: Mechanics,
         stops: Sequence[StopCondition],
-        energy: sp.Expr,
-        unknowns: Sequence[sp.Symbol],
-        *,
         regions: Sequence[Region],
-        controls: Key = (),
+        controllers: Controllers,
+        *,
         again: str,
         forces: int | None,
         sticks: Bools,
     ) -> None:
-        self._mechanics, self._scene = mechanics, mechanics.scene
-        self._stepping = Stepping(
-            self._scene.name,
-            (*mechanics.variable_names, *mechanics.memory),
-            mechanics.parameters.names,
-            tuple(region.name for region in regions),
-            controls,
-            again,
-            forces,
-            sticks,
-            np.array([name.endswith(".angle") for name in mechanics.names]),
-            StopTapes(mechanics, stops, unknowns, regions),
-            mechanics.whole_tape([energy]),
-        )
+        self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
+        self.name = mechanics.scene.name
+        self._controllers, self.controls = controllers, controllers.initial
+        self.names = (*mechanics.variable_names, *mechanics.memory)
+        self.parameter_names = mechanics.parameters.names
+        self.regions = tuple(region.name for region in regions)
+        self.again, self.forces, self.sticks = again, forces, sticks
+        self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
+        unknowns = (*mechanics.a, *mechanics.unknown_forces, *given(mechanics))
+        self.stops = StopTapes(mechanics, stops, unknowns, regions)
+        self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
@@ -524,7 +453,7 @@ class Stepper(ABC):
         if begun.failure is not None:
             raise begun.failure
         states = tuple(STATES[code] for code in begun.codes.tolist())
-        return (*states, *self._stepping.controls), (*begun.setup.warnings, *begun.warnings)
+        return (*states, *self.controls), (*begun.setup.warnings, *begun.warnings)
 
     def run(
         self,
@@ -542,7 +471,7 @@ class Stepper(ABC):
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
         begun = self._able(overrides, step, until, impulses.tolerance, forces)
         span = Span(step, until, max_jumps, impulses, show, policy=policy)
-        return made_ready(self._stepping, begun, span).whole()
+        return SteppedRun(self, begun, span).whole()
 
     def stream(
         self,
@@ -556,15 +485,48 @@ class Stepper(ABC):
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
         begun = self._able(overrides, step, until, impulses.tolerance)
-        span = Span(step, until, max_jumps, impulses, lambda time, jumps, steps: None)
-        return stream(self._stepping, begun, span, sampling, overrides)
+        show, every = (lambda time, jumps, steps: None), sampling.every
+        span = Span(step, until, max_jumps, impulses, show, every)
+        return self._streamed(begun, span, sampling, dict(overrides))
+
+    def _streamed(
+        self, begun: RunInputs, span: Span, sampling: Sampling, parameters: dict[str, float]
+    ) -> Iterator[Arc | Jump]:
+        if sampling.control is not None and begun.change is None:
+            raise Unsupported(
+                "time steps change parameters of scenes alone whose bodies do not collide by their "
+                "shapes and that have no controllers of their own; take the engine taylor or scipy"
+            )
+        made = SteppedRun(self, begun, span)
+        recorder, seen = made.recorder, [0, 0]
+
+        def fresh() -> list[Arc | Jump]:
+            recorder.close()
+            found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
+            seen[:] = len(recorder.arcs), len(recorder.jumps)
+            return in_order(found)
+
+        for _ in made.chunks():
+            yield from fresh()
+            if sampling.control is None or begun.change is None:
+                continue
+            mode = dict(zip(self.regions, recorder.key, strict=True))
+            state = dict(zip(self.names, made.state.tolist(), strict=True))
+            changed = sampling.control(Sample(made.time, mode, state))
+            if changed:
+                parameters |= changed
+                made.stops = StopConditions(self.stops, begun.change(parameters))
+        yield from fresh()
+        trace = made.trace()
+        if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+            raise error_of(trace)
 
     def _able(
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
     ) -> RunInputs:  # fmt: skip
         """Return a run by steps that are long enough to move anything."""
-        read = forces or bool(self._stepping.stops.names) or bool(self._stepping.controls)
+        read = forces or bool(self.stops.names) or bool(self.controls)
         begun = self._begin(overrides, step, allowed, read)
         scales = begun.setup.scales
         least = _EPS * scales.length / scales.speed
@@ -588,45 +550,5 @@ class Stepper(ABC):
 
     def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:
         """Return what differs from the declaration."""
-        values = dict(zip(self._stepping.parameter_names, setup.values.tolist(), strict=True))
+        values = dict(zip(self.parameter_names, setup.values.tolist(), strict=True))
         return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())
-
-
-def stream(
-    stepping: Stepping,
-    begun: RunInputs,
-    span: Span,
-    sampling: Sampling,
-    parameters: Mapping[str, float],
-) -> Iterator[Arc | Jump]:
-    """Yield arcs and jumps of a run of a scene as they come, an arc ending with every chunk."""
-    if sampling.control is not None and begun.change is None:
-        raise Unsupported(
-            "time steps change parameters of scenes alone whose bodies do not collide by their "
-            "shapes and that have no controllers of their own; take the engine taylor or scipy"
-        )
-    made = made_ready(stepping, begun, span._replace(every=sampling.every))
-    recorder, values = made.recorder, dict(parameters)
-    seen = [0, 0]
-
-    def fresh() -> list[Arc | Jump]:
-        recorder.close()
-        found: list[Arc | Jump] = [*recorder.arcs[seen[0] :], *recorder.jumps[seen[1] :]]
-        seen[:] = len(recorder.arcs), len(recorder.jumps)
-        return in_order(found)
-
-    for _ in made.chunks():
-        yield from fresh()
-        if sampling.control is None or begun.change is None:
-            continue
-        mode = dict(zip(stepping.regions, recorder.key, strict=True))
-        state = dict(zip(stepping.names, made.state.tolist(), strict=True))
-        changed = sampling.control(Sample(made.time, mode, state))
-        if changed:
-            values |= changed
-            setup = begun.change(values)
-            made.stops = StopConditions(stepping.stops, setup)
-    yield from fresh()
-    trace = made.trace()
-    if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
-        raise error_of(trace)

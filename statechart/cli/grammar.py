@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
 
 from statechart.errors import close_matches
+from statechart.tabular import ALL_DIGITS, DIGITS
 
 # A count that no machine comes to.
 _MAX_COUNT = 10**18 + 1
@@ -72,9 +74,13 @@ def parser() -> argparse.ArgumentParser:
 def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return what a command line says; end the process with the reason where it cannot be read."""
     whole = parser()
+    (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
+    words = sys.argv[1:] if arguments is None else arguments
+    first = next((word for word in words if not word.startswith("-")), None)
+    if first is not None and first not in verbs.choices:
+        whole.error(f"no verb {first!r}; {close_matches(first, verbs.choices)}")
     chosen, unknown = whole.parse_known_args(arguments)
     if unknown:
-        (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
         verb: argparse.ArgumentParser = verbs.choices[chosen.verb]
         verb.error(_unknown(unknown[0], verb))
     return chosen
@@ -153,11 +159,14 @@ def _reporting(parser: argparse.ArgumentParser) -> None:
     words = "of the film: how far back in time trails reach; 0 for none"
     _value(parser, "--trail", "T", words, type=_number)
     _value(parser, "--report", "PAGE", "write the run as one page to look at and to send: .html")
-    _json(parser)
+    _json(parser, digits=True)
 
 
-def _json(parser: argparse.ArgumentParser) -> None:
+def _json(parser: argparse.ArgumentParser, *, digits: bool = False) -> None:
     _flag(parser, "--json", "print one JSON object")
+    if digits:
+        words = f"significant digits of printed numbers; {DIGITS}, and {ALL_DIGITS} for all"
+        _value(parser, "--digits", "N", words, type=_positive, default=DIGITS)
 
 
 def _viewing(parser: argparse.ArgumentParser) -> None:
@@ -178,15 +187,18 @@ def _listing(parser: argparse.ArgumentParser) -> None:
     words = "judge another configuration than the initial one, such as bar.angle=0.3"
     _value(where, "--at", "NAME=VALUE", words, action="append", default=[], type=_place)
     _value(where, "--until", "T", "judge where a run is then", type=_number)
-    _json(parser)
+    _json(parser, digits=True)
     words = "print the equations of motion of a mode, such as 'tip:pin' or 'A:free B:slide+'"
     _value(parser, "--equations", "MODE", words)
     _flag(parser, "--latex", "print them in LaTeX")
 
 
 def _drawing(parser: argparse.ArgumentParser) -> None:
-    words = ".svg .png .pdf .dot .mmd .scxml .graphml"
-    _value(parser, "-o --output", "PATH", words, required=True)
+    words = (
+        "file to write: .svg .png .pdf .dot .mmd .scxml .graphml; without it the picture opens in "
+        "the browser, or goes to a pipe as SVG"
+    )
+    _value(parser, "-o --output", "PATH", words)
     what = parser.add_mutually_exclusive_group()
     _flag(what, "--visited", "run, and draw the modes and the path it took")
     words = "draw bodies, surfaces and contacts where a run starts: .svg .png .pdf"
@@ -236,7 +248,7 @@ def _sweeping(parser: argparse.ArgumentParser) -> None:
     _value(parser, "-o --output", "PATH", words)
     _flag(parser, "--resume", "go on with the sweep in STORE.zarr")
     _value(parser, "--plot", "PICTURE", "draw it: .svg .png .pdf")
-    _json(parser)
+    _json(parser, digits=True)
 
 
 def _settable(parser: argparse.ArgumentParser) -> None:

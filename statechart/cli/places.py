@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.documents.files import obstacle
+from statechart.documents.files import made, obstacle, write_atomic
 from statechart.errors import DeclarationError, StatechartError
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from statechart.documents.declaration import Declaration
+    from statechart.reporting.pieces import Pieces
     from statechart.running.runner import Runner
     from statechart.study.study import Study
+    from statechart.sweeps.plan import Plan
 
 PATIENCE = 0.9
 """Seconds after a signal in which results are saved, but for those that always are."""
+PAGES = (".html", ".htm")
+"""Suffixes of a page."""
+_STORE, _FILE = ".zarr", ".nc"
 
 
 def check_folder(output: str | None) -> None:
@@ -35,9 +43,35 @@ def check_folder(output: str | None) -> None:
         raise DeclarationError(f"--output {output}: {why}", advice="name another folder")
 
 
-def is_store(output: str) -> bool:
-    """Return whether a run is to be written to a Zarr store."""
-    return Path(output).suffix == ".zarr"
+def check_file(
+    option: str, output: str | None, suffixes: Collection[str] = (), *, deep: bool = False
+) -> None:
+    """Raise `DeclarationError` where a file cannot be written, before the work for it.
+
+    With `deep` its folder need not exist yet.
+    """
+    if output is None:
+        return
+    if not output.strip():
+        raise DeclarationError(f"{option}: the name is empty", advice="name a file")
+    path = Path(output).absolute()
+    if path.is_dir():
+        raise DeclarationError(f"{option} {output}: that is a folder", advice="name a file in it")
+    if deep and (why := obstacle(path.parent)):
+        raise DeclarationError(f"{option} {output}: {why}", advice="name another place")
+    if not deep and (not path.parent.is_dir() or obstacle(path.parent)):
+        raise DeclarationError(
+            f"{option} {output}: there is no folder {path.parent} that is writable",
+            advice="name another folder, or make this one",
+        )
+    if suffixes and path.suffix.lower() not in suffixes:
+        known = suffixes if len(suffixes) < 3 else ("one of " + ", ".join(suffixes),)
+        raise DeclarationError(f"{option} {output}: the suffix must be {' or '.join(known)}")
+
+
+def is_store(output: str | None) -> bool:
+    """Return whether results are to be written to a Zarr store."""
+    return output is not None and Path(output).suffix == _STORE
 
 
 def kept_study(arguments: argparse.Namespace) -> Study | None:
@@ -74,44 +108,15 @@ def shown_study(
     return None, tuple(warnings)
 
 
-def check_file(option: str, output: str | None) -> None:
-    """Raise `DeclarationError` where a file cannot be written, before the work for it."""
-    if output is None:
-        return
-    if not output.strip():
-        raise DeclarationError(f"{option}: the name is empty", advice="name a file")
-    path = Path(output).absolute()
-    if path.is_dir():
-        raise DeclarationError(f"{option} {output}: that is a folder", advice="name a file in it")
-    if not path.parent.is_dir() or obstacle(path.parent):
-        raise DeclarationError(
-            f"{option} {output}: there is no folder {path.parent} that is writable",
-            advice="name another folder, or make this one",
-        )
-
-
-def check_drawing(output: str, suffixes: Collection[str]) -> None:
-    """Raise `DeclarationError` where a drawing of another suffix or place cannot be written."""
-    check_file("-o", output)
-    if Path(output).suffix.lower() not in suffixes:
-        raise DeclarationError(f"-o {output}: the suffix must be one of {', '.join(suffixes)}")
-
-
-def check_page(option: str, output: str | None) -> None:
-    """Raise `DeclarationError` where a page cannot be written, before the run that it shows."""
-    check_file(option, output)
-    if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
-        raise DeclarationError(f"{option} {output}: a page is .html", advice="name it so")
-
-
 def film_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options of an animation that are given."""
     given = {name: getattr(arguments, name) for name in ("speed", "size", "trail")}
     return {name: value for name, value in given.items() if value is not None}
 
 
-def check_animation(runner: Runner, output: str | None, options: Mapping[str, Any]) -> None:
+def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
     """Raise `StatechartError` where no animation can be written, before the run that it shows."""
+    output, options = arguments.animate, film_options(arguments)
     if output is None:
         if options:
             names = [f"--{name}" for name in options]
@@ -127,3 +132,46 @@ def check_animation(runner: Runner, output: str | None, options: Mapping[str, An
     shown = Showing(**options)
     check(Path(output), shown.size, shown.speed, shown.trail)
     stage_of(runner.automaton)
+
+
+def check_sweep(arguments: argparse.Namespace, plan: Plan) -> None:
+    """Raise `DeclarationError` where the store, the file or the picture cannot be written."""
+    from statechart.reporting.figure import SUFFIXES
+    from statechart.sweeps.figure import check_drawable
+
+    output = arguments.output
+    if is_store(output):
+        if why := obstacle(Path(output).absolute().parent):
+            raise DeclarationError(f"-o {output}: {why}", advice="name another place")
+    else:
+        check_file("-o", output, (_STORE, _FILE), deep=True)
+        if output is not None and os.path.lexists(output):
+            raise DeclarationError(f"{output} exists already", advice="name another, or remove it")
+    if arguments.resume and not is_store(output):
+        raise DeclarationError("--resume goes on with a store", advice=f"name it: -o STORE{_STORE}")
+    if arguments.plot is not None:
+        check_file("--plot", arguments.plot, SUFFIXES, deep=True)
+        check_drawable(plan)
+
+
+def write_sweep(
+    arguments: argparse.Namespace, plan: Plan, data: xr.Dataset, pieces: Pieces
+) -> None:
+    """Write the file and the picture of a sweep; note those that cannot be written."""
+    from statechart.reporting.figure import render
+    from statechart.reporting.tables import netcdf
+    from statechart.sweeps.figure import figure
+
+    def write(path: Path, content: bytes) -> None:
+        with made(path.parent):
+            write_atomic(path, content)
+
+    if arguments.output is not None and not is_store(arguments.output):
+        target = Path(arguments.output)
+        pieces.keep(str(target), lambda _: write(target, netcdf(data)), None)
+    if arguments.plot is not None:
+        picture = Path(arguments.plot)
+        kind = picture.suffix.lower().lstrip(".")
+        pieces.attempt(
+            arguments.plot, lambda: write(picture, render(figure(plan, data), kind)), None
+        )

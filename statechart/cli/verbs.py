@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import gc
+import shutil
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
@@ -14,16 +15,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from statechart import interrupts
 from statechart.cli.places import (
+    PAGES,
     PATIENCE,
     check_animation,
-    check_drawing,
     check_file,
     check_folder,
-    check_page,
+    check_sweep,
     film_options,
     is_store,
     kept_study,
     shown_study,
+    write_sweep,
 )
 from statechart.cli.terminal import print_json, show, warn
 from statechart.errors import DeclarationError, SimulationError, StatechartError
@@ -84,8 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
             "--samples and --no-samples are about the tables of --output",
             advice="say --output DIR, too, or leave them out",
         )
-    check_animation(runner, arguments.animate, film_options(arguments))
-    check_page("--report", arguments.report)
+    check_animation(runner, arguments)
+    check_file("--report", arguments.report, PAGES)
     if arguments.output is not None:
         import xarray  # noqa: F401, it takes a second that a signal does not leave
     result = runner.run(parameters, until=arguments.until, certify=arguments.certify, throw=False)
@@ -130,9 +132,9 @@ def _deliver(
     else:
         from statechart.reporting.text import describe_run, explain_events
 
-        show(describe_run(report))
+        show(describe_run(report, arguments.digits))
         if arguments.explain and report["events"]:
-            show(["\n", *explain_events(report)])
+            show(["\n", *explain_events(report, arguments.digits)])
     sys.stdout.flush()
     if arguments.animate is not None:
         shown = not arguments.quiet
@@ -174,9 +176,7 @@ def _save(
 
 def view(arguments: argparse.Namespace) -> int:
     """Run a model, write the run as a page, and open that."""
-    import webbrowser
-
-    check_page("-o", arguments.output)
+    check_file("-o", arguments.output, PAGES)
     runner = _runner(arguments.file, once=True, progress=not arguments.quiet)
     parameters = _assigned("--set", arguments.parameters)
     result = runner.run(parameters, until=arguments.until, throw=False)
@@ -188,8 +188,7 @@ def view(arguments: argparse.Namespace) -> int:
     warn(warnings)
     page = result.report(place, study=study).resolve()
     print(page)
-    if not webbrowser.open(page.as_uri()):
-        print("no browser could be opened; open the page with one", file=sys.stderr)
+    _open(page)
     return _warn_of_early_end(result.trace)
 
 
@@ -281,7 +280,7 @@ def modes(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(listed)
     else:
-        show(format_listing(listed))
+        show(format_listing(listed, arguments.digits))
     return 0
 
 
@@ -289,27 +288,45 @@ def draw(arguments: argparse.Namespace) -> int:
     """Draw the statechart, with the path of a run where asked for or needed; or the scene."""
     from statechart.diagram.scxml import lost
     from statechart.diagram.write import SUFFIXES, write
+    from statechart.reporting.figure import SUFFIXES as FIGURES
     from statechart.running.drawing import draw_scene, drawn
 
-    path = Path(arguments.output)
-    if arguments.scene:
-        from statechart.reporting.figure import SUFFIXES as FIGURES
-
-        check_drawing(arguments.output, FIGURES)
-        print(draw_scene(_runner(arguments.file), path))
-        return 0
-    check_drawing(arguments.output, SUFFIXES)
+    check_file("-o", arguments.output, FIGURES if arguments.scene else SUFFIXES)
     runner = _runner(arguments.file, progress=not arguments.quiet)
-    diagram, trace = drawn(runner, visited=arguments.visited)
-    code = 0
-    if trace is not None:
-        warn(trace.warnings)
-        code = _warn_of_early_end(trace)
-    write(diagram, path, arguments.guards)
-    if path.suffix.lower() == ".scxml" and diagram.machine is not None:
-        warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
-    print(path)
+    with _target(arguments.output, f"{runner.model.name}.svg") as path:
+        if arguments.scene:
+            draw_scene(runner, path)
+            return 0
+        diagram, trace = drawn(runner, visited=arguments.visited)
+        code = 0
+        if trace is not None:
+            warn(trace.warnings)
+            code = _warn_of_early_end(trace)
+        write(diagram, path, arguments.guards)
+        if path.suffix.lower() == ".scxml" and diagram.machine is not None:
+            warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
     return code
+
+
+@contextmanager
+def _target(output: str | None, name: str) -> Iterator[Path]:
+    """Yield the file to write, and print its name; without one open it, or print it to a pipe."""
+    path = Path(output or Path(tempfile.mkdtemp(prefix="statechart-"), name))
+    yield path
+    if output is None and not sys.stdout.isatty():
+        sys.stdout.write(path.read_text(encoding="utf-8"))
+        shutil.rmtree(path.parent)
+        return
+    print(path)
+    if output is None:
+        _open(path)
+
+
+def _open(path: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(path.resolve().as_uri()):
+        print("no browser could be opened; open the file with one", file=sys.stderr)
 
 
 def trade(arguments: argparse.Namespace) -> int:
@@ -350,24 +367,24 @@ def sweep(arguments: argparse.Namespace) -> int:
     plan = make_plan(
         arguments.file, over, samples, setting, until=arguments.until, outputs=arguments.outputs
     )
-    target = results.Target(arguments.output, arguments.plot, arguments.resume)
-    target.check(plan)
+    check_sweep(arguments, plan)
+    store = arguments.output if is_store(arguments.output) else None
     shown = not arguments.quiet
     workers = arguments.workers and min(arguments.workers, plan.size)
     with crew(workers, arguments.scheduler) as executor:
-        made = run_plan(plan, executor, store=target.store, resume=arguments.resume, progress=shown)
+        made = run_plan(plan, executor, store=store, resume=arguments.resume, progress=shown)
     pieces = Pieces()
     with interrupts.held(), interrupts.limited(PATIENCE):
         data = made.dataset(loaded=True)
-        target.write(plan, data, pieces)
+        write_sweep(arguments, plan, data, pieces)
         report = results.to_dict(plan, data, where=arguments.output)
         if arguments.json:
             print_json(report)
         else:
-            show(results.format_text(report))
+            show(results.format_text(report, arguments.digits))
         _print_left_out(pieces)
     if made.ended:
-        again = "--resume goes on" if target.store else "-o STORE.zarr keeps what is done"
+        again = "--resume goes on" if store else "-o STORE.zarr keeps what is done"
         print(f"{made.ended}; {again}", file=sys.stderr)
     return 0 if results.succeeded(report) and not pieces.failed else 1
 

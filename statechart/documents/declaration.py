@@ -291,6 +291,10 @@ class Declaration(Part):
         """Test what must hold of every run over the ranges; see `statechart.check`."""
         return _public("check")(self, examples=examples, seed=seed)
 
+    def _repr_html_(self) -> str:
+        """Return the scene and the statechart, for a notebook."""
+        return str(import_module("statechart.running.drawing").notebook(self))
+
     def alternatives(self) -> Mapping[str, Self]:
         """Return the model under the other choices that its laws leave open, by their names."""
         return {}

@@ -58,7 +58,7 @@ class Plan:
     setting: Setting  # What was asked for, with what the model's settings say in the place of None.
     first: float | None = None  # Tolerance of the first run, where that was measured.
     # What that was chosen by, or the first step.
-    basis: str = "estimated: nothing was measured of this run"
+    basis: str = "guessed (no earlier `trade`)"
     chosen: Chosen | None = None  # The run that was measured to reach the accuracy asked for.
     # End of the runs that it was chosen by, where they were measured: what they say holds of a run
     # to this end with the parameters of the model.

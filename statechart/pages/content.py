@@ -37,6 +37,7 @@ from statechart.reporting.curves import (
 from statechart.reporting.figure import banded, unbanded
 from statechart.reporting.film import filmed, stage_of
 from statechart.reporting.text import change, computed, explanation
+from statechart.tabular import MAX_LISTED, number
 
 # Pictures that a page has at most and at least, and numbers that all of them have.
 _MOST, _LEAST, _NUMBERS = 600, 120, 150_000
@@ -48,8 +49,6 @@ _FEW, _CHANGED = 60, 9000
 _POINTS, _NODES = 1200, 40
 # How wide the moving scene is, in its own units.
 _PICTURE = 1000.0
-# Of a number in a table, and in a reason: what rounding does is not seen.
-_DIGITS, _REASON = 10, 6
 # Names of what changes alike at an event.
 _NAMES = 4
 
@@ -249,20 +248,8 @@ def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
         "change": change(event, _NAMES),
-        "why": explanation({"events": [_rounded(event)]}),
+        "why": explanation({"events": [event]}),
     }
-
-
-def _rounded(value: Any) -> Any:
-    """Return a report, or a part of it, whose numbers have as many digits as a reason needs."""
-    match value:
-        case float():
-            return float(f"{value:.{_REASON}g}")
-        case Mapping():
-            return {name: _rounded(part) for name, part in value.items()}
-        case list() | tuple():
-            return [_rounded(part) for part in value]
-    return value
 
 
 def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> dict[str, Any]:
@@ -318,20 +305,15 @@ def _bare(diagram: Diagram) -> Diagram:
     return replace(diagram, title="", charts=charts, notes=(), explained=())
 
 
-def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, str]:
-    """Return values as text, with their units."""
-    return {
-        name: f"{_format(value)} {'' if value is None else beside(units.get(name, ''))}".rstrip()
-        for name, value in values.items()
-    }
+def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, Any]:
+    """Return values as text with their units; of a long list the numbers, for a sparkline."""
 
+    def shown(name: str, value: object) -> dict[str, Any]:
+        unit = "" if value is None else beside(units.get(name, ""))
+        many = value if isinstance(value, list) and len(value) > MAX_LISTED else []
+        return {"text": f"{number(value)} {unit}".rstrip(), "values": many}
 
-def _format(value: object) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, list):
-        return ", ".join(map(_format, value))
-    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
+    return {name: shown(name, value) for name, value in values.items()}
 
 
 def _short(values: Array) -> list[Any]:

@@ -17,6 +17,12 @@ _HERE = Path(__file__).parent
 _SCRIPTS = ("scene.js", "page.js")
 
 
+def frame(page: str) -> str:
+    """Return a page in a frame of a notebook, in which it is as it is on its own."""
+    style = "box-sizing: border-box; width: 100%; height: 760px; border: 1px solid #8886"
+    return f'<iframe srcdoc="{escape(page)}" sandbox="allow-scripts" style="{style}"></iframe>'
+
+
 def html(shown: Mapping[str, Any]) -> str:
     """Return the page."""
     # Nothing in it can end the element that it stands in.

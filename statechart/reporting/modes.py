@@ -10,7 +10,7 @@ from statechart.automaton.laws import MOST_MODES, Feasibility
 from statechart.automaton.product import explored
 from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
-from statechart.tabular import Block, Table, apart, ends, plain, several, whole
+from statechart.tabular import DIGITS, Block, Table, apart, ends, number, plain, several, whole
 
 
 def listing(
@@ -53,7 +53,7 @@ def text(listed: Mapping[str, Any]) -> str:
     return plain(format_listing(listed))
 
 
-def format_listing(listed: Mapping[str, Any]) -> list[Block]:
+def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `text`: lines and tables."""
     count = format_count(listed["modes_declared"], listed["modes_total"])
     built = listed["modes_built"]
@@ -69,7 +69,7 @@ def format_listing(listed: Mapping[str, Any]) -> list[Block]:
         words = f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
         parts.append([words, Table(counts)])
     if listed["feasibility"] is not None:
-        parts.append(_possible(listed))
+        parts.append(_possible(listed, digits))
     parts += [
         [f"... {region} more: --json has all\n"] if isinstance(region, int) else _edges(region)
         for region in ends(listed["regions"])
@@ -134,14 +134,19 @@ def _feasibility(automaton: Automaton, found: Feasibility) -> dict[str, Any]:
     }
 
 
-def _possible(listed: Mapping[str, Any]) -> list[Block]:
+def _possible(listed: Mapping[str, Any], digits: int) -> list[Block]:
     found = listed["feasibility"]
     plain, directed = found["without_direction"], found["with_direction"]
     counts = f"{len(plain['feasible'])} of {plain['declared']}"
     if directed["declared"] != plain["declared"]:
         counts += f" ({len(directed['feasible'])} of {directed['declared']} with directions)"
-    where = ", ".join(f"{name} = {value:.6g}" for name, value in listed["state"].items())
-    lines = [f"kinematically possible at t = {listed['time']:.6g}: {counts}\n", f"  {where}\n"]
+    where = ", ".join(
+        f"{name} = {number(value, digits)}" for name, value in listed["state"].items()
+    )
+    lines = [
+        f"kinematically possible at t = {number(listed['time'], digits)}: {counts}\n",
+        f"  {where}\n",
+    ]
     lines += [f"  {remark}\n" for remark in found["remarks"]]
     names = [region["name"] for region in listed["regions"]]
     if not names:

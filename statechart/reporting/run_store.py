@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +16,6 @@ from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
-
-if TYPE_CHECKING:
-    import zarr
-
 
 # Rows are written when they hold so many bytes: a chunk.
 _CHUNK = 2**23
@@ -36,45 +31,59 @@ def write_store(
     `body`; the others are arrays over `t`. Dimension `event`: `event_t`, `event_region`,
     `event_cause`. The rest of `report` is in the attribute `report`, as JSON.
     """
-    import zarr
+    import xarray as xr
 
     trace.require_motion()
-    path = Path(path)
-    with _explained(path):
-        group = zarr.open_group(path, mode="w-")
+    if Path(path).exists():
+        raise StatechartError(
+            f"cannot write {path}: there is something of this name; name another place"
+        )
     model = observer.automaton.declaration
     bodies, shared, own = _arrays(trace.variables)
-    with _explained(path):
-        rest = {key: value for key, value in report.items() if key not in ("events", "final")}
-        group.attrs.update({"model": trace.name, "report": json.dumps(rest)})
-        width = len(trace.variables)
-        rows = max(1, _CHUNK // (8 * width))
-        _table(group, "t", "t", np.zeros(0), rows, _unit(model.unit(TIME)))
-        for part, places in shared.items():
-            unit = _unit(model.unit(trace.variables[places[0]]))
-            _table(group, part, ("t", "body"), np.zeros((0, len(places))), rows, unit)
-        if bodies:
-            _table(group, "body", "body", np.array(bodies, dtype=np.str_), len(bodies), {})
-        for name in own:
-            _table(group, name, "t", np.zeros(0), rows, _unit(model.unit(name)))
-        jumps = trace.jumps
-        events: dict[str, Any] = {
-            "event_t": np.array([jump.t for jump in jumps]),
-            "event_region": np.array([jump.region for jump in jumps], dtype=np.str_),
-            "event_cause": np.array([jump.cause for jump in jumps], dtype=np.str_),
-        }
-        for name, column in events.items():
-            _table(group, name, "event", column, max(1, len(jumps)), {})
-        for times, states in _pieces(trace, rows):
-            for part, places in shared.items():
-                _array(group, part).append(states[:, places])
-            for name, place in own.items():
-                _array(group, name).append(states[:, place])
-            _array(group, "t").append(times)
+    rows = max(1, _CHUNK // (8 * len(trace.variables)))
+
+    def array(dims: tuple[str, ...], values: Array, name: str) -> tuple[Any, ...]:
+        unit = model.unit(name)
+        chunks = {"chunks": (rows, *values.shape[1:])}
+        return dims, values, {"units": unit} if unit else {}, chunks
+
+    def data(times: Array, states: Array) -> xr.Dataset:
+        return xr.Dataset(
+            {name: array(("t",), states[:, place], name) for name, place in own.items()}
+            | {
+                part: array(("t", "body"), states[:, places], trace.variables[places[0]])
+                for part, places in shared.items()
+            },
+            {"t": array(("t",), times, TIME)},
+            attributes,
+        )
+
+    rest = {key: value for key, value in report.items() if key not in ("events", "final")}
+    attributes = {"model": trace.name, "report": json.dumps(rest)}
+    jumps = trace.jumps
+    pieces = _pieces(trace, rows)
+    texts = {"region": [jump.region for jump in jumps], "cause": [jump.cause for jump in jumps]}
+    first = data(*next(pieces)).assign(
+        {"event_t": ("event", np.array([jump.t for jump in jumps]))}
+        | {f"event_{name}": ("event", _text(column)) for name, column in texts.items()}
+    )
+    if bodies:
+        first = first.assign_coords(body=_text(bodies))
+    try:
         with warnings.catch_warnings():
-            # It is no part of the format's version 3 yet, but all readers know it.
+            # Consolidated metadata are no part of format 3 yet; all readers know them.
             warnings.simplefilter("ignore")
-            zarr.consolidate_metadata(group.store)
+            first.to_zarr(path, mode="w-")
+            for piece in pieces:
+                data(*piece).drop_encoding().to_zarr(path, append_dim="t")
+    except OSError as error:
+        raise StatechartError(
+            f"cannot write {path}: {error.strerror or error}; name a place that is writable"
+        ) from error
+
+
+def _text(values: list[str]) -> np.ndarray[Any, Any]:
+    return np.array(values, dtype=np.dtypes.StringDType())
 
 
 def _arrays(names: tuple[str, ...]) -> tuple[list[str], dict[str, list[int]], dict[str, int]]:
@@ -105,51 +114,3 @@ def _pieces(trace: Trace, rows: int) -> Iterator[tuple[Array, Array]]:
             yield np.concatenate(times), np.concatenate(states)
             times, states = [], []
     yield np.array([*np.concatenate([*times, [trace.t_end]])]), np.vstack([*states, trace.final])
-
-
-def _table(
-    group: zarr.Group,
-    name: str,
-    dims: str | tuple[str, ...],
-    values: Any,
-    rows: int,
-    attributes: Mapping[str, str],
-) -> None:
-    """Make an array along dimensions, of which the first may grow by about so many rows."""
-    chunks = (rows, *(max(1, size) for size in values.shape[1:]))
-    array = group.create_array(
-        name,
-        shape=values.shape,
-        dtype=str if values.dtype.kind == "U" else values.dtype,
-        chunks=chunks,
-        dimension_names=(dims,) if isinstance(dims, str) else dims,
-        attributes=dict(attributes),
-    )
-    if values.size:
-        array[...] = values
-
-
-def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    import zarr
-
-    found = group[name]
-    assert isinstance(found, zarr.Array)
-    return found
-
-
-def _unit(unit: str) -> dict[str, str]:
-    return {"units": unit} if unit else {}
-
-
-@contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except FileExistsError:
-        raise StatechartError(
-            f"cannot write {path}: there is something of this name; name another place"
-        ) from None
-    except OSError as error:
-        raise StatechartError(
-            f"cannot write {path}: {error.strerror or error}; name a place that is writable"
-        ) from error

@@ -8,7 +8,19 @@ from typing import Any
 
 from statechart.automaton.trace import Outcome
 from statechart.documents.quantities import beside
-from statechart.tabular import FEW, Block, Table, apart, ends, plain, several, table
+from statechart.tabular import (
+    DIGITS,
+    FEW,
+    Block,
+    Table,
+    aligned,
+    apart,
+    ends,
+    number,
+    plain,
+    several,
+    table,
+)
 
 # Events listed from the start and from the end.
 _SHOWN = 20
@@ -21,27 +33,27 @@ _CERTIFIED: Mapping[object, str] = {
 }
 
 
-def summary(report: Mapping[str, Any]) -> str:
-    """Return the report of a run as lines of text; numbers keep all their digits."""
-    return plain(describe_run(report))
+def summary(report: Mapping[str, Any], digits: int = DIGITS) -> str:
+    """Return the report of a run as lines of text."""
+    return plain(describe_run(report, digits))
 
 
-def describe_run(report: Mapping[str, Any]) -> list[Block]:
+def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `summary`: texts and tables."""
-    parts: list[list[Block]] = [[_head(report)], _events(report)]
+    parts: list[list[Block]] = [[_head(report)], _events(report, digits)]
     units = report.get("units", {})
     parts += [
-        _values(title, values, units)
+        _values(title, values, units, digits)
         for title, values in (
-            ("outputs", _listed(report["outputs"])),
-            ("final state", ends(_listed(report["final"]), FEW)),
-            ("margins, least value seen", _least(report["margins"])),
-            ("invariants, least margin (below 0 it does not hold)", _least(report["invariants"])),
+            ("outputs", list(report["outputs"].items())),
+            ("final state", ends(list(report["final"].items()), FEW)),
+            ("margins, least sampled value", _least(report["margins"])),
+            ("invariants, least exact margin (violated below 0)", _least(report["invariants"])),
         )
         if values
     ]
     if "alternatives" in report:
-        parts.append(_alternatives(report["alternatives"]))
+        parts.append(_alternatives(report["alternatives"], digits))
     return apart(parts)
 
 
@@ -89,19 +101,21 @@ def _how(report: Mapping[str, Any]) -> str:
     return f"tolerance {report['tolerance']:.3g}"
 
 
-def _events(report: Mapping[str, Any]) -> list[Block]:
+def _events(report: Mapping[str, Any], digits: int) -> list[Block]:
     events = report["events"]
     if not events:
         if report["record"] != "modes":
             return [f"events of contacts were not recorded (record: {report['record']})\n"]
         return ["no events\n"]
-    rows = [("t", "region", "cause", "from -> to")]
-    for event in shown(events):
-        if isinstance(event, int):
-            rows.append((f"... {event} more: {_ALL}", "", "", ""))
-        else:
-            rows.append((repr(event["t"]), event["contact"] or "", event["cause"], change(event)))
-    return [Table(rows, headed=True)]
+    rows = [
+        (f"... {event} more: {_ALL}", "", "", "")
+        if isinstance(event, int)
+        else (number(event["t"], digits), event["contact"] or "", event["cause"], change(event))
+        for event in shown(events)
+    ]
+    times = aligned([row[0] for row in rows])
+    rows = [(t, *row[1:]) for t, row in zip(times, rows, strict=True)]
+    return [Table([("t", "region", "cause", "from -> to"), *rows], headed=True)]
 
 
 def shown(events: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any] | int]:
@@ -134,23 +148,19 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
     return "; ".join(f"{cut(names)}: {what}" for what, names in changes.items())
 
 
-def _alternatives(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[Block]:
     if not rows:
         return ["alternatives: none, no two contacts can be hit together\n"]
     lines = [
         (
             f"  {row['choice']}",
-            f"other modes from t = {row['diverged']!r} on; ends with {row['outcome']}"
+            f"other modes from t = {number(row['diverged'], digits)} on; ends with {row['outcome']}"
             if not row["same_modes"]
             else f"same modes; largest relative difference {float(row['difference']):.2g}",
         )
         for row in rows
     ]
     return ["alternatives\n", Table(lines)]
-
-
-def _listed(values: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    return list(values.items())
 
 
 def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
@@ -161,79 +171,76 @@ def _least(values: Mapping[str, Any]) -> list[tuple[str, Any] | int]:
 
     def size(item: tuple[str, Any]) -> float:
         # Undefined and absent values come first.
-        number = math.nan if item[1] is None else float(item[1])
-        return -math.inf if math.isnan(number) else number
+        known = math.nan if item[1] is None else float(item[1])
+        return -math.inf if math.isnan(known) else known
 
     return [*sorted(values.items(), key=size)[: 2 * FEW], left_out]
 
 
 def _values(
-    title: str, values: Sequence[tuple[str, Any] | int], units: Mapping[str, str]
+    title: str,
+    values: Sequence[tuple[str, Any] | int],
+    units: Mapping[str, str],
+    digits: int = DIGITS,
 ) -> list[Block]:
     """Return values under a title, their units in a column that no list of values pushes away.
 
     A number stands for as many that are left out.
     """
-    numbers = [_text(i[1]) for i in values if not isinstance(i, int) and not isinstance(i[1], list)]
-    width, rows = max(map(len, numbers), default=0), []
-    for item in values:
-        if isinstance(item, int):
-            rows.append((f"  ... {item} more: {_ALL}", ""))
-        else:
-            name, value = item
-            unit = beside(units.get(name, ""))
-            rows.append((f"  {name}", f"{_text(value).ljust(width)}  {unit}".rstrip()))
+    known = [item for item in values if not isinstance(item, int)]
+    texts = iter(aligned([number(value, digits) for _, value in known]))
+    lines = [("", item) if isinstance(item, int) else (item[0], next(texts)) for item in values]
+    lists = {name for name, value in known if isinstance(value, list)}
+    width = max((len(x) for n, x in lines if isinstance(x, str) and n not in lists), default=0)
+    rows = [
+        (f"  ... {text} more: {_ALL}", "")
+        if isinstance(text, int)
+        else (f"  {name}", f"{text.ljust(width)}  {beside(units.get(name, ''))}".rstrip())
+        for name, text in lines
+    ]
     return [f"{title}\n", Table(rows)]
 
 
-def _text(value: object) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, list):
-        shown = ", ".join(map(_text, value[:_SHOWN]))
-        more = f", ... {len(value) - _SHOWN} more" if len(value) > _SHOWN else ""
-        return f"[{shown}{more}]"
-    return value if isinstance(value, str) else repr(value)
-
-
-def explanation(report: Mapping[str, Any]) -> str:
+def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
     """Return the explanation of every jump: guards that fired, margins, effects, candidates."""
-    return plain(explain_events(report))
+    return plain(explain_events(report, digits))
 
 
-def explain_events(report: Mapping[str, Any]) -> list[Block]:
+def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `explanation`: titles and tables."""
     return apart(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
-        else _event(event)
+        else _event(event, digits)
         for event in shown(report["events"])
     )
 
 
-def _event(event: Mapping[str, Any]) -> list[Block]:
+def _event(event: Mapping[str, Any], digits: int) -> list[Block]:
+    def columns(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
+        texts = aligned([number(value, digits) for value in values.values()])
+        return list(zip(values, texts, strict=True))
+
     what = " ".join(filter(None, (event["contact"], event["cause"])))
     changed = change(event)
-    title = f"t = {event['t']!r}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}\n"
-    rows = [("fired", ", ".join(event["fired"]) or "no margin: the state called for it at once")]
+    time = number(event["t"], digits)
+    title = f"t = {time}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}\n"
+    fired = ", ".join(event["fired"]) or "immediate: the mode just entered was not valid"
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )
-    rows += _entitled("margins", [(name, _number(value)) for name, value in margins])
-    impulses = event["impulse"].items()
-    rows += _entitled(
-        "impulse",
-        [
-            (name, f"normal {_number(i['normal'])}, tangential {_number(i['tangential'])}")
-            for name, i in impulses
-        ],
-    )
+    impulses = {
+        name: ", ".join(f"{part} {number(size, digits)}" for part, size in pair.items())
+        for name, pair in event["impulse"].items()
+    }
+    rows = [("fired", fired), *_entitled("margins", columns(dict(margins)))]
+    rows += _entitled("impulse", list(impulses.items()))
     rows += _entitled("path", [(step,) for step in event["path"]])
     if event["energy"] is not None:
-        before, after = event["energy"]
-        rows.append(("energy", f"{_number(before)} -> {_number(after)}"))
+        before, after = (number(energy, digits) for energy in event["energy"])
+        rows.append(("energy", f"{before} -> {after}"))
     if event["skipped"]:
-        rows.append(("skipped", f"the bounces of {_number(event['skipped'])} units of time"))
+        rows.append(("skipped", f"the bounces of {number(event['skipped'], digits)} units of time"))
     rows += _entitled("considered", _candidates(event))
     return [title, Table([(f"  {head}", text) for head, text in rows])]
 
@@ -254,7 +261,3 @@ def _candidates(event: Mapping[str, Any]) -> list[tuple[str, ...]]:
         (" ".join(part for part in labels[label] if part not in common) or label, verdict)
         for label, verdict in event["considered"].items()
     ]
-
-
-def _number(value: object) -> str:
-    return value if isinstance(value, str) else repr(value)

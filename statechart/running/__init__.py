@@ -1,7 +1,7 @@
 """A model, values of its parameters and an end time become a result.
 
 `runner` compiles a model once and runs it; `inputs` checks parameters, end and sampling of a run;
-`result` is its trace with everything that is evaluated along it. `planner` makes the runs that a
-requested accuracy or time budget needs: by `accuracy`, at ever tighter tolerances, or by
-`step_refinement`, at ever shorter steps. `inspection` and `drawing` look at a model without a run.
+`result` is its trace with everything that is evaluated along it. `accuracy` makes the runs that a
+requested accuracy or time budget needs: at ever tighter tolerances, or at ever shorter steps.
+`inspection` and `drawing` look at a model without a run.
 """

@@ -16,10 +16,12 @@ from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.errors import DeclarationError, StatechartError
+from statechart.loading.kind import kind
 from statechart.running.runner import Runner
 
 if TYPE_CHECKING:
     import networkx as nx
+    from matplotlib.figure import Figure
 
 # Of the time in which a scene moves by its own length, as its tolerances tell it.
 _MOMENT = 1e-6
@@ -82,19 +84,38 @@ def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Pa
     StatechartError
         If the model is wrong or has no bodies, or the picture cannot be written.
     """
-    from statechart.pictures.snapshots import picture
     from statechart.reporting.figure import write as write_figure
+
+    write_figure(_scene(model if isinstance(model, Runner) else Runner(model)), path)
+    return Path(path)
+
+
+def notebook(model: Declaration) -> str:
+    """Return the scene of a model, where it has bodies, above its statechart, as HTML."""
+    from statechart.reporting.figure import render
+
+    runner = Runner(model)
+    pictures = [drawn(runner)[0].svg()]
+    if kind(model.kind).stage is not None:
+        pictures.insert(0, render(_scene(runner), "svg").decode())
+    # As wide as the cell at most: screens are narrower than many a picture.
+    style = '<svg style="max-width: 100%; max-height: 420px; height: auto"'
+    drawings = (svg[svg.index("<svg") :].replace("<svg", style, 1) for svg in pictures)
+    frame = "background: #fff; max-width: 760px; padding: 8px"
+    return f'<div style="{frame}">{"<br>".join(drawings)}</div>'
+
+
+def _scene(runner: Runner) -> Figure:
+    from statechart.pictures.snapshots import picture
     from statechart.reporting.film import filmed, stage_of
 
-    runner = model if isinstance(model, Runner) else Runner(model)
     stage = stage_of(runner.automaton)
     start = runner.run(until=0.0)
-    # Forces that a motion shares, and modes of steps, are told of what goes on for a moment.
+    # Forces that a motion shares, and modes of steps, show after a moment.
     least = start.trace.tolerances
     moment = start.trace.step or _MOMENT * least["gap"] / least["speed"]
     start = runner.run(until=moment, throw=False)
-    write_figure(picture(filmed(stage, start.observer, start.trace, [0.0])), path)
-    return Path(path)
+    return picture(filmed(stage, start.observer, start.trace, [0.0]))
 
 
 @checked

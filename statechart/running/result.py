@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,14 +133,13 @@ class Result:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """Return tables of outputs and events, and the figure if there is one, for a notebook."""
-        from statechart.reporting.notebook import html
+        """Return the moving page of the run in a frame, for a notebook."""
+        from statechart.pages.page import frame, html
 
         try:
-            drawn: Figure | str = self.plot()
+            return frame(html(_page_content(self, None)))
         except StatechartError as error:  # what a run has not recorded is no reason to show nothing
-            drawn = str(error)
-        return html(self.to_dict(), drawn)
+            return f"<pre>{escape(str(self))}</pre><p>{escape(str(error))}</p>"
 
     @property
     def events(self) -> pd.DataFrame:

@@ -30,9 +30,8 @@ from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
-from statechart.running.accuracy import AccuracyRequest
+from statechart.running.accuracy import AccuracyRequest, RunPlanner
 from statechart.running.inputs import RunInputs, as_overrides
-from statechart.running.planner import RunPlanner
 from statechart.running.result import Result
 
 

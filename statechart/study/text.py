@@ -10,10 +10,13 @@ from statechart.automaton.trace import Outcome
 from statechart.study.measurements import Measurements, Point, Third
 from statechart.study.slopes import slopes, unfitted
 from statechart.study.warnings import Note, beyond, notes, reasons
-from statechart.tabular import Block, Table, plain, several
+from statechart.tabular import Block, Table, aligned, plain, several
 
 # Errors of an odd run are listed that are so much of its largest.
 _MUCH = 0.5
+# Accuracies for which a setting is advised: the first that one reaches.
+_ADVISED = (1e-6, 1e-4, 1e-3, 1e-2)
+_OPTIONS = ("engine", "method", "tolerance", "step", "accuracy")
 # Warnings that are listed in full.
 _MAX_NOTES = 8
 
@@ -51,7 +54,8 @@ def describe_study(study: Measurements) -> list[Block]:
             )
         )
     above = "".join(f"{line}\n" for line in _head(study)) + "\n"
-    return [above, Table(rows, headed=True), _foot(study)]
+    columns = [(head, *aligned(texts)) for head, *texts in zip(*rows, strict=True)]
+    return [above, Table(list(zip(*columns, strict=True)), headed=True), _foot(study)]
 
 
 def _head(study: Measurements) -> list[str]:
@@ -165,7 +169,35 @@ def _foot(study: Measurements) -> str:
         lines.append(
             f"{several(more, 'further warning')} {'is' if more == 1 else 'are'} in trade.json"
         )
+    lines += advice(study)
     return "\n" + "".join(f"{line}\n" for line in lines) if lines else ""
+
+
+def advice(study: Measurements) -> list[str]:
+    """Return a sentence on the cheapest setting for an accuracy, against that of another family."""
+    for accuracy in _ADVISED:
+        able = [
+            point
+            for point in study.points
+            if point.same_modes
+            and (error := study.error(point)) is not None
+            and error + study.least <= accuracy
+        ]
+        if not able:
+            continue
+        best = min(able, key=lambda point: point.seconds)
+        setting = best.setting
+        parts = {part: getattr(setting, part) for part in _OPTIONS}
+        options = " ".join(f"--{part} {x}" for part, x in parts.items() if x is not None)
+        others = [point for point in able if point.setting.family != setting.family]
+        beside = ""
+        if others:
+            next_best = min(others, key=lambda point: point.seconds)
+            times = next_best.seconds / best.seconds
+            beside = f", {times:.2g} times cheaper than {next_best.setting.label}"
+        cost = _seconds(best.seconds)
+        return [f"for an accuracy of {accuracy:g} use {options}: {cost} a run{beside}"]
+    return []
 
 
 def omitted(study: Measurements) -> list[str]:

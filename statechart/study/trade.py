@@ -15,11 +15,12 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.files import obstacle
 from statechart.documents.hints import checked
 from statechart.documents.setting import Setting
+from statechart.engines.request import Plan
 from statechart.errors import DeclarationError, StatechartError
 from statechart.execution.outcome import error_of
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.running.accuracy import Cost, EvaluatedRun, RunEstimate, tighten
+from statechart.running.accuracy import EvaluatedRun, RunEstimate, RunPlanner
 from statechart.running.runner import Runner
 from statechart.study.measurements import Errors, Point, fingerprint
 from statechart.study.reference import References, Run, errors_of
@@ -94,23 +95,8 @@ class Bench:
 
     def runner(self, setting: Setting) -> Callable[[], RunEstimate]:
         """Return a function that makes the run of a setting; compiled programs are kept."""
-        observers = Observers(self.automaton)
-
-        def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
-            observer = observers.at(replace(setting, tolerance=tolerance), off=off)
-            return observer, self.once(observer)
-
-        def run() -> RunEstimate:
-            if setting.accuracy is not None:
-                floor, first = observers.floor(setting), observers.first(setting)
-                return tighten(once, setting.accuracy, floor=floor, first=first)
-            observer = observers.at(setting)
-            trace = self.once(observer)
-            counts = trace.counts
-            cost = Cost(1, counts.get("steps", 0), counts.get("evaluations", 0), 0.0)
-            return RunEstimate(observer, trace, None, cost)
-
-        return run
+        planner = RunPlanner(self.model, Observers(self.automaton), Plan(setting), None)
+        return lambda: planner.run({}, self.until)[0]
 
     def measure(self, setting: Setting, reference: Run) -> Point:
         """Run a setting and compare it.

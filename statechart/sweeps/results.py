@@ -1,33 +1,22 @@
-"""Results of a sweep: as one plain object, in words, as a file, as a picture."""
+"""Results of a sweep, as one plain object and in words."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statechart.automaton.trace import Outcome
-from statechart.documents.files import made, obstacle, write_atomic
 from statechart.documents.quantities import beside
-from statechart.errors import DeclarationError
-from statechart.reporting.figure import SUFFIXES, render
-from statechart.reporting.pieces import Pieces
-from statechart.reporting.tables import netcdf
-from statechart.sweeps.figure import check_drawable, figure
 from statechart.sweeps.plan import Plan
-from statechart.tabular import Block, Table, apart, several
+from statechart.tabular import DIGITS, Block, Table, aligned, apart, number, several
 
 if TYPE_CHECKING:  # imported where a sweep is made: it takes half a second
     import xarray as xr
 
-_STORE, _FILE = ".zarr", ".nc"
 # Sequences of modes that are listed in words.
 _LISTED = 12
 _SUCCEEDED = frozenset(outcome.name for outcome in Outcome if outcome.succeeded)
@@ -97,11 +86,16 @@ def succeeded(report: dict[str, Any]) -> bool:
     return report["done"] == report["cells"] and any(o["succeeded"] for o in report["outcomes"])
 
 
-def format_text(report: dict[str, Any]) -> list[Block]:
+def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the report of a sweep in words and tables."""
+    units = report["units"]
+
+    def with_unit(value: float | str, name: str) -> str:
+        return f"{number(value, digits)} {beside(units.get(name, ''))}".rstrip()
+
     over = ", ".join(
-        f"{name} ({one['values']} from {_with(one['least'], report, name)} to "
-        f"{_with(one['greatest'], report, name)})"
+        f"{name} ({one['values']} from {with_unit(one['least'], name)} to "
+        f"{with_unit(one['greatest'], name)})"
         for name, one in report["over"].items()
     )
     done = report["done"]
@@ -119,9 +113,9 @@ def format_text(report: dict[str, Any]) -> list[Block]:
         (
             name,
             "" if one["of"] == "values" else "lengths",
-            _number(one["least"]),
-            _number(one["greatest"]),
-            beside(report["units"].get(name, "")) if one["of"] == "values" else "",
+            number(one["least"], digits),
+            number(one["greatest"], digits),
+            beside(units.get(name, "")) if one["of"] == "values" else "",
             str(one["none"] or ""),
         )
         for name, one in report["outputs"].items()
@@ -144,83 +138,10 @@ def format_text(report: dict[str, Any]) -> list[Block]:
 def _listed(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Block]:
     """Return a table without the columns that say nothing."""
     said = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    return [Table([[row[k] for k in said] for row in (head, *rows)], headed=True)] if rows else []
-
-
-def _with(value: float | str, report: dict[str, Any], name: str) -> str:
-    """Return a value with its unit."""
-    return f"{_number(value)} {beside(report['units'].get(name, ''))}".rstrip()
-
-
-def _number(value: float | str | None) -> str:
-    return value if isinstance(value, str) else "none" if value is None else f"{value:.6g}"
+    columns = [[head[k], *aligned([row[k] for row in rows])] for k in said]
+    return [Table(list(zip(*columns, strict=True)), headed=True)] if rows else []
 
 
 def _plain(value: float) -> float | str:
     """Return a number that JSON has, else its name."""
     return float(value) if math.isfinite(value) else str(float(value))
-
-
-@dataclass(frozen=True)
-class Target:
-    """Files of a sweep: a store or NetCDF file, and a picture; a store that exists may go on."""
-
-    output: str | None
-    plot: str | None
-    resume: bool
-
-    @property
-    def store(self) -> str | None:
-        """The store, to which blocks are written as they are done."""
-        output = self.output
-        return output if output is not None and Path(output).suffix == _STORE else None
-
-    def check(self, plan: Plan) -> None:
-        """Raise `DeclarationError` where a file cannot be written."""
-        output, plot = self.output, self.plot
-        if output is not None:
-            if Path(output).suffix not in (_STORE, _FILE):
-                raise DeclarationError(
-                    f"-o {output}: the suffix must be {_STORE} or {_FILE}",
-                    advice="a store that a sweep can go on with, or one file of NetCDF",
-                )
-            if self.store is None and os.path.lexists(output):
-                raise DeclarationError(
-                    f"{output} exists already", advice="name another, or remove it"
-                )
-            _check_place("-o", output)
-        if self.resume and self.store is None:
-            raise DeclarationError(
-                "--resume goes on with a store", advice=f"name it: -o STORE{_STORE}"
-            )
-        if plot is not None:
-            if Path(plot).suffix.lower() not in SUFFIXES:
-                raise DeclarationError(
-                    f"--plot {plot}: the suffix must be one of {', '.join(SUFFIXES)}"
-                )
-            if Path(plot).is_dir():
-                raise DeclarationError(f"--plot {plot}: it is a folder", advice="name a file")
-            _check_place("--plot", plot)
-            check_drawable(plan)
-
-    def write(self, plan: Plan, data: xr.Dataset, pieces: Pieces) -> None:
-        """Write the file and the picture; what cannot be written is left out, and noted."""
-        if self.output is not None and self.store is None:
-            path = Path(self.output)
-            pieces.keep(str(path), lambda _: _write(path, netcdf(data)), None)
-        if self.plot is not None:
-            pieces.attempt(self.plot, partial(_draw, Path(self.plot), plan, data), None)
-
-
-def _check_place(option: str, name: str) -> None:
-    if why := obstacle(Path(name).absolute().parent):
-        raise DeclarationError(f"{option} {name}: {why}", advice="name another place")
-
-
-def _write(path: Path, content: bytes) -> None:
-    with made(path.parent):
-        write_atomic(path, content)
-
-
-def _draw(path: Path, plan: Plan, data: xr.Dataset) -> None:
-    _write(path, render(figure(plan, data), path.suffix.lower().lstrip(".")))

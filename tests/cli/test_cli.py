@@ -138,10 +138,13 @@ def test_summary_has_events_outputs_and_margins(cli: Cli) -> None:
     report = json.loads(cli("run", "toppling_stick", "--json")[1])
     code, out, err = cli("run", "toppling_stick")
     assert (code, err) == (0, "")
+    whole = cli("run", "toppling_stick", "--digits", "17")[1]
     for value in report["outputs"].values():
-        assert repr(value) in out
+        assert f"{value:.7g}" in out
+        assert repr(value) in whole
     for event in report["events"]:
-        assert re.search(rf"^{re.escape(repr(event['t']))} .*{event['cause']}", out, re.M)
+        assert re.search(rf"^{event['t']:.7g} .*{event['cause']}", out, re.M)
+        assert re.search(rf"^{re.escape(repr(event['t']))} .*{event['cause']}", whole, re.M)
     assert all(name in out for name in report["margins"])
 
 
@@ -186,7 +189,7 @@ def test_set_takes_numbers_and_formulas_of_numbers(cli: Cli, text: str, value: f
         ("run", "bouncing_ball", "--accuracy", "1e-6", "--tolerance", "1e-6"),
         ("run", "bouncing_ball", "--accuracy", "0"), ("run", "bouncing_ball", "--tolerance", "1"),
         ("run", "no_such_model"), ("run", "."), ("validate", "a\0b"), ("modes", ""),
-        ("draw", "bouncing_ball"), ("draw", "bouncing_ball", "-o", "a.gif"),
+        ("draw", "bouncing_ball", "-o", "a.gif"),
         ("draw", "bouncing_ball", "-o", "a.svg", "--guards", "below"),
         ("check", "bouncing_ball", "--examples", "0"), ("check", "bouncing_ball", "--seed", "x"),
         ("schema", "statue"), ("new",), ("new", "../a"), ("new", "1a"), ("new", "a b"),
@@ -388,6 +391,21 @@ def test_draw_says_guards_at_every_arrow_where_asked(cli: Cli) -> None:
     assert [text.count("V #60; 0") for text in told] == [1, 1]
     assert "legend : liftoff" in told[0]
     assert "legend : liftoff" not in told[1]
+
+
+@pytest.mark.parametrize("scene", [(), ("--scene",)])
+def test_a_drawing_without_a_file_is_svg_in_a_pipe_and_opens_on_a_terminal(
+    cli: Cli, scene: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = cli("draw", "bouncing_ball", *scene)
+    assert (code, out[:5], out.rstrip()[-6:]) == (0, "<?xml", "</svg>")
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    monkeypatch.setattr("tempfile.tempdir", str(cli.folder))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    code, out, _ = cli("draw", "bouncing_ball", *scene)
+    assert opened == [Path(out.strip()).as_uri()]
+    assert Path(out.strip()).name == "bouncing_ball.svg"
 
 
 @pytest.mark.parametrize("scene", [(), ("--scene",)])

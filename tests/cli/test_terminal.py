@@ -173,7 +173,7 @@ def test_the_page_of_a_run_is_opened(
     assert named.is_file()
     assert "no browser could be opened" in capsys.readouterr().err
     assert main(["view", "bouncing_ball", "-o", str(tmp_path / "mine.pdf")]) == 2
-    assert "a page is .html" in capsys.readouterr().err
+    assert "the suffix must be .html or .htm" in capsys.readouterr().err
 
 
 def test_quiet_says_nothing_of_progress(
@@ -256,7 +256,7 @@ def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> N
         ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
         ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
         ("run toppling_stick twice", "'twice' is left over; what has blanks stands in quotes"),
-        ("rnu toppling_stick", "invalid choice: 'rnu' (choose from "),
+        ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),
     ],
 )  # fmt: skip
 def test_a_line_that_cannot_be_read_is_told_what_to_write(

@@ -17,7 +17,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import load
 from statechart.reporting.text import _values, change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import ends, several, shortest, table, whole
+from statechart.tabular import aligned, ends, number, several, shortest, table, whole
 
 GRAINS = """\
 kind: scene
@@ -57,7 +57,7 @@ def test_of_many_variables_the_first_and_the_last_are_listed(report) -> None:
 
 
 def test_of_many_margins_the_least_are_listed(report) -> None:
-    lines = under(summary(report), "margins, least value seen")
+    lines = under(summary(report), "margins, least sampled value")
     margins = report["margins"]
     left_out = len(margins) - 20
     assert left_out > 0
@@ -68,7 +68,7 @@ def test_of_many_margins_the_least_are_listed(report) -> None:
 
 def test_a_margin_without_a_value_comes_first(report) -> None:
     margins = {**report["margins"], "zz.gap": "nan"}
-    lines = under(summary(report | {"margins": margins}), "margins, least value seen")
+    lines = under(summary(report | {"margins": margins}), "margins, least sampled value")
     assert lines[0].split() == ["zz.gap", "nan"]
 
 
@@ -139,6 +139,30 @@ def test_numbers_in_sentences_are_as_short_as_they_read() -> None:
     assert [float(text) for text in told] == list(numbers)
 
 
+@pytest.mark.parametrize(
+    ("value", "digits", "said"),
+    [
+        (1 / 3, 7, "0.3333333"),
+        (1 / 3, 17, "0.3333333333333333"),
+        (-0.0, 7, "0"),
+        ("inf", 7, "inf"),
+        (None, 7, "none"),
+        (3**50, 7, str(3**50)),
+        ([1 / 3, None], 7, "[0.3333333, none]"),
+        ([*range(6)], 7, "[0, 1, 2, 3, 4, 5]"),
+        ([2.5, 4.0, *[None] * 5, 1.25], 7, "8 values: 2.5 ... 1.25, from 1.25 to 4"),
+        (["nan"] * 7, 7, "7 values: nan ... nan, from nan to nan"),
+    ],
+)
+def test_numbers_for_people(value: Any, digits: int, said: str) -> None:
+    assert number(value, digits) == said
+
+
+def test_numbers_of_a_column_have_their_decimal_points_below_each_other() -> None:
+    found = aligned(["-1.5", "20", "3e-05", "none", "0.125", ""])
+    assert found == ["-1.5", "20", " 3e-05", "none", " 0.125", ""]
+
+
 def test_one_is_not_many():
     assert [several(count, "step") for count in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
     assert several(10**143, "mode") == "about 1.0e143 modes"
@@ -207,7 +231,7 @@ def test_a_list_of_values_leaves_units_of_others_where_they_are() -> None:
     assert table(found.rows).splitlines() == [
         "  clicks  12.5  m",
         "  times   [0.125, 0.25, 0.375, 0.5]  s",
-        "  gone    null",
+        "  gone    none",
     ]
 
 

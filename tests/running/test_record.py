@@ -265,6 +265,6 @@ def test_a_store_has_the_states_of_all_steps(tmp_path):
 def test_a_notebook_shows_a_run_of_which_nothing_was_kept() -> None:
     result = Runner(read_text(BALL), record="nothing").run()
     shown = result._repr_html_()
-    assert "<td>lowest</td>" in shown
+    assert "lowest" in shown
     assert "the run recorded nothing between its start and its end" in shown
-    assert "<svg" not in shown
+    assert "<iframe" not in shown

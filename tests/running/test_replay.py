@@ -70,7 +70,7 @@ def test_a_run_that_was_not_measured_is_estimated(change: Mapping[str, object]) 
     assert same is not None
     assert other is not None
     assert same.cost.runs == 1 < other.cost.runs
-    assert other.basis.startswith("estimated")
+    assert other.basis.startswith("guessed")
 
 
 def test_a_run_that_turns_out_another_one_is_estimated(measured: Study) -> None:

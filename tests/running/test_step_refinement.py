@@ -16,9 +16,9 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, SimulationError
 from statechart.observation.difference import modes_apart
 from statechart.observation.observer import Observer
+from statechart.running.accuracy import SHORTER, refine
 from statechart.running.result import Result
 from statechart.running.runner import Runner, run
-from statechart.running.step_refinement import SHORTER, refine
 
 BLOCK = """\
 kind: scene
