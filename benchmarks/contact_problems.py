@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.rigid_bodies.stepped_heap import SteppedHeap
+from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
 from contacts.time_stepping.equations import CONTACT, JOINT
-from contacts.time_stepping.scene_steps import SteppedScene
+from contacts.time_stepping.scene_stepper import SteppedScene
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Ints
 from statechart.documents.yaml_reader import read_text
@@ -43,7 +43,13 @@ SHAPES: Mapping[str, tuple[tuple[str, Mapping[str, float]], ...]] = {
 }
 """Shipped models of bodies with shapes, and the values that they are run with."""
 
-POINTS = ("compass_walker", "woodpecker", "rimless_wheel", "four_legged_table", "double_contact_bar")
+POINTS = (
+    "compass_walker",
+    "woodpecker",
+    "rimless_wheel",
+    "four_legged_table",
+    "double_contact_bar",
+)
 """Shipped models of points on surfaces."""
 
 _REST = 1e-10
@@ -86,7 +92,7 @@ def of_shapes(name: str, runner: Runner, values: Mapping[str, float]) -> Iterato
     known: dict[tuple[int, ...], Array] = {}
     h = runner.model.settings.step or runner.automaton.own_step()
     for stepped, *_ in steps_of(runner, values, h):
-        assert isinstance(stepped, SteppedHeap)
+        assert isinstance(stepped, RigidBodyRun)
         touches, inverse = stepped._room.touches, stepped.numbers.inverse
         count = int(stepped._memory.many[0])
         keys = [tuple(key) for key in touches.keys[:count].tolist()]
@@ -118,7 +124,12 @@ def of_island(name, touches, inverse, bodies, members, keys, known) -> Problem:
     """Return the problem of an island."""
     # In the order of a step, `contacts.rigid_bodies.islands.spread`.
     members = [i for first in range(5) for i in members[first::5]] if len(members) > 5 else members
-    numbers = {b: k for k, b in enumerate(dict.fromkeys(b for i in members for b in bodies[i].tolist() if b >= 0))}
+    numbers = {
+        b: k
+        for k, b in enumerate(
+            dict.fromkeys(b for i in members for b in bodies[i].tolist() if b >= 0)
+        )
+    }
     places = np.array([[numbers.get(b, len(numbers)) for b in bodies[i].tolist()] for i in members])
     rows = touches.rows[members].copy()
     for side in range(2):
@@ -126,7 +137,16 @@ def of_island(name, touches, inverse, bodies, members, keys, known) -> Problem:
     felt = np.vstack([inverse[list(numbers)], np.zeros(3)])[places].reshape(-1, 1, 6)
     least = touches.free[members] + touches.wanted[members]
     start = np.array([known.get(keys[i], np.zeros(2)) for i in members])
-    return Problem(name, places, len(numbers), rows, rows * felt, touches.materials[members, :2].copy(), least, start)
+    return Problem(
+        name,
+        places,
+        len(numbers),
+        rows,
+        rows * felt,
+        touches.materials[members, :2].copy(),
+        least,
+        start,
+    )
 
 
 def dense(name: str, delassus: Array, least: Array, cones: Array) -> Problem:
@@ -159,7 +179,12 @@ def of_points(name: str, runner: Runner) -> Iterator[Problem]:
         held = np.concatenate([joints[:, :n], *pinned])
         system = np.block([[mass, held.T], [held, np.zeros((len(held), len(held)))]])
         pushes = contacts[which, : 2 * n].reshape(-1, n)
-        right = np.vstack([np.hstack([pushes.T, h * numbers[n * n : n * n + n, None]]), np.zeros((len(held), len(pushes) + 1))])
+        right = np.vstack(
+            [
+                np.hstack([pushes.T, h * numbers[n * n : n * n + n, None]]),
+                np.zeros((len(held), len(pushes) + 1)),
+            ]
+        )
         moved = np.linalg.lstsq(system, right, rcond=1e-12)[0][:n]
         free = pushes @ (state[n : 2 * n] + moved[:, -1])
         yield dense(name, pushes @ moved[:, :-1], free.reshape(-1, 2), stepped._cones[which])
@@ -174,7 +199,9 @@ def thinned(problems: Iterator[Problem], keep: int, most: int = 400_000) -> list
     for k, problem in enumerate(problems):
         if k >= most:
             break
-        if len(problem.cones) > 1 and (problem.least[:, 0].min() < 0.0 or problem.cones.min() < 0.0):
+        if len(problem.cones) > 1 and (
+            problem.least[:, 0].min() < 0.0 or problem.cones.min() < 0.0
+        ):
             if residual_of(problem, problem.start) > _REST:
                 hard.append(problem)
     print(k + 1, len(hard), file=sys.stderr)
@@ -189,19 +216,32 @@ def residual_of(problem: Problem, impulses: Array) -> float:
     np.add.at(rates, bodies.ravel(), np.einsum("id,idk->ik", impulses, columns).reshape(-1, 3))
     if bodies.shape[1] == 2:
         rates[problem.moving] = 0.0
-    normal, slip = (problem.least + np.einsum("idk,ik->id", rows, rates[bodies].reshape(len(bodies), -1))).T
+    normal, slip = (
+        problem.least + np.einsum("idk,ik->id", rows, rates[bodies].reshape(len(bodies), -1))
+    ).T
     own = np.einsum("idk,idk->id", rows, columns)
     wn, wt = own.T
     pn, pt = impulses.T
     cone_n, cone_t = problem.cones.T
     joint = cone_n < 0.0
     edge = wt * np.where(joint, 0.0, cone_t / np.maximum(cone_n, 2.0**-12)) * pn
-    parts = np.abs(wn * pn - np.maximum(wn * pn - normal, 0.0)), np.abs(wt * pt - np.clip(wt * pt - slip, -edge, edge))
-    parts = np.where(joint, np.abs(normal), parts[0]), np.where(joint, np.where(cone_n == -1.0, np.abs(slip), 0.0), parts[1])
+    parts = (
+        np.abs(wn * pn - np.maximum(wn * pn - normal, 0.0)),
+        np.abs(wt * pt - np.clip(wt * pt - slip, -edge, edge)),
+    )
+    parts = (
+        np.where(joint, np.abs(normal), parts[0]),
+        np.where(joint, np.where(cone_n == -1.0, np.abs(slip), 0.0), parts[1]),
+    )
     free = problem.least
     size = max(
-        np.where(joint, np.abs(free).max(1), np.maximum(-free[:, 0], np.where(cone_t > 0, 1e-7 * np.abs(free[:, 1]), 0.0))).max(),
-        0.0, *(1e-13 * wn * np.abs(pn)),
+        np.where(
+            joint,
+            np.abs(free).max(1),
+            np.maximum(-free[:, 0], np.where(cone_t > 0, 1e-7 * np.abs(free[:, 1]), 0.0)),
+        ).max(),
+        0.0,
+        *(1e-13 * wn * np.abs(pn)),
     )
     return float(max(part.max() for part in parts) / size) if size > 0.0 else 0.0
 
@@ -218,7 +258,11 @@ def recorded(keep: int) -> list[Problem]:
         began = time.perf_counter()
         some = thinned(problems, keep)
         found.extend(some)
-        print(f"{name:20}{len(some):6} problems in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
+        print(
+            f"{name:20}{len(some):6} problems in {time.perf_counter() - began:.0f} s",
+            file=sys.stderr,
+            flush=True,
+        )
 
     for name, runs in SHAPES.items():
         for model, values in runs:
@@ -237,7 +281,18 @@ def recorded(keep: int) -> list[Problem]:
         contacts, least = wall(rows, across, mu, generator)
         if seed % 2:
             contacts = of_all_masses(contacts, generator)
-        walls.append(Problem("walls" if seed % 2 == 0 else "walls, masses", contacts.bodies, contacts.moving, contacts.rows, contacts.columns, contacts.cones, least, np.zeros_like(least)))
+        walls.append(
+            Problem(
+                "walls" if seed % 2 == 0 else "walls, masses",
+                contacts.bodies,
+                contacts.moving,
+                contacts.rows,
+                contacts.columns,
+                contacts.cones,
+                least,
+                np.zeros_like(least),
+            )
+        )
         sizes = int(generator.integers(1, 9)), int(generator.integers(1, 5))
         random.append(dense("random", *random_problem(generator, *sizes, friction=True)))
     found += walls + random

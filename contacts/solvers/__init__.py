@@ -5,7 +5,7 @@ Unknown impulses p = (p_n, p_t) and velocities u = least + W p of every contact,
 `least` are the velocities without impulses, less what is wanted. Residual: the natural map
 |w p - proj(w p - u)| (w: own compliance), as a velocity over its `scale`, the fastest approach.
 `contact_rows`: J and columns M^-1 J^T by bodies (a dense W is one whose bodies all contacts
-share), the residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the
+share), residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the
 fallback, on `contact_lcp_kernels`, `contact_lcp` and `lcp`; `contact_solver`: the ladder of these,
 which returns the best impulses with their residual. `island_impulses` and `step_impulses` add
 restitution and bounds of work, `impact_sequence` impacts in turn. Of the event engine:

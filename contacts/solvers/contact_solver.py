@@ -30,14 +30,13 @@ from contacts.solvers.contact_rows import (
     swept,
     without,
 )
-from contacts.solvers.proximal_points import by_proximal_points
+from contacts.solvers.proximal_points import VERIFIED, by_proximal_points
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import beside, kernel, late
 
-# Residual of impulses that are taken as they are, and to which what rests, and problems of at most
-# `_SMALL` contacts, are solved: what rests does not creep, and a small problem costs no more by it.
-_VERIFIED, _SMALL = 1e-10, 8
+# Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
+_SMALL = 8
 # Sweeps before Newton's method: they find the status of most contacts.
 _SWEEPS = 64
 # Contacts up to which Lemke's algorithm is tried: its time grows with their third power, or more.
@@ -74,18 +73,20 @@ def solve_rows(
         return 0.0, 0
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
-    if left <= _VERIFIED:
+    if left <= VERIFIED:
         return left, 0
     other, done = contacts.spare[TRIED, :count], 0
-    goal = min(allowed, _VERIFIED) if rests or count <= _SMALL else allowed
+    goal = min(allowed, VERIFIED) if rests or count <= _SMALL else allowed
     for anew in (False, True):
         if anew:
             other[:] = 0.0
         else:
             put_rows(impulses, other)
         missed = measured(contacts, least, size, other)
-        missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
-        done += steps
+        # A small problem costs Newton's method no more than sweeps, and what rests has its status.
+        if anew or goal > VERIFIED:
+            missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
+            done += steps
         if missed > goal:
             missed, steps = by_proximal_points(contacts, least, other, goal)
             done += steps

@@ -33,10 +33,17 @@ from statechart.kernels.jit import late, part
 OPEN, STICKS, SLIDES = range(3)
 """The status of a contact."""
 
+VERIFIED = 1e-10
+"""Residual of impulses that are taken as they are. What is to be solved to it is solved until
+round-off ends the fall of the residual: what rests does not creep."""
+
 # The compliance, of a contact's own: at first, at least, at most; by how much it falls where steps
 # settle, and grows where they do not.
 _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
+# A centre that misses less than this part of what the one before did is worth another one, but for
+# a residual that is round-off.
+_FURTHER, _ROUNDED = 0.5, 1e-14
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
@@ -349,7 +356,10 @@ def followed(
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
-    """Improve impulses of contacts of bodies; return the residual of the best, and eliminations."""
+    """Improve impulses of contacts of bodies; return the residual of the best, and eliminations.
+
+    Where no more than `VERIFIED` is allowed, centres follow as long as each halves what is missed.
+    """
     count = len(impulses)
     rates = rates_of(contacts, 0)
     moved(contacts, impulses, rates)
@@ -360,8 +370,11 @@ def by_proximal_points(
     status, edges = np.full(count, -1), np.zeros(count)
     # Of the last centre that was found.
     known, known_edges, is_known = status.copy(), edges.copy(), False
-    compliance, done, idle, most = _FIRST, 0, 0, min(_MOST, _MOST_TIMES // count)
-    while done < most and lowest > allowed and idle < _IDLE:
+    exact = falls = allowed <= VERIFIED
+    # Near a solution the status is known, which a small compliance solves at once.
+    compliance, done, idle = min(max(lowest, _LEAST), _FIRST) if exact else _FIRST, 0, 0
+    most = min(_MOST, _MOST_TIMES // count)
+    while done < most and idle < _IDLE and (lowest > allowed or falls):
         good, taken = _settled(
             contacts, equations, least, now, centre, compliance, rates, status, edges
         )
@@ -377,6 +390,7 @@ def by_proximal_points(
             moved(contacts, now, rates)
             left = residual(contacts, least, size, now, rates)
             idle += 1 if compliance == _LEAST else 0
+            falls = exact and _ROUNDED < left < _FURTHER * lowest
             if left < lowest:
                 lowest, idle = left, 0
                 put_rows(now, impulses)
@@ -387,7 +401,7 @@ def by_proximal_points(
             put_rows(now, centre)
             known[:], known_edges[:], is_known = status, edges, True
             compliance = max(_FALLS * compliance, _LEAST)
-        elif compliance >= _LARGEST:
+        elif compliance >= _LARGEST or lowest <= allowed:
             break
         else:
             compliance = min(_GROWS * compliance, _LARGEST)
