@@ -28,8 +28,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, DeclarationProblem
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
-from statechart.testing.strategies import ranges
-from statechart.testing.subject import Case, Subject
+from statechart.testing.subject import Case, Subject, ranges
 
 _LONG = 60.0
 

@@ -107,7 +107,7 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
 
     def steps() -> Iterator[Step]:
         begun = runner.automaton.stepper()._begin(values, STEP, tolerance, forces=False)
-        heap = begun.stepped
+        heap = begun.system
         assert isinstance(heap, RigidBodyRun)
         # What is in the way after a step is not looked at: contacts are those of the step.
         heap._deepest = math.inf

@@ -31,8 +31,11 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
+
+Loc = tuple[str | int, ...]
+"""Keys and indices that lead to a place in a document."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,7 @@ class StatechartError(Exception):
     """Root of every error that this project raises on purpose."""
 
 
+@dataclass(eq=False, repr=False)
 class DeclarationError(StatechartError):
     """The input is wrong.
 
@@ -78,23 +82,16 @@ class DeclarationError(StatechartError):
         Further errors of the same document, in its order; `str` prints them below this one.
     """
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        advice: str = "",
-        source: str = "",
-        line: int | None = None,
-        column: int | None = None,
-        others: tuple[DeclarationError, ...] = (),
-    ) -> None:
-        super().__init__(message)
-        self.message = message
-        self.advice = advice
-        self.source = source
-        self.line = line
-        self.column = column
-        self.others = others
+    message: str
+    _: KW_ONLY
+    advice: str = ""
+    source: str = ""
+    line: int | None = None
+    column: int | None = None
+    others: tuple[DeclarationError, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         place = [str(part) for part in (self.source, self.line, self.column) if part]
@@ -103,6 +100,7 @@ class DeclarationError(StatechartError):
         return "\n".join([own, *map(str, self.others)])
 
 
+@dataclass(eq=False, repr=False)
 class FormulaError(DeclarationError):
     """A formula cannot be read or evaluated.
 
@@ -118,24 +116,13 @@ class FormulaError(DeclarationError):
         The formula as written.
     """
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        advice: str = "",
-        source: str = "",
-        line: int | None = None,
-        column: int | None = None,
-        offset: int = 0,
-        name: str = "",
-        text: str = "",
-    ) -> None:
-        super().__init__(message, advice=advice, source=source, line=line, column=column)
-        self.offset = offset
-        self.name = name
-        self.text = text
+    _: KW_ONLY
+    offset: int = 0
+    name: str = ""
+    text: str = ""
 
 
+@dataclass(eq=False, repr=False)
 class DeclarationProblem(ValueError):
     """Error of a validator of a model, which points at a field.
 
@@ -154,29 +141,22 @@ class DeclarationProblem(ValueError):
         The formula or relation that `offset` points into, as read; empty for none.
     see : tuple of str or int
         Another place that has to do with it, which `{see}` in the message stands for.
+    others : tuple of DeclarationProblem
+        Further problems, found by `Findings`.
     """
 
-    others: tuple[DeclarationProblem, ...] = ()  # What is wrong besides, found by `Findings`.
+    message: str
+    _: KW_ONLY
+    advice: str = ""
+    loc: Loc = ()
+    key: bool = False
+    offset: int = 0
+    text: str = ""
+    see: Loc = ()
+    others: tuple[DeclarationProblem, ...] = ()
 
-    def __init__(
-        self,
-        message: str,
-        *,
-        advice: str = "",
-        loc: tuple[str | int, ...] = (),
-        key: bool = False,
-        offset: int = 0,
-        text: str = "",
-        see: tuple[str | int, ...] = (),
-    ) -> None:
-        super().__init__(message)
-        self.message = message
-        self.advice = advice
-        self.loc = loc
-        self.key = key
-        self.offset = offset
-        self.text = text
-        self.see = see
+    def __post_init__(self) -> None:
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         message = self.message.replace("{see}", ".".join(map(str, self.see)))

@@ -24,7 +24,7 @@ _PER_PIECE = 8
 class PieceNumbers(NamedTuple):
     """The convex pieces that bodies are made of, in the order of these."""
 
-    # Whose they are, and where those of a body begin.
+    # Their bodies, and the first piece of each body.
     bodies: Ints  # shape (p,)
     begins: Ints  # shape (b + 1,)
     # Corners in the frames of their bodies, and where those of a piece begin; none of discs.

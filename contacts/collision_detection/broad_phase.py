@@ -83,7 +83,7 @@ def _sorted_in(grid: Grid) -> int:
     for b in range(count):
         cells[b, 0] = cells[b, 1] = 0
         if circles[b, 2] <= _LARGE * mean:
-            # What is as far off as no number of a cell is beside all that are.
+            # Bodies beyond the range of cell numbers share the outermost cells.
             cells[b, 0] = int(min(max(math.floor(circles[b, 0] / cell), -(2.0**30)), 2.0**30))
             cells[b, 1] = int(min(max(math.floor(circles[b, 1] / cell), -(2.0**30)), 2.0**30))
             heads[_bucket(cells[b, 0], cells[b, 1], most) + 1] += 1

@@ -22,7 +22,7 @@ FOUND = 5
 _PREFERRED = 1e-3
 # Points this close, relative to the length of the shorter edge, are one.
 _SAME = 1e-3
-# And as deep, relative to how close they may be: far above the rounding of gaps.
+# Difference of their gaps, relative to that distance: far above the round-off of gaps.
 _EVEN = 1e-6
 
 
@@ -168,10 +168,10 @@ def _disc_and_polygon(
     x, y = polygon[edge, 0] + part * ex, polygon[edge, 1] + part * ey
     nx, ny = ey / length, -ex / length
     gap = best - radius
-    # What has no thickness may have the centre on its line.
+    # The centre may lie on the line of a body without thickness.
     if best >= 0.0 and (s < 0.0 or s > length):
         away = norm(centre[0] - x, centre[1] - y)
-        # Of a centre on the corner any normal there will do.
+        # A centre on the corner may have any normal there.
         if away > 0.0:
             nx, ny, gap = (centre[0] - x) / away, (centre[1] - y) / away, away - radius
     if gap > within:
@@ -207,7 +207,7 @@ def between(
     found : (m, FOUND), features : (m,) array of int
         To be filled.
     """
-    # Of a disc there is one point.
+    # A disc has one point.
     features[0] = 0
     if len(one) == 0 and len(other) == 0:
         dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]

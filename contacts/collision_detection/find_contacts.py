@@ -47,12 +47,12 @@ CROSSED = 0.5
 
 
 class CandidatePair(NamedTuple):
-    """A piece of a body, and what it may touch."""
+    """A piece of a body, and another piece or a surface that it may touch."""
 
     # The piece; another, or a surface, which stand behind all pieces.
     p: int
     q: int
-    # Of the piece; which other body it touches, also one that carries a surface, or -1.
+    # The piece's body; the other body, also one that carries a surface, or -1.
     body: int
     other: int
     key: int  # See `Memory`.
@@ -92,18 +92,16 @@ def candidate_pair(
     return CandidatePair(p, q, b, other, key, material, False, False, moves, True, False, size)
 
 
-# What is past another, within this part of their radii, since the last detection has missed it; and
-# of what crosses much of its size in a step, where farther out it approaches at a tenth of its
-# speed.
+# Part of the radii within which a piece that has passed another since the last detection has missed
+# it; and the same of pieces that cross much of their size in a step, which farther out approach at
+# a tenth of their speed.
 _CORE, _WHOLE = 0.9, 0.995
-# Of the size of the smaller one: what is hit deeper than this in another is looked at more often.
+# Depth of an impact, relative to the smaller piece, from which the step is taken in parts.
 _SUNK = 0.25
-# Of that size: so much deeper than it starts, which is checked before the run, something may be at
-# the first detection.
+# Penetration, relative to that size, that the first detection may find beyond the checked start.
 _STARTED = 1e-5
 LANDED = 0.5
-"""What is hit in the step nearest to its arrival is so deep at most, in parts of the way that the
-fastest goes in a step."""
+"""Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
 
 
 APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
@@ -134,7 +132,7 @@ class _Times(NamedTuple):
     # lines.
     h: float
     since: float
-    fall: float  # What gravity makes of rest in a step.
+    fall: float  # Speed that gravity gives in a step.
     first: bool  # Whether there was no detection before.
     lowest: float  # A contact is kept no deeper; where the run starts it may be.
 
@@ -164,7 +162,7 @@ def _of_pieces(
     """Find the points where two pieces are near each other, and whether they have passed."""
     pieces, p, q, since = numbers.pieces, pair.p, pair.q, times.since
     radii, cores, firsts, centres = pieces.radii, pieces.cores, pieces.firsts, mid.centres
-    # Of what grazes the approach is slow.
+    # A grazing piece approaches slowly.
     core = _CORE if pair.slowly else _WHOLE
     if not pair.turns and (pair.discs or nearby(mid.drifts, cores, p, q, CROSSED / since)):
         begin, end = overlap(centres, mid.drifts, p, q, core * (cores[p] + cores[q]))

@@ -27,10 +27,10 @@ from statechart.kernels.jit import late, part
 POINTS = 16
 """Points of contact that a pair can have: a polygon on a surface has as many as corners."""
 
-# What moves or turns by less than this part of a piece's inner circle passes nothing with it; else
-# it is looked at that often on the way, but no more often than so many times.
+# Stride of the samples on the way of a piece, relative to its inner circle, and their number at
+# most: a shorter way passes nothing.
 _STRIDE, _LOOKS = 0.5, 64
-# What is no deeper on the way, in parts of that circle, has grazed.
+# Depth on the way, relative to that circle, up to which a piece grazes.
 _GRAZED = 0.1
 
 

@@ -254,11 +254,11 @@ def _how(
         beside = True
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and between_normals(other, (u, v), out):
-            # What both pieces have is that of the first, where no other covers that.
+            # A contact of both pieces is that of the first, where no other covers it.
             if q < which and not _is_covered(numbers, ground, mid, q, covering, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
-            # What touches a rim beside another obstacle is as deep in that as its place is.
+            # A contact of a rim beside another obstacle is as deep in that as its point is.
             deep = -distance_to(other, u + gap * out[0], v + gap * out[1])
             if away < -(near + 2.0 * max(deep, 0.0)):
                 return _COVERED
@@ -266,7 +266,7 @@ def _how(
             # Another piece of the body may be far from the other points of contact.
             return _COVERED if same else _BARRED
     if face < 0:
-        # Of two faces that lie on each other the normal is that of one.
+        # Two faces that lie on each other share the normal of one.
         return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
     if beside and _is_covered(numbers, ground, mid, which, covering, (u, v), out):
         return _COVERED

@@ -24,7 +24,7 @@ from contacts.solvers.contact_rows import GUIDED, HELD
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
-# Of where the ends of a joint are: what that is known to.
+# Round-off of the ends of a joint.
 _ROUNDING = 2.0**-50
 # A step is shorter than the one before where it is so beyond rounding.
 _SHORTER = 1.0 - 1e-9

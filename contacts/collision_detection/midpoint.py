@@ -29,8 +29,8 @@ class ForceProgram(NamedTuple):
 class Prescribed(NamedTuple):
     """Prescribed motion and forces in the next steps."""
 
-    # Of surfaces, and what joints hold points to in the world, at the midpoints of the steps, of
-    # the one before and of the one after.
+    # Frames of surfaces, and points that joints hold to in the world, at the midpoints of the
+    # steps, of the step before and of the one after.
     frames: Array  # shape (k + 2, s, 3)
     places: Array  # shape (k + 2, j, 2)
     memories: Array  # (k + 2, w): what controllers remember then.

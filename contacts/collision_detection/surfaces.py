@@ -188,7 +188,7 @@ def against_surface(
                     continue
                 nx, ny, away = (a - x) / far, (b - y) / far, c - far
             if away - radius <= within and count < len(found):
-                # Of a disc the point is on its rim, of a corner it is that.
+                # The point is on the rim of a disc, or the corner itself.
                 write(found[count], nx, ny, x - radius * nx, y - radius * ny, away - radius)
                 features[count] = i
                 count += 1
@@ -315,7 +315,7 @@ def _polygon_on_graph(
     for i in range(len(corners)):
         x, y = corners[i]
         ex, ey = corners[(i + 1) % len(corners), 0] - x, corners[(i + 1) % len(corners), 1] - y
-        # Of counter-clockwise corners the lower edges go to the right.
+        # Lower edges of counter-clockwise polygons go to the right.
         if not ex > 0.0:
             continue
         length = norm(ex, ey)

@@ -12,13 +12,13 @@ from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import late, part
 
-# What is to be hit ahead of its arrival is by then no farther than this part of its gap.
+# Remaining gap at the predicted arrival, relative to the gap now, that counts as a touch.
 _ARRIVED = 0.01
 # The cosine of the angle by which the normal of a hit may turn from its detection to the touch.
 _ALIKE = 0.8
-# Of what turns the instant of touching is known to this part of the time in which it is looked for.
+# Resolution of the time of impact of turning pieces: the interval is divided by this.
 _LOOKS = 256
-# What came in by another side than it leaves by has crossed for this part of a step at most.
+# Part of a step for which a piece that leaves by another side than it entered has crossed.
 _ELSEWHERE = 0.5
 
 

@@ -66,22 +66,8 @@ class _Condition(NamedTuple):
 class Conditions:
     """Judges the conditions of a scene's contacts.
 
-    Attributes
-    ----------
-    present : bool
-        Whether any contact has a condition.
-    names, back : tuple of str
-        Of the atoms of all gates: names of the margins that fall as one ceases to hold, and as it
-        begins to.
-    gaps : tuple of str
-        Of every contact: name of the margin that falls as its gap opens while it is off, or "".
-    nodes : (m, 3) array of int64
-        The gates' trees; see `contacts.dynamics.gates.tree`.
-    points : tuple of int
-        Of every contact: the first contact of the same point.
-    tape : Tape
-        Variables: the state (2 n,) and the sizes of its entries; outputs: `PER_CONDITION` numbers
-        of each atom; then as many of each contact, of which the first is its gap.
+    The `tape` computes, from the state (2 n,) and the sizes of its entries, `PER_CONDITION` numbers
+    of each atom; then as many of each contact, of which the first is its gap.
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
@@ -98,10 +84,13 @@ class Conditions:
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
+        # Of every contact the first contact of the same point.
         touching = [mechanics.scene.contacts[name] for name in contacts]
         self.points = tuple(
             next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
         )
+        # The margins that fall as atoms cease to hold, as they begin to, and as the gap of a
+        # contact opens that is off ("" without a gate).
         self.names = tuple(one.atom.name for one in self._conditions)
         self.back = tuple(one.atom.back for one in self._conditions)
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
@@ -171,11 +160,14 @@ class Conditions:
 
     def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
         """Return whether a condition is zero within its round-off."""
-        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
-        return any(
-            abs(value) <= round_off(size, setup.precision)
-            for value, _, size, _ in numbers[: len(self._conditions)].tolist()
-        )
+        margins, bands = self._margins(setup, state, time)
+        return bool((np.abs(margins) <= bands).any())
+
+    def _margins(self, setup: SceneSetup, state: Array, time: float) -> tuple[Array, Array]:
+        """Return the margins (k,) of all atoms in a state, and their round-off."""
+        rows = self._at(setup, state, time).reshape(-1, PER_CONDITION)[: len(self._conditions)]
+        bands = [round_off(size, setup.precision) for size in rows[:, 2].tolist()]
+        return rows[:, 0], np.array(bands)
 
     def blurred(self, setup: SceneSetup, state: Array, time: float) -> list[float]:
         """Return, for every contact, how far off a place may be where a gate of its point is zero.
@@ -183,19 +175,17 @@ class Conditions:
         That is the round-off of the gate over its gradient, in coordinates.
         """
         found = [0.0] * self._count
-        count, n = len(self._conditions), len(state) // 2
-        here = self._at(setup, state, time).reshape(-1, PER_CONDITION)[:count]
-        bands = np.array([round_off(size, setup.precision) for size in here[:, 2].tolist()])
+        here, bands = self._margins(setup, state, time)
         # What has just fallen lies at the bound of its round-off.
-        places = np.flatnonzero(np.abs(here[:, 0]) <= 2.0 * bands)
+        places = np.flatnonzero(np.abs(here) <= 2.0 * bands)
         if not places.size:
             return found
-        gradients = np.empty((count, n))
-        for i in range(n):
+        gradients = np.empty((len(here), len(state) // 2))
+        for i in range(len(state) // 2):
             moved = state.copy()
             moved[i] += _APART * max(abs(state[i]), setup.scales.sizes[i])
-            there = self._at(setup, moved, time).reshape(-1, PER_CONDITION)[:count]
-            gradients[:, i] = (there[:, 0] - here[:, 0]) / (moved[i] - state[i])
+            there, _ = self._margins(setup, moved, time)
+            gradients[:, i] = (there - here) / (moved[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
             point = self.points[self._conditions[k].contact]
@@ -215,15 +205,11 @@ class Conditions:
 
         Not those whose margins fell.
         """
-        numbers = self._at(setup, state, time).reshape(-1, PER_CONDITION)
+        margins, bands = self._margins(setup, state, time)
         return [
-            HOLDS
-            if one.contact in contacts
-            and one.atom.name not in fired
-            and abs(value) <= round_off(size, setup.precision)
-            else verdict
-            for one, verdict, (value, _, size, _) in zip(
-                self._conditions, verdicts, numbers[: len(verdicts)].tolist(), strict=True
+            HOLDS if one.contact in contacts and one.atom.name not in fired and zero else verdict
+            for one, verdict, zero in zip(
+                self._conditions, verdicts, (np.abs(margins) <= bands).tolist(), strict=True
             )
         ]
 
@@ -252,20 +238,10 @@ class Conditions:
     ) -> list[int]:
         """Return the verdict of every atom.
 
-        Parameters
-        ----------
-        setup : SceneSetup
-            The numbers of the run.
-        state, time
-            Where and when.
-        fired : collection of str
-            Margins that fell: they decide where all derivatives are zero.
-        motion : callable, optional
-            Contacts (c,) whose conditions fail -> the roles in which the scene then moves; None
-            where that is not known. Further derivatives are taken along it, until what holds and
-            how it moves agree.
-        on : sequence of bool, optional
-            Contacts (c,) that are on: their conditions hold where all derivatives are zero.
+        Where all derivatives are zero the margins decide that `fired`, and the conditions of
+        contacts hold that are `on` (c,). `motion` returns, for the contacts (c,) whose conditions
+        fail, the roles in which the scene then moves, or None: further derivatives are taken along
+        it, until what holds and how it moves agree.
         """
         found, unsure = [], []
         for k, verdict in enumerate(self._judged(setup, self._at(setup, state, time)).tolist()):

@@ -26,7 +26,6 @@ from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
@@ -99,19 +98,13 @@ def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition
 
 
 class Controllers:
-    """The controllers of a scene: their states, and the guards out of these, made when asked for.
-
-    Attributes
-    ----------
-    names : tuple of str
-    initial : Key
-        The states that they start in.
-    """
+    """The controllers of a scene: their states, and the guards out of these, built when needed."""
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
         self._guards: dict[Key, ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
+        # The states that they start in.
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
 
     def named(self, states: Key) -> dict[str, str]:
@@ -234,10 +227,7 @@ class ControllerState:
     ) -> Array:
         """Return the state after updates; those of a block see what the one before it left.
 
-        Raises
-        ------
-        NonFinite
-            If one has no finite value.
+        Raises `NonFinite` if one has no finite value.
         """
         if not blocks:
             return state
@@ -257,12 +247,7 @@ class ControllerState:
         for block in blocks:
             known = {**mechanics.known, **found}
             found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
-        return compile_tape(
-            list(found.values()),
-            variables=(*mechanics.variables, *mechanics.memory.values()),
-            parameters=mechanics.parameters.ordered,
-            time=mechanics.time,
-        )
+        return mechanics.whole_tape([*found.values()])
 
     def _whole(self, tape: Tape) -> Tape:
         """Return a tape of the motion as one of the state: what is remembered stands between."""

@@ -113,19 +113,10 @@ def gate_of(
     states: States,
     ends: Mapping[str, sp.Expr],
 ) -> Gate:
-    """Return the gate of a contact.
+    """Return the gate of a contact: the conjunction of relations, and of `ends` of an edge.
 
-    Parameters
-    ----------
-    contact : str
-    relations : sequence of str
-        Must all hold.
-    known : mapping
-        Name -> expression.
-    states : mapping
-        (controller, state) -> what is above 0 while the state is active, below 0 else.
-    ends : mapping
-        Words -> expression that must be at or above 0, too: ends of an edge.
+    `known` are the expressions of names; those of `states`, by controller and state, are above 0
+    while the state is active, below 0 else. Ends are words -> an expression that is >= 0.
     """
     atoms: list[GateAtom] = []
     parts: list[Any] = []

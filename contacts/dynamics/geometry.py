@@ -103,23 +103,11 @@ class ContactGeometry:
 
 
 class Geometry:
-    """The places of a scene.
+    """The places of a scene, as expressions of its coordinates `q`.
 
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
-    constants : mapping
-        Name -> symbol of what does not follow from the coordinates: parameters, controls.
-
-    Attributes
-    ----------
-    names, variable_names : tuple of str
-        Of the coordinates; of these and their rates.
-    q, v, a, variables : tuple of Symbol
-        Coordinates, rates and accelerations; the first two together.
-    known : dict
-        What formulas of positions and forces may use.
+    `v` and `a` are their rates and accelerations, `variables` q and v together; `known` is what
+    formulas may use, and `constants` what does not follow from the coordinates: parameters,
+    controls.
     """
 
     def __init__(self, scene: Scene, constants: Mapping[str, sp.Symbol]) -> None:

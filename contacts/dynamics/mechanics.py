@@ -44,32 +44,15 @@ class _Surroundings(NamedTuple):
 
 
 class Mechanics(Geometry):
-    """The equations of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        As declared.
-    parameters : Parameters, optional
-        Those of `scene_parameters` by default.
-
-    Attributes
-    ----------
-    parameters : Parameters
-        Declared ones, and what follows from them.
-    controls : tuple of Symbol
-        What states of controllers set, each after those that its values use: coefficients of
-        contacts and the scene's controls.
-    memory : mapping
-        Variable that a controller remembers -> symbol. Contacts see them as they see parameters:
-        as numbers that do not change while an instant is judged.
-    """
+    """The equations of a scene; its `parameters` are those of `scene_parameters` by default."""
 
     def __init__(self, scene: Scene, parameters: Parameters | None = None) -> None:
         given = parameters or scene_parameters(scene)
         symbols = given.symbols
         controlled = scene.controlled
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
+        # Contacts see what controllers remember as they see parameters: as numbers that do not
+        # change while an instant is judged.
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
         super().__init__(scene, {**symbols, **controls, **self.memory})
         self.parameters = given
@@ -89,6 +72,8 @@ class Mechanics(Geometry):
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.asked_states)
         }
+        # What states of controllers set, each after those that its values use: coefficients of
+        # contacts and the scene's controls.
         self.controls = (
             *self._coefficients.values(),
             *(s for name in self._coefficients for s in cones[name]),
@@ -104,15 +89,18 @@ class Mechanics(Geometry):
         *,
         unknowns: Sequence[sp.Symbol] = (),
         definitions: Sequence[Definition] = (),
+        whole: bool = False,
     ) -> Tape:
         """Compile expressions of state, parameters and time, and of `unknowns` behind the state.
 
-        What controllers remember stands before the parameters.
+        What controllers remember stands before the parameters; in the `whole` state, behind the
+        rates.
         """
+        memory, parameters = tuple(self.memory.values()), self.parameters.ordered
         return compile_tape(
             outputs,
-            variables=(*self.variables, *unknowns),
-            parameters=(*self.memory.values(), *self.parameters.ordered),
+            variables=(*self.variables, *(memory if whole else ()), *unknowns),
+            parameters=parameters if whole else (*memory, *parameters),
             time=self.time,
             definitions=definitions,
         )
@@ -124,14 +112,8 @@ class Mechanics(Geometry):
         unknowns: Sequence[sp.Symbol] = (),
         definitions: Sequence[Definition] = (),
     ) -> Tape:
-        """Compile as `tape` does, with what controllers remember in the state, behind the rates."""
-        return compile_tape(
-            outputs,
-            variables=(*self.variables, *self.memory.values(), *unknowns),
-            parameters=self.parameters.ordered,
-            time=self.time,
-            definitions=definitions,
-        )
+        """Compile as `tape` does, of the whole state."""
+        return self.tape(outputs, unknowns=unknowns, definitions=definitions, whole=True)
 
     @cached_property
     def mass_matrix(self) -> sp.Matrix:

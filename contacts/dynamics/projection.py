@@ -40,12 +40,8 @@ _SHIFT = 2.0**-26
 class Projection:
     """Keeps the constraints of a flow: solved as accelerations only, they drift as N^2.
 
-    No Baumgarte stabilisation: it would enter the forces that the guards read.
-
-    Attributes
-    ----------
-    tape : Tape
-        Outputs: what constraints keep, five numbers a contact, two a row of a joint.
+    No Baumgarte stabilisation: it would enter the forces that the guards read. The outputs of
+    `tape` are what constraints keep: five numbers a contact, two a row of a joint.
     """
 
     def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
@@ -58,8 +54,6 @@ class Projection:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
         self._snapshots = snapshots
-        # Of the last tolerances: those of the runs of a sweep are often equal.
-        self._weighed: dict[Key, tuple[tuple[float, float] | None, Array]] = {}
         self._compile = mechanics.tape
         self.tape = mechanics.tape(outputs)
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
@@ -78,22 +72,9 @@ class Projection:
         """Return the constraints of `flow` (see `statechart.automaton.laws.Laws`).
 
         Their projection raises `NoConsistentMode` where the joints cannot be kept together,
-        `SingularMode` where that is because their constraints have become dependent.
-
-        Parameters
-        ----------
-        flow : Key
-            State of every contact.
-        start : float
-            When the flow begins.
-        anchor : (2 n,) array
-            Where it begins: pinned points stay where they were there, in the surface's frame.
-        values : (p,) array
-            Of the parameters.
-        tolerances : mapping
-            Of `gap` and `speed`.
-        scales : Scales
-            The scene's own.
+        `SingularMode` where that is because their constraints have become dependent. The flow
+        begins at `start` at the state `anchor`: pinned points stay where they were there, in the
+        surface's frame.
         """
         near, slow = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
         pinned = "pin" in flow
@@ -161,9 +142,6 @@ class Projection:
         return self._within[flow]
 
     def _weights(self, flow: Key, near: float, slow: float) -> Array:
-        key, weights = self._weighed.get(flow, (None, np.empty(0)))
-        if key == (near, slow):
-            return weights
         listed: list[float] = []
         for name in flow:
             if name in OPEN:
@@ -173,9 +151,7 @@ class Projection:
             else:
                 listed += (near, slow, 0.0, 0.0, 0.0)
         listed += (near, slow) * len(self._joints)
-        weights = np.array(listed)
-        self._weighed[flow] = (near, slow), weights
-        return weights
+        return np.array(listed)
 
     def _broken(self, rows: Array, near: float, slow: float, time: float) -> NoConsistentMode:
         k = int(np.argmax((rows * (near, slow)).max(axis=1)))

@@ -95,19 +95,11 @@ class ScaleTape:
     springs act, if that is shorter. The acceleration is gravity's, or what the forces give, and
     that of the prescribed motions; speed and force follow.
 
-    Attributes
-    ----------
-    tape : Tape
-        Outputs: groups of numbers.
-    begins : (g + 1,) array of int64
-        Where each group begins.
-    places, gravity, paths : int
-        How many numbers places and their speeds are; how many groups gravity is; how many
-        prescribed motions there are.
-    motions : Tape
-        Outputs: prescribed displacements, angles that surfaces turn by; their rates and second
-        derivatives in this order; and accelerations by forces that vary in time. Their ranges over
-        the run count.
+    The outputs of `tape` are groups of numbers, each of which begins at one of `begins` (g + 1,).
+    `places` is how many numbers places and their speeds are, `gravity` how many groups gravity is,
+    `paths` how many prescribed motions there are. The outputs of `motions`, of which the ranges
+    over the run count, are prescribed displacements, angles that surfaces turn by; their rates and
+    second derivatives in this order; and accelerations by forces that vary in time.
     """
 
     def __init__(self, mechanics: Mechanics) -> None:
@@ -187,10 +179,7 @@ class ScaleTape:
     def at(self, values: Array, state: Array) -> Scales:
         """Return the scales of a run that starts at `state` (2 n,).
 
-        Raises
-        ------
-        DeclarationProblem
-            If a place or the gravity there is not finite.
+        Raises `DeclarationProblem` if a place or the gravity there is not finite.
         """
         numbers = self.tape.at(state, values, 0.0)
         ranges = np.empty((len(self.motions.outputs), 2))

@@ -13,7 +13,7 @@ from statechart.automaton.laws import Setup
 # Force margins may fall below zero by this much of the force scale before a mode is left: the
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
 # not grow with the tolerance of the integration: events are those of the trajectory computed.
-_FORCE_BAND = 1e-12
+FORCE_BAND = 1e-12
 # What breaks an inequality of a mode by up to this part of the force's tolerance is a tie.
 TIE = 0.5
 # Sequences of impacts are looked at from here on; how high the contacts still fly decides.
@@ -54,7 +54,7 @@ class SceneSetup(Setup):
 
 def tolerated(relative: float) -> tuple[float, float, float]:
     """Return the tolerances of gap, speed and force in the scene's scales."""
-    return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), _FORCE_BAND
+    return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), FORCE_BAND
 
 
 def doubtful(relative: float) -> float:

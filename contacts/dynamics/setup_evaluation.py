@@ -19,7 +19,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, bounce_limits, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
-from contacts.scene.checks import check_finite, check_physical, physical_limits
+from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.lint import lint
 from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
@@ -48,43 +48,25 @@ LOOK_AHEAD = 64.0
 
 
 class SceneNumbers:
-    """Evaluates the numbers of a run from its parameters.
-
-    Attributes
-    ----------
-    scene : Scene
-    parameters : Parameters
-        What the values follow from.
-    places : mapping
-        Parameter -> its place among the values.
-    scale_tape : ScaleTape
-    conditions : Conditions
-    stops, of_forces : collection of str
-        Margins of stop conditions; those that have no value before forces are known.
-    disjoint : bool
-        Whether every stop condition holds as soon as one of its margins falls.
-    stop_tape : Tape
-        Outputs: their margins.
-    inertias : list of (str, int or None)
-        Body and the place of its moment of inertia among the values.
-    limits : Tape or None
-        What is surely physical between `bounds` (2, l); None where that cannot be told so.
-    """
+    """Evaluates the numbers of a run from its parameters."""
 
     def __init__(self, mechanics: Mechanics, stops: Sequence[StopCondition]) -> None:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
         self._remembered = len(mechanics.memory)
+        # Parameter -> its place among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         self.scale_tape = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
         self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
+        # Whether every stop condition holds as soon as one of its margins falls.
         self.disjoint = all(stop.condition.disjoint for stop in stops)
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
+        # Margins that have no value before forces are known.
         self.of_forces = {
             margin.name for margin in margins if margin.expression.free_symbols.intersection(forces)
         }
@@ -98,25 +80,26 @@ class SceneNumbers:
         self._joint_tape = mechanics.tape(
             [entry for row in rows for entry in row.jacobian],
         )
+        # Bodies, and the places of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self._unlikely = (*lint(scene), *_unpressed(mechanics))
+        # Physical between `bounds` (2, l); None where states of controllers set some of it.
         self.limits: Tape | None = None
-        limits = physical_limits(scene)
-        if limits is not None:
-            # What is a number was checked when it was read.
-            varying = [limit for limit in limits if parse(limit[0]).names]
-            bounded = [parse(text).to_sympy(mechanics.known) for text, _, _ in varying]
+        # What is a number was checked when it was read.
+        varying = [limit for limit in limits(scene) if parse(limit.text).names]
+        if all(scene.controlled.region_of(limit.text) is None for limit in varying):
+            bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
             if not any(expression.has(sp.oo) for expression in bounded):
                 self.limits = mechanics.tape(bounded)
-                self.bounds = np.array([bounds for _, *bounds in varying]).reshape(-1, 2).T
+                self.bounds = (
+                    np.array([(limit.least, limit.most) for limit in varying]).reshape(-1, 2).T
+                )
 
     def at(self, overrides: Mapping[str, float], relative: float) -> SceneSetup:
         """Return the numbers for `overrides` of the parameters.
 
-        Raises
-        ------
-        DeclarationProblem, FormulaError
-            If a parameter is unknown, or a number has no value or is not physical.
+        Raises `DeclarationProblem` or `FormulaError` if a parameter is unknown, or a number has no
+        value or is not physical.
         """
         values, further = self.parameters.values(overrides)
         values, warnings = self._point_masses(values, further[-len(self.inertias) :])
@@ -293,7 +276,7 @@ LIMITS, SCALES, MOTIONS, STOPS = range(4)
 
 
 class Rules(NamedTuple):
-    """How the numbers of a run follow from the values of a scene's parameters."""
+    """Places and limits by which `run_numbers` computes the numbers of a run."""
 
     # (b,): Place of every body's moment of inertia among the values; -1 where it has none
     inertias: Ints

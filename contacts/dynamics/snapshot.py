@@ -214,10 +214,7 @@ def solve_kkt(
     or impulses, act along `columns` (m, n). None where the system is singular: the mode does not
     determine the motion.
 
-    Raises
-    ------
-    SingularMode
-        If the solution cannot be trusted to 1e-8.
+    Raises `SingularMode` if the solution cannot be trusted to 1e-8.
     """
     status, x = saddle(mass, right, rows, columns, constants)
     if status == SINGULAR:

@@ -47,16 +47,8 @@ def hovering(
 ) -> list[str]:
     """Return a warning for each contact that starts off its surface by next to nothing.
 
-    Parameters
-    ----------
-    scene : Scene
-    scales : Scales
-    near : float
-        A contact is closed up to this gap.
-    names : sequence of str
-        The contacts that are not off.
-    moves : sequence of sequences of float
-        Their gaps, and the rates of these.
+    `names` are the contacts that are not off, `moves` their gaps and the rates of these; they are
+    closed up to the gap `near`.
     """
     return [
         f"contact {name!r} starts {move[0]:.3g} off surface {scene.contacts[name].surface!r}: "
@@ -89,11 +81,6 @@ def check_start(
 
     It moves by its gap, the rate of that and its slip. A start may be inside by `depth`; `near` and
     `slow` are the tolerances of gap and speed.
-
-    Raises
-    ------
-    DeclarationProblem
-        With what to do.
     """
     gap, gap_rate, slip = moves
     if gap < -depth:
@@ -142,10 +129,8 @@ def check_joints(
 ) -> None:
     """Check positions, velocities and accelerations of the start.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a joint is open, or its bodies move apart, or joints contradict one another.
+    Raises `DeclarationProblem` if a joint is open, or its bodies move apart, or joints contradict
+    one another.
     """
     if not mechanics.joint_rows:
         return

@@ -1,8 +1,8 @@
 """The laws of a scene at the instants between flows.
 
 `laws` classifies the contacts at the start and after every event; `switching` takes contacts with
-conditions off and back; `compiled_laws` lets `run_compiled` and `hit`, which are compiled, do so,
-`batch` and `run_batch` for many runs at once; `decision` is a mode or a jam, `impact_jump` what an
-impact makes of it, `accumulation` ends impacts in turn. `controlled_laws` adds controllers,
+conditions off and back; `compiled_laws` lets the compiled `scene_loop` take one run or many through
+`compiled_instants`; `decision` is a mode or a jam, `impact_jump` what an impact makes of it,
+`accumulation` ends impacts in turn. `controlled_laws` adds controllers,
 `handovers` warns of contacts that stay off.
 """

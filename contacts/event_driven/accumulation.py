@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import decide
+from contacts.event_driven.impact_jump import flow_in
 from contacts.impacts.jamming import Jam
 from contacts.impacts.simultaneous import impacts
-from contacts.modes.classification import Choice
 from contacts.scene.parts import Resolution
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
-from statechart.automaton.laws import Flow, moving_mode
-from statechart.automaton.trace import Key
+from statechart.automaton.laws import Flow, moving_mode, roles_in
+from statechart.automaton.trace import Jump, Key
 from statechart.errors import NoConsistentMode, SingularMode
 
 # Impacts in turn are skipped once contacts fly no higher than this part of the length. Where
@@ -32,27 +32,19 @@ _LOW, _LOW_AT_REST = 1e-10, 1e-7
 _MAGNIFIED = 30.0
 
 
-@dataclass(frozen=True, eq=False)
-class Closed:
-    """State (2 n,) in which contacts have closed, energy, the following mode, a warning."""
-
-    state: Array
-    energy: float
-    choice: Choice
-    warning: str
-
-
 def closed_at_once(
     setup: SceneSetup,
     at: Callable[[Array], Snapshot],
     flow: Flow,
-    state: Array,
+    jump: Jump,
     took_part: Sequence[bool],
     period: float,
     rest: float,
     paradox: Resolution,
-) -> Closed | None:
-    """Close the contacts that took part; None where it is too early for that.
+) -> tuple[Jump, Flow] | None:
+    """Close the contacts that took part; return the last jump and the flow after it, changed.
+
+    None where it is too early for that.
 
     What impacts in turn do to bodies that stay where they are (a light ball between the floor and
     a heavy one that comes down) is done at once.
@@ -64,9 +56,9 @@ def closed_at_once(
     at : callable
         State -> its numbers, now.
     flow : Flow
-        In which the last impact happened.
-    state : (2 n,) array
-        After that.
+        After the last impact.
+    jump : Jump
+        That impact.
     took_part : sequence of bool
         Which contacts.
     period : float
@@ -76,6 +68,7 @@ def closed_at_once(
     paradox : str
         See `contacts.event_driven.decision.decide`.
     """
+    state = jump.after
     snapshot = hidden(at(state), flow.mode)
     took_part = [part and now != OFF for part, now in zip(took_part, flow.mode, strict=True)]
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
@@ -119,7 +112,12 @@ def closed_at_once(
         return None
     after = landed(choice.taken.states, snapshot, state, setup.tolerances)
     warning = "; ".join(filter(None, (*warnings, choice.warning)))
-    return Closed(after, snapshot.energy, choice, warning)
+    roles = choice.taken.roles
+    # A bar that rattles over a crest takes off from it: there is nothing to wait for.
+    wait = None if roles == roles_in(flow.mode) else rest
+    following = flow_in(setup, flow.mode, roles, wait, warning, notes=choice.notes)
+    energy = None if jump.energy is None else (jump.energy[0], snapshot.energy)
+    return replace(jump, after=after, energy=energy, skipped=rest), following
 
 
 def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:

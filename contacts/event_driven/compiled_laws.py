@@ -7,23 +7,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.projection import Projection, unseen_room
+from contacts.dynamics.projection import Projection
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers, rules
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.event_driven.batch import BatchCall
+from contacts.event_driven.compiled_instants import CAUSES
 from contacts.event_driven.decision import cause, explained
-from contacts.event_driven.hit import SceneWatch, meaning
 from contacts.event_driven.impact_jump import flow_in
-from contacts.event_driven.run_batch import INSTANTS, run_batch
-from contacts.event_driven.run_compiled import CAUSES, run_compiled
+from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
 from contacts.impacts.impact import pieces
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
-from contacts.modes.classification import mode_rules
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
@@ -31,7 +26,6 @@ from statechart.automaton.laws import Flow, Instant, Setup, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.automaton.trace_store import RecordedEvent
-from statechart.engines.flow_watch import KINDS, Watch
 from statechart.execution.compiled_loop import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_ready
@@ -78,8 +72,12 @@ class CompiledSceneLaws:
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
-        """Whether the loop lies compiled on disk, and it costs nothing to have it."""
-        return is_ready(run_compiled)
+        """Whether the loop lies compiled on disk."""
+        return is_cached(run_batch)
+
+    def ready(self) -> bool:
+        """Whether it does, and costs nothing to have."""
+        return is_ready(run_batch)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
         """Return the states of the contacts, and of which conditions the margins are.
@@ -113,53 +111,9 @@ class CompiledSceneLaws:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
         return self._projection.unseen(mode)
 
-    def ready(
-        self, setup: Setup, loop: Loop, floors: Array
-    ) -> Callable[..., tuple[int, int, float]]:
-        """Return the loop for the numbers of a run."""
-        assert isinstance(setup, SceneSetup)
-        tolerances = setup.tolerances
-        numbers, constraints, conditions = loop.tapes[:INSTANTS]
-        count = len(self._projection.tape.outputs)
-        watch = Watch(
-            setup.values,
-            np.array([tolerances[kind] for kind in KINDS]),
-            np.array([setup.bands.get(name, -1.0) for name in loop.margins]),
-            floors,
-            constraints,
-            np.zeros(count),
-            np.zeros(count),
-            unseen_room(tolerances, setup.scales),
-        )
-        rules = mode_rules(setup)
-        scene = SceneWatch(
-            numbers,
-            conditions,
-            self._conditions.nodes,
-            self._conditions.slots(loop.margins),
-            setup.scales.with_time,
-            setup.precision,
-            rules.allowed,
-            rules.cones,
-            np.array([law.restitution for law in setup.contacts]),
-            np.array([meaning(law) for law in setup.contacts], np.int64),
-            *rules[2:],
-            setup.short,
-            setup.fast,
-            setup.lowest,
-            setup.capture,
-        )
-        return partial(run_compiled, loop.program, loop.pace, watch, loop.memory, scene)
-
-    def batch_compiled(self) -> bool:
-        """Whether the call for many runs lies compiled on disk."""
-        return is_cached(run_batch)
-
-    def batch(self, loop: Loop, names: Sequence[str], relative: float) -> BatchCall | None:
-        """Return the call for runs with values of some parameters."""
-        if self._rules is None:
-            return None
-        return BatchCall(self._numbers, self._rules, loop, names, relative)
+    def call(self, loop: Loop, relative: float) -> SceneLoop:
+        """Return calls of the loop."""
+        return SceneLoop(self._numbers, self._rules, loop, relative)
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the contact that an event is about, and its cause."""

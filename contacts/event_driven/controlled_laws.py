@@ -19,7 +19,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
-from contacts.modes.classification import Candidate, Case, candidates
+from contacts.modes.classification import Case, candidates
 from contacts.states import OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
@@ -213,7 +213,7 @@ class ControlledLaws:
         case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
         (solved,) = candidates(case, [(mode,) for mode in modes])
         found = None
-        if isinstance(solved, Candidate):
+        if not solved.undetermined:
             accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
             captured = np.array([role.captured for role in flow.roles[: self._count]])
             forces = np.where(captured[:, None], 0.0, solved.forces)

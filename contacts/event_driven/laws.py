@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -30,7 +30,7 @@ from contacts.event_driven.impact_jump import (
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, unbounded
-from contacts.modes.classification import Before, Choice, fast_mode
+from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
@@ -48,7 +48,6 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
-from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -68,8 +67,6 @@ class SceneLaws:
         self._names = tuple(mechanics.scene.contacts)
         self.numbers = numbers
         self.conditions = self.numbers.conditions
-        # Without joints and conditions, an instant may be a usual one.
-        self._plain = not mechanics.joint_rows and not self.conditions.present
         self._switching = Switching(self._names, self.conditions, self._paradox)
         self.remarks = Handovers(mechanics).remarks
 
@@ -112,12 +109,7 @@ class SceneLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
-        state = setup.initial
-        if self._plain and not self._modes:
-            mode = fast_mode(setup, self._tape, state, 0.0, None)
-            if mode is not None and not self._hovering(setup, state, mode[0]):
-                return flow_in(setup, mode[0]), state
-        flow, state = self._begun(setup, state)
+        flow, state = self._begun(setup, setup.initial)
         if self.conditions.present:
             _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
         return flow, state
@@ -193,11 +185,6 @@ class SceneLaws:
     def _jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         setup, clock, _, flow, state, fired = at
         assert isinstance(setup, SceneSetup)
-        usual = self._plain and not flow.doubted and flow.roles == roles_in(flow.mode)
-        if usual and fired != (UNBOUNDED,):
-            mode = fast_mode(setup, self._tape, state, clock.high, flow.mode)
-            if mode is not None and not (mode[0] == flow.mode and self._of_forces(fired)):
-                return self._usual(at, setup, *mode)
         snapshot = self._tape.at(setup.values, state, clock.high)
         strike = partial(self._strike, at, setup, snapshot)
         switched = self._switching.switched(at, setup, snapshot, strike)
@@ -325,28 +312,6 @@ class SceneLaws:
             for name, state, contact in zip(self._names, moving, snapshot.contacts, strict=True)
         )
 
-    def _usual(
-        self, at: Instant, setup: SceneSetup, target: Key, energy: float
-    ) -> tuple[Jump, Flow] | None:
-        """Return the jump to the one mode that agrees with the state."""
-        if target == at.flow.mode:
-            return None
-        jump = at.jump(
-            *cause(self._names, at.flow.mode, target, False),
-            target,
-            considered=LazyMapping(partial(self._considered, setup, at.state, at.clock.high)),
-            energy=(energy, energy),
-        )
-        return jump, flow_in(setup, target)
-
-    def _considered(self, setup: SceneSetup, state: Array, time: float) -> Mapping[str, str]:
-        """Return every mode considered at a usual instant, and why it was taken or not."""
-        snapshot = self._tape.at(setup.values, state, time)
-        near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
-        touching = [c.gap <= near and c.gap_rate <= slow for c in snapshot.contacts]
-        choice = decide(setup, snapshot, touching, self._paradox)
-        return {} if isinstance(choice, Jam) else choice.considered
-
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
     ) -> tuple[Jump, Flow] | None:
@@ -378,30 +343,16 @@ class SceneLaws:
         period: float,
         rest: float,
     ) -> tuple[Jump, Flow] | None:
-        found = closed_at_once(
+        return closed_at_once(
             setup,
             lambda state: self._tape.at(setup.values, state, clock.high),
             flow,
-            jump.after,
+            jump,
             took_part,
             period,
             rest,
             self._paradox,
         )
-        if found is None:
-            return None
-        energy = None if jump.energy is None else (jump.energy[0], found.energy)
-        # A bar that rattles over a crest takes off from it: there is nothing to wait for.
-        wait = None if found.choice.taken.roles == roles_in(flow.mode) else rest
-        following = flow_in(
-            setup,
-            flow.mode,
-            found.choice.taken.roles,
-            wait,
-            found.warning,
-            notes=found.choice.notes,
-        )
-        return dataclasses.replace(jump, after=found.state, energy=energy, skipped=rest), following
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
         """Return what keeps the closed contacts of `roles` closed, and pinned points in place."""

@@ -1,4 +1,4 @@
-"""Contacts with conditions go off and come back: by the laws of a scene, and compiled."""
+"""Contacts with conditions go off and come back."""
 
 from __future__ import annotations
 
@@ -8,25 +8,18 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
-from contacts.dynamics.gates import FAILS, UNSURE, conditions_at, judge_atoms, margin_bands, truths
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SCALARS, Snapshot
+from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import decide
-from contacts.event_driven.hit import SceneWatch
 from contacts.impacts.jamming import Jam
 from contacts.modes.classification import Before
 from contacts.scene.parts import Resolution
-from contacts.states import FREE, OFF, OFF_CODE
-from statechart.arrays import Array, Ints
+from contacts.states import OFF
+from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
-from statechart.engines.flow_watch import Watch
-from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import NonFinite, SimulationError
-from statechart.kernels.jit import part
 
-# Contacts within this many tolerances of gaps may meet in a corner.
-_BESIDE = 16.0
 # Of the round-off of a place; what is zero may be on either side.
 _MORE = 2.0
 
@@ -266,80 +259,3 @@ def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
         (tolerances.get(name, 0.0) == math.inf) == (tolerance == math.inf)
         for name, tolerance in own.items()
     )
-
-
-@part
-def hold_conditions(
-    program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
-) -> None:
-    """Write how far below zero a flow from a state lets the margins of conditions go.
-
-    `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
-
-    See `contacts.dynamics.conditions.Conditions.tolerances`.
-    """
-    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
-    verdicts, bands = np.empty(conditions, np.int64), np.empty(scene.slots.shape[0])
-    code, constants, outputs, _, _ = tape_of(program, scene.conditions)
-    values = conditions_at(
-        code, constants, outputs, scene.sizes, scene.relative, state, watch.parameters, time
-    )
-    judge_atoms(values, scene.relative, fired, verdicts)
-    margin_bands(scene.nodes, values, scene.relative, scene.gap, verdicts, bands)
-    for i in range(bands.shape[0]):
-        if scene.slots[i] >= 0:
-            watch.bands[scene.slots[i]] = bands[i]
-
-
-@part
-def switched(
-    scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
-    taken: Ints,
-) -> int:  # fmt: skip
-    """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
-
-    -2 where further derivatives of a condition decide.
-
-    Parameters
-    ----------
-    values : (4 k,) array
-        Numbers of the conditions.
-    numbers : (o,) array
-        The scene's, those of contacts from `first` on.
-    fired : int
-        Number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides
-        where the first derivative does not: a flow on whose way a margin falls did not begin on
-        its boundary.
-    kept, taken : (c,) array
-        State of every contact; the latter is to be filled.
-
-    See `contacts.dynamics.conditions.Conditions.failing`.
-    """
-    place, unsure, leaves, stays, beside = -1, False, False, False, False
-    conditions = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
-    verdicts, found = np.empty(conditions, np.int64), np.empty(scene.nodes.shape[0], np.int64)
-    judge_atoms(values, scene.relative, fired, verdicts)
-    truths(scene.nodes, verdicts, found)
-    for c in range(kept.shape[0]):
-        taken[c] = kept[c]
-    for i in range(scene.nodes.shape[0]):
-        if scene.nodes[i, 1] >= 0:
-            continue
-        c = scene.nodes[i, 2]
-        gap = numbers[first + SCALARS * c]
-        if found[i] == FAILS:
-            taken[c] = OFF_CODE
-        elif kept[c] == OFF_CODE and gap >= -scene.gap:
-            taken[c] = FREE
-        # Where a gap has no value the laws say so.
-        nowhere = kept[c] == OFF_CODE and gap != gap
-        unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
-        if place < 0 and taken[c] != kept[c]:
-            place = c
-        close = abs(gap) <= _BESIDE * scene.gap
-        stays = stays or (close and taken[c] != OFF_CODE)
-        leaves = leaves or (close and taken[c] == OFF_CODE and kept[c] != OFF_CODE)
-        beside = beside or (close and taken[c] == OFF_CODE and kept[c] == OFF_CODE)
-    # A corner where nothing takes over is for the laws.
-    unsure = unsure or (leaves and beside and not stays)
-    return -2 if unsure else place

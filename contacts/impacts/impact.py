@@ -253,13 +253,9 @@ def impact(
     With `braking` slip is stopped first, though the contact does not approach (see
     `contacts.impacts.jamming`).
 
-    Raises
-    ------
-    NoConsistentMode
-        If the path does not end (possible only on the Painleve boundary), or a led joint pushes
-        the point on where friction wedges it.
-    SingularMode
-        If a piece cannot be solved for to 1e-8.
+    Raises `NoConsistentMode` if the path does not end (possible only on the Painleve boundary), or
+    a led joint pushes the point on where friction wedges it. Raises `SingularMode` if a piece
+    cannot be solved for to 1e-8.
     """
     velocity = snapshot.velocity.copy()
     status, normal, tangential, code, u_n, u_t = strike(

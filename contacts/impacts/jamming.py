@@ -188,10 +188,7 @@ def without_collision(
     pressing the point inwards meanwhile; then the point sticks, and compression and restitution
     follow. Several: the impulses other than none that agree with the plastic law of impact.
 
-    Raises
-    ------
-    NoConsistentMode
-        If the path does not end, or there are no such impulses.
+    Raises `NoConsistentMode` if the path does not end, or there are no such impulses.
     """
     impulses = np.zeros((len(laws), 2))
     unknown = (False,) * len(laws)

@@ -19,7 +19,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import RAISES, Impact, impact
-from contacts.impacts.impulses import Impulses, collisions, coupled, work_of
+from contacts.impacts.impulses import ImpactProblem, Impulses, collisions, coupled, work_of
 from contacts.scene.parts import MOREAU, Simultaneous
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE, shares
 from statechart.arrays import Array
@@ -63,10 +63,7 @@ def impacts(
 ) -> Impacts:
     """Return the outcome of all impacts at one instant.
 
-    Raises
-    ------
-    NoConsistentMode
-        If no impulse agrees with the laws.
+    Raises `NoConsistentMode` if no impulse agrees with the laws.
     """
     count = len(laws)
     change = np.zeros(len(snapshot.velocity))
@@ -189,14 +186,10 @@ def _shares(
 def _work(snapshot: Snapshot, group: Sequence[int], found: Impulses) -> tuple[float, float]:
     """Return what `work_of` does, of one solution."""
     before = np.array([snapshot.contacts[i][1:3] for i in group])
-    work, size = work_of(
-        snapshot.jacobians[group],
-        snapshot.mass,
-        snapshot.velocity,
-        before,
-        found.change,
-        found.impulses[group],
+    problem = ImpactProblem(
+        snapshot.mass, snapshot.jacobians[group], np.empty((0, 2)), before, snapshot.velocity, True
     )
+    work, size = work_of(problem, found.change, found.impulses[group])
     return float(work), float(size)
 
 

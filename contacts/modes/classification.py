@@ -22,7 +22,7 @@ from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.projection import landing
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot, SnapshotTape
+from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, share
 from contacts.scene.modes import OWN
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
@@ -87,21 +87,20 @@ class Case(NamedTuple):
     tie: float = 0.0  # Violations up to this (relative) count as boundary cases, not as violations
 
 
-Undetermined = tuple[tuple[str, ...], str]
-"""States per contact, and why they determine no motion."""
-
-
 class Candidate(NamedTuple):
-    """One assignment of modes to the contacts, solved."""
+    """One assignment of modes to the contacts, solved as far as it determines a motion."""
 
     states: tuple[str, ...]  # Per contact
     accelerations: Array  # (n,)
     forces: Array  # (c, 2): V and H per contact
-    violation: float  # The largest inequality it breaks, in units of the scales; <= 0: none
+    # The largest inequality it breaks, in units of the scales; <= 0: none; inf: no motion is
+    # determined, or none that forces explain
+    violation: float
     # That inequality: contact, which (as `contacts.states` numbers them), its number
     broken: tuple[str, int, float]
     # How the contacts share the forces, where the motion does not determine them
     share: Share | None = None
+    undetermined: str = ""  # Why it determines no motion
 
     @property
     def roles(self) -> Roles:
@@ -112,62 +111,19 @@ class Candidate(NamedTuple):
     def reason(self) -> str:
         """The inequality it is judged by, in words."""
         contact, which, number = self.broken
+        if self.undetermined:
+            return self.undetermined
         if which == _NOWHERE:
             return _UNEXPLAINED
         return f"{contact}: " + _WORDS[which].format(number)
 
 
-class _Solved(Iterable["Candidate | Undetermined"]):
-    """Combinations as the kernel has solved them, made into objects when first asked for."""
-
-    def __init__(
-        self,
-        laws: Sequence[ContactLaw],
-        combinations: Sequence[tuple[str, ...]],
-        outcomes: Ints,
-        accelerations: Array,
-        forces: Array,
-        verdicts: Array,
-        only: int,
-        tie: float,
-    ) -> None:
-        self._laws, self._combinations = laws, combinations
-        self._outcomes, self._verdicts = outcomes, verdicts
-        self._accelerations, self._forces = accelerations, forces
-        self._only, self._tie = only, tie
-        self._made: dict[int, Candidate | Undetermined] = {}
-
-    def __iter__(self) -> Iterator[Candidate | Undetermined]:
-        return map(self._at, range(len(self._outcomes)))
-
-    def _at(self, k: int) -> Candidate | Undetermined:
-        made = self._made.get(k)
-        if made is None:
-            made = self._made[k] = self._make(k)
-        return made
-
-    def _make(self, k: int) -> Candidate | Undetermined:
-        states, outcome = self._combinations[k], self._outcomes.item(k)
-        if outcome not in _DETERMINED:
-            return states, _UNSOLVED.get(outcome, SINGULAR)
-        violation, contact, which, number = self._verdicts[k].tolist()
-        broken = (self._laws[int(contact)].name if self._laws else "", int(which), number)
-        return Candidate(states, self._accelerations[k], self._forces[k], violation, broken)
-
-    def consistent(self, tie: float) -> list[Candidate]:
-        """Return what breaks no inequality by more than `tie`."""
-        tried = [self._at(self._only)] if tie == self._tie and self._only >= 0 else self
-        return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
-
-
-def consistent(tried: Iterable[Candidate | Undetermined], tie: float) -> list[Candidate]:
+def consistent(tried: Iterable[Candidate], tie: float) -> list[Candidate]:
     """Return the candidates that break no inequality by more than `tie`."""
-    if isinstance(tried, _Solved):
-        return tried.consistent(tie)
-    return [c for c in tried if isinstance(c, Candidate) and c.violation <= tie]
+    return [c for c in tried if c.violation <= tie]
 
 
-def candidates(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candidate | Undetermined]:
+def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """Solve every combination of `options` (states per contact).
 
     Where contacts can stand in for each other, a combination is judged by whether some forces in
@@ -179,14 +135,14 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candida
 
 def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
-) -> Iterable[Candidate | Undetermined]:
+) -> list[Candidate]:
     snapshot, laws, closed, still, scales, tie = case
     edges = cones(tuple(laws))
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
     accelerations = np.empty((count, len(snapshot.forces)))
     forces = np.empty((count, contacts, 2))
-    several, only = solve_modes(
+    several, _ = solve_modes(
         snapshot.mass,
         snapshot.forces,
         snapshot.jacobians,
@@ -203,36 +159,39 @@ def _solved_combinations(
         verdicts,
         tie,
     )
-    solved = _Solved(laws, combinations, status, accelerations, forces, verdicts, only, tie)
-    if several == 0:
-        return solved
-    found = [*solved]
-    redundant = np.flatnonzero(status == REDUNDANT).tolist()
-    _explain(case, edges, codes, found, redundant)
+    found: list[Candidate] = []
+    for k, (states, outcome) in enumerate(zip(combinations, status.tolist(), strict=True)):
+        violation, contact, which, number = verdicts[k].tolist()
+        broken = (laws[int(contact)].name if laws else "", int(which), number)
+        one = Candidate(states, accelerations[k], forces[k], violation, broken)
+        if outcome not in _DETERMINED:
+            one = _refused(one, _UNSOLVED.get(outcome, SINGULAR))
+        found.append(one)
+    if several:
+        _explain(case, edges, codes, found, np.flatnonzero(status == REDUNDANT).tolist())
     return found
+
+
+def _refused(candidate: Candidate, why: str) -> Candidate:
+    return candidate._replace(violation=math.inf, undetermined=why)
 
 
 def _explain(
     case: Case,
     edges: Array,
     codes: Ints,
-    found: list[Candidate | Undetermined],
+    found: list[Candidate],
     redundant: Sequence[int],
 ) -> None:
     """Replace candidates judged by their motion alone, by whether forces explain it."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
     inward = 0.25 * max(tie, _EXACT) * scales.force
-    moving: list[tuple[int, Candidate]] = []
-    for k in redundant:
-        candidate = found[k]
-        assert isinstance(candidate, Candidate)
-        if candidate.violation <= max(tie, _SAME_MOTION):
-            moving.append((k, candidate))
+    moving = [(k, found[k]) for k in redundant if found[k].violation <= max(tie, _SAME_MOTION)]
     taken: list[Candidate] = []
     failed: list[tuple[Candidate, Ints]] = []
     for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
         if any(same_motion(one, candidate, scales) for one in taken):
-            found[k] = candidate.states, _LESS
+            found[k] = _refused(candidate, _LESS)
             continue
         given = None
         if not any(
@@ -242,7 +201,7 @@ def _explain(
             given = share(codes[k], snapshot, edges, candidate.forces, inward)
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
-            found[k] = candidate.states, _UNEXPLAINED
+            found[k] = _refused(candidate, _UNEXPLAINED)
             continue
         outside = given.violation / scales.force
         shared = candidate._replace(forces=given.forces, share=given)
@@ -290,7 +249,7 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     )
 
 
-def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> Iterable[Candidate | Undetermined]:
+def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """Solve the modes that Lemke's algorithm ends in (see `candidates`).
 
     The complementarity problem is in the contacts' accelerations and forces (Stewart and Trinkle's
@@ -341,33 +300,19 @@ _NAMES = {code: name for name, code in CODES.items() if name != OFF}
 
 
 class ModeRules(NamedTuple):
-    """Inputs of the classification of contacts.
+    """Inputs of the classification of contacts."""
 
-    Attributes
-    ----------
-    allowed : (c, 5) array
-        Whether a contact may be in the state of that code.
-    cones : (c, 2) array
-        cone_n, cone_t.
-    near, creep : float
-        A closed contact's gap and velocities that need no projection.
-    gap, speed : float
-        Their tolerances.
-    tie, force, acceleration : float
-        See `contacts.solvers.mode_solver.solve_modes`; the last two are the scales.
-    doubtful : float
-        Forces of a contact that comes to rest are no nearer to a bound
-        (`contacts.modes.classification`).
-    """
-
-    allowed: Bools
-    cones: Array
+    allowed: Bools  # (c, 5): Whether a contact may be in the state of that code
+    cones: Array  # (c, 2): cone_n, cone_t
+    # `near`, `creep`: A closed contact's gap and velocities that need no projection; tolerances
     near: float
     creep: float
     gap: float
     speed: float
-    tie: float
+    tie: float  # See `contacts.solvers.mode_solver.solve_modes`
+    # Forces of a contact that comes to rest are no nearer to a bound (`ForceUncertainty`)
     doubtful: float
+    # `force`, `acceleration`: The scales
     force: float
     acceleration: float
 
@@ -387,23 +332,6 @@ def mode_rules(setup: SceneSetup) -> ModeRules:
     )
 
 
-def fast_mode(
-    setup: SceneSetup, tape: SnapshotTape, state: Array, time: float, flow: Key | None
-) -> tuple[Key, float] | None:
-    """Return the mode that the state calls for and the energy; None where that is not as simple.
-
-    `flow` is the mode that led here, None at the start of a run. The scene has no joints.
-    """
-    numbers, size = tape.tape.at(state, setup.values, time), tape.size
-    count = len(setup.contacts)
-    codes, kept = np.empty(count, np.int64), _kept(flow, count)
-    rules = mode_rules(setup)
-    lowest = np.where(kept == FREE, 0.0, -rules.near)
-    if not classify(rules, numbers, size, flow is not None, kept, lowest, codes):
-        return None
-    return tuple([_NAMES[code] for code in codes.tolist()]), numbers.item(size * size + size)
-
-
 @lru_cache(maxsize=1024)
 def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
     """Return (c, 5): whether a contact's region has the state of that code."""
@@ -413,12 +341,6 @@ def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
             if name != OFF:
                 allowed[i, CODES[name]] = True
     return allowed
-
-
-@lru_cache(maxsize=1024)
-def _kept(flow: Key | None, count: int) -> Ints:
-    """Return the state in which a flow, where one led here, kept every contact."""
-    return np.array([FREE if s in OPEN else CODES[s] for s in flow or [OFF] * count], np.int64)
 
 
 # In the scene's forces: beyond, a sliding contact may bear what only rounding keeps finite.
@@ -573,7 +495,7 @@ class ForceUncertainty(NamedTuple):
         if not any(map(_comes_to_rest, options, self.sure)):
             return None
         near = self.setup.doubtful
-        for one in sorted(_solved(case._replace(tie=near), options), key=openness):
+        for one in sorted(candidates(case._replace(tie=near), options), key=openness):
             if openness(one)[:2] > openness(taken)[:2]:
                 break
             rests = any(map(_comes_to_rest, one.states, self.sure))
@@ -603,13 +525,9 @@ class ForceUncertainty(NamedTuple):
         moved = [(self.state + step, 0.0) for step in np.diag(off)]
         for state, time in [*moved, (self.state, later)]:
             there = case._replace(snapshot=self.at(state, time), tie=near)
-            found = _solved(there, [(role,) for role in one.states])
-            total += abs(found[0].violation - one.violation) if found else near
+            (found,) = candidates(there, [(role,) for role in one.states])
+            total += near if found.undetermined else abs(found.violation - one.violation)
         return total
-
-
-def _solved(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
-    return [one for one in candidates(case, options) if isinstance(one, Candidate)]
 
 
 def _comes_to_rest(may: Collection[str] | str, was: str) -> bool:
@@ -635,13 +553,10 @@ _UNCHECKED = (
 
 
 def _verdicts(
-    laws: Sequence[ContactLaw],
-    tried: Iterable[Candidate | Undetermined],
-    taken: Candidate | None,
-    tie: float,
+    laws: Sequence[ContactLaw], tried: Iterable[Candidate], taken: Candidate | None, tie: float
 ) -> dict[str, str]:
-    found = {_label(laws, c): _verdict(c, tie) for c in tried}
-    return found if taken is None else {**found, _label(laws, taken): "taken"}
+    found = {_label(laws, c.states): _verdict(c, tie) for c in tried}
+    return found if taken is None else {**found, _label(laws, taken.states): "taken"}
 
 
 class Choice(NamedTuple):
@@ -685,19 +600,16 @@ def choose(
     Where contacts share a load the mode of `before` goes on as long as some forces explain it,
     whatever else agrees, if these are of contacts that bore; without `before` all may.
 
-    Raises
-    ------
-    NoConsistentMode, AmbiguousMode
-        With every candidate and its reason.
-    NonFinite
-        If the state has no finite forces.
+    Raises `NoConsistentMode` or `AmbiguousMode` with every candidate and its reason. Raises
+    `NonFinite` if the state has no finite forces.
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
     case = Case(snapshot, laws, closed, still, scales, tie)
     before = before or Before(bearing=frozenset(range(len(laws))))
-    tried: Iterable[Candidate | Undetermined] = ()
-    count, agreeing = sum(closed), []
+    tried: list[Candidate] = []
+    agreeing: list[Candidate] = []
+    count = sum(closed)
     many = count > _ENUMERATED
     if many:
         tried = by_lemke(case, options)
@@ -727,7 +639,7 @@ def choose(
         taken, warning = doubted, ""
     # What a mode left open closes besides must not move away.
     if not warning and taken.violation >= 0.0 and any(_opens(taken, one, closed) for one in tried):
-        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken)} taken"
+        warning = f"indeterminate: {OPEN_LOAD}; {_label(laws, taken.states)} taken"
     notes: tuple[str, ...] = (_UNCHECKED,) if many else ()
     if taken.share is not None:
         notes += _indeterminate(laws, taken.share)
@@ -745,7 +657,7 @@ def choose(
 
 def _continuing(
     agreeing: list[Candidate],
-    tried: Iterable[Candidate | Undetermined],
+    tried: Iterable[Candidate],
     scales: Scales,
     before: Before,
 ) -> list[Candidate]:
@@ -756,7 +668,7 @@ def _continuing(
     """
     left = None
     if len(agreeing) > 1 and before.mode is not None:
-        left = next((c for c in tried if c[0] == before.mode and isinstance(c, Candidate)), None)
+        left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
     return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
@@ -765,10 +677,7 @@ def _continuing(
 def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
     """Return the one taken of the candidates that agree with the state, and why not another.
 
-    Raises
-    ------
-    AmbiguousMode
-        Where they move it apart, and all keep every contact closed.
+    Raises `AmbiguousMode` where they move it apart, and all keep every contact closed.
     """
     _, laws, closed, _, scales, tie = case
     taken = agreeing[0]
@@ -789,7 +698,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         others = [c for c in less if not same_motion(c, taken, scales, _GOES_ON)]
     if not others:
         return taken, ""
-    labels = ", ".join(_label(laws, c) for c in [taken, *others])
+    labels = ", ".join(_label(laws, c.states) for c in [taken, *others])
     opened = [
         c
         for c in [taken, *others]
@@ -804,7 +713,10 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     bearing = [_bearing(c) for c in opened]
     free = [c for c, own in zip(opened, bearing, strict=True) if not any(b < own for b in bearing)]
     taken = min(free, key=openness)
-    return taken, f"indeterminate: {labels} all agree with the state; {_label(laws, taken)} taken"
+    return (
+        taken,
+        f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+    )
 
 
 def _without_new_loads(
@@ -836,7 +748,7 @@ def _without_new_loads(
 
 
 def _advice(
-    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate | Undetermined]
+    laws: Sequence[ContactLaw], closed: Sequence[bool], tried: Iterable[Candidate]
 ) -> Iterator[str]:
     """Yield what in the declaration keeps a state from having a mode, and what to do."""
     rough = [
@@ -858,7 +770,7 @@ def _advice(
         if shut and lacks and law.name not in rough:
             unlisted = True
             yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
-    if not unlisted and any(not isinstance(c, Candidate) and c[1] == SINGULAR for c in tried):
+    if not unlisted and any(c.undetermined == SINGULAR for c in tried):
         yield "what no contact holds has no mass or inertia of its own: give it some"
 
 
@@ -866,11 +778,11 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
     return frozenset(i for i, state in enumerate(candidate.states) if state not in OPEN)
 
 
-def _opens(taken: Candidate, other: Candidate | Undetermined, closed: Sequence[bool]) -> bool:
+def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
     """Whether the mode taken is one of several that leave out contacts of a mode left open."""
-    if isinstance(other, Candidate) or other[1] != OPEN_LOAD:
+    if other.undetermined != OPEN_LOAD:
         return False
-    pairs = zip(taken.states, other[0], closed, strict=True)
+    pairs = zip(taken.states, other.states, closed, strict=True)
     return all(mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs)
 
 
@@ -922,14 +834,11 @@ def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, .
     )
 
 
-def _label(laws: Sequence[ContactLaw], candidate: Candidate | Undetermined) -> str:
-    states = candidate.states if isinstance(candidate, Candidate) else candidate[0]
+def _label(laws: Sequence[ContactLaw], states: Sequence[str]) -> str:
     return " ".join(f"{law.name}:{state}" for law, state in zip(laws, states, strict=True))
 
 
-def _verdict(candidate: Candidate | Undetermined, tie: float) -> str:
-    if not isinstance(candidate, Candidate):
-        return candidate[1]
+def _verdict(candidate: Candidate, tie: float) -> str:
     if candidate.violation <= 0.0:
         return "consistent"
     if candidate.violation <= tie:

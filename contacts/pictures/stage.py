@@ -54,7 +54,7 @@ class SceneStage:
         """Return what the scene looks like at instants of a run; see `Stage`."""
         scene, regions = self._scene, self._automaton.regions
         key = moments.keys[0]
-        states, unrecorded = tuple(self._automaton.states_told(key)), len(regions) - len(key)
+        states, unrecorded = tuple(self._automaton.recorded_states(key)), len(regions) - len(key)
         modes = np.zeros((len(moments.times), len(regions)), dtype=np.intp)
         for instant, key in enumerate(moments.keys):
             pairs = zip(states[unrecorded:], key, strict=True)

@@ -24,7 +24,7 @@ from contacts.time_stepping.settling import (
     LEFT,
     clear_alike,
     end_slips,
-    mode_of,
+    mode_of_acceleration,
     solve_accelerations,
 )
 from statechart.arrays import Array, Ints
@@ -262,7 +262,7 @@ def _body_mode(
     mode = FREE
     for a in range(m):
         clear_alike(forced[a], sums[a], per_speed)
-        one = mode_of(found[a], slips[a], slides[a] == 0.0, cones[a], False)
+        one = mode_of_acceleration(found[a], slips[a], slides[a] == 0.0, cones[a], False)
         if one == PIN:
             return PIN
         if one != FREE:

@@ -94,7 +94,7 @@ def _store(
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
                 chunk.impulses[k, b, 1] += pt if side == 0 else -pt
-            # What bears less of what presses or pulls a body most is rounding: it touches not.
+            # An impulse below this part of the largest on its body is round-off: no contact.
             pulled = space.mid.pull[b] / numbers.inverse[b, 0]
             bears = lasts and pn > max(least * space.borne[b], LEAST * pulled)
             if bears and sticks:
@@ -146,7 +146,7 @@ def _landing(
             change = velocity(active.bodies, active.rows, rates, i, d)
             change -= velocity(active.bodies, active.rows, early, i, d)
             if not active.hit[i]:
-                # What lasts was to go on as it did, but for forces that change.
+                # Lasting contacts go on as they did, but for forces that change.
                 if abs(change) > fall:
                     return 0.0
             elif space.bounces[i] != 0:
@@ -297,7 +297,7 @@ def step_bodies(
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    # What is in the way after the last step tells whether that could be taken.
+    # The detection after the last step decides whether that could be taken.
     for k in range(steps + 1):
         if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
             break
@@ -350,7 +350,7 @@ def step_bodies(
             return k, COARSE
         if forces:
             _shown(rates, old, forced)
-        # What lands has gone on as it did until it touched.
+        # Landing bodies have gone on as they did until they touched.
         chunk.late[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
         _store(numbers, memory, space, seen, allowed, rates, k, chunk)
         if unsettle_bodies(memory, k, chunk):

@@ -27,9 +27,9 @@ from contacts.rigid_bodies.declared_numbers import (
 from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.own_step import forced_speed, own_step
-from contacts.rigid_bodies.prescribed_motion import ControllerFlow, Paths, PrescribedMotion
-from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
-from contacts.scene.checks import check_physical, check_shapes
+from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
+from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
+from contacts.scene.checks import check_physical
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
 from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
@@ -118,8 +118,7 @@ class BodyStepper(Stepper):
         )
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
-        self._recall = ControllerFlow(mechanics)
-        # What no value of a parameter changes.
+        # Numbers that no parameter changes.
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
@@ -168,7 +167,7 @@ class BodyStepper(Stepper):
         control = None
         if self._scene.regions:
             control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
-        return RunInputs(setup, bodies, free, self._lacks(setup), control, failure)
+        return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
 
     def _made(
         self, overrides: Mapping[str, float], allowed: float, forces: bool
@@ -177,28 +176,27 @@ class BodyStepper(Stepper):
         known = self._constants.values(overrides)
         if overrides:
             check_physical(self._declared, known)
-            check_shapes(self._declared, known)
         moved = self._bodies.starts.at(values, known)
         bodies = body_numbers(self._declared, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)
         law = get_args(Simultaneous).index(self._scene.simultaneous)
 
-        def heap(
+        def run_of(
             bodies: BodyNumbers,
             allowed: float = math.inf,
             deepest: float = math.inf,
             forces: bool = False,
             start_depth: float = 0.0,
         ) -> RigidBodyRun:
-            around = PrescribedMotion(self._bodies, self._paths, self._recall, known, values)
+            around = PrescribedMotion(self._bodies, self._paths, known, values)
             return RigidBodyRun(
                 self._names, self._surfaces, bodies, around, law, allowed, deepest, forces,
                 start_depth,
             )  # fmt: skip
 
-        bodies, depth, remarks = self._started(setup, bodies, known, heap)
+        bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
-        return setup, heap(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
+        return setup, run_of(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
 
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
@@ -242,7 +240,7 @@ class BodyStepper(Stepper):
         setup: SceneSetup,
         bodies: BodyNumbers,
         known: Mapping[str, float],
-        heap: Callable[[BodyNumbers], RigidBodyRun],
+        run_of: Callable[[BodyNumbers], RigidBodyRun],
     ) -> tuple[BodyNumbers, float, tuple[str, ...]]:
         """Check that bodies start in what is hollow, on their joints, and apart.
 
@@ -262,7 +260,7 @@ class BodyStepper(Stepper):
                     loc=("surfaces", surface, "turn" if turns else "displacement"),
                 )
         check_inside(scene, owners, bodies, moved, begun.frames[0])
-        # Of the second order, from the start on: before it a path need not be.
+        # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
         joints = closed_joints(
             scene, bodies.joints, moved, begun.places[0], rates, _START_DEPTH * length,
@@ -270,20 +268,18 @@ class BodyStepper(Stepper):
         )  # fmt: skip
         bodies = bodies._replace(joints=joints)
 
-        def trial(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
-            found = heap(numbers)
-            found.steps(0.0, 1e-9 * length / speed, start, 1)
-            return found
-
-        def looked(numbers: BodyNumbers, start: Array) -> RigidBodyRun:
+        def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
+            run = run_of(numbers)
             # One step does not pay to compile it.
             if is_ready(step_bodies):
-                return trial(numbers, start)
-            return by_python(lambda: trial(numbers, start))
+                return run.detect(start, 0.0, 1e-9 * length / speed)
+            return by_python(lambda: run.detect(start, 0.0, 1e-9 * length / speed))
 
         near = _START_DEPTH * length
         try:
-            found = check_apart(looked, bodies, self._names, owners, setup.initial, near)
+            found = check_apart(
+                detect, bodies, self._names, self._surfaces, owners, setup.initial, near
+            )
         except NonFinite as error:
             raise DeclarationProblem(f"{error.message} at the start", loc=("forces",)) from None
         return bodies, *found

@@ -303,7 +303,7 @@ def _pieces(outlines: Sequence[Sequence[_Piece]], kinds: Ints) -> PieceNumbers:
     counts = np.array([len(outline) for outline in outlines], dtype=np.int64)
     pieces = [piece for outline in outlines for piece in outline]
     first = np.cumsum(counts) - counts
-    # Of every piece of every body which of the declared ones it is.
+    # Index of the declared piece for every piece of every body.
     which = _runs(first[kinds], counts[kinds])
     many = np.array([len(piece.corners) for piece in pieces], dtype=np.int64)
     corners = np.concatenate([np.empty((0, 2)), *(piece.corners for piece in pieces)])

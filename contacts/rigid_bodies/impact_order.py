@@ -116,7 +116,7 @@ def is_ambiguous(
 ) -> bool:  # fmt: skip
     """Whether impacts in turn would do something else than those at once.
 
-    That is told where a body is struck at two of those that it touches, and both are `LIVELY`:
+    It is so where a body is struck at two of those that it touches, and both are `LIVELY`:
     where it bears more than in the step before, and than what would rest in two steps.
 
     Parameters

@@ -10,52 +10,43 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
 from contacts.rigid_bodies.declared_numbers import touched
-from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
+from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
 
-# Of the inner circle of a body: about so far goes what is fast in a step that is chosen by the
-# scales of a scene (`contacts.rigid_bodies.body_stepper`), and half as deep stays what has landed.
-# So a packing that steps have left can be a start.
+# Allowed penetration, relative to the inner circle: a fast body goes about so far in a step that is
+# chosen by the scales of a scene, and a landed one stays half as deep. A packing at the end of a
+# run can be the start of another.
 _LEFT = 0.1
 # Depths that are equal but for rounding.
 _SAME = 1e-9
-# So many bodies, and moves of each, are tried.
+# Bodies that are tried, and moves of each.
 _MOVES = 20
-# From so many on copies stand in rows.
+# Number of copies from which the advice is rows.
 _CROWD = 20
-# Of so many that are deep, one is what the other is in.
+# Two deep bodies may be in each other.
 _PAIR = 2
 _NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
 
 
-Tried = Callable[[BodyNumbers, Array], RigidBodyRun]
-"""Numbers, coordinates and rates -> what has taken a step of no length, which finds overlaps."""
+Detect = Callable[[BodyNumbers, Array], DetectedContacts]
+"""Detects the contacts of bodies with these numbers in a state (6 b + w,)."""
 
 
 def check_apart(
-    tried: Tried,
+    detect: Detect,
     numbers: BodyNumbers,
     names: Sequence[str],
+    surfaces: Sequence[str],
     owners: Sequence[str],
     initial: Array,
     near: float,
 ) -> tuple[float, tuple[str, ...]]:
     """Check that no body is deeper in another or a surface than steps leave what has landed.
 
-    Return how deep the deepest is, and what is said of that, where that is deeper than `near`.
-
-    Parameters
-    ----------
-    tried : callable
-        See `Tried`.
-    names, owners : sequence of str
-        Of the bodies, and what they are declared by.
-    initial : (6 b,) array
-        Coordinates and rates at the start.
-    near : float
-        What is no deeper touches.
+    Bodies are declared by their `owners` and start at `initial` (6 b,); up to `near` deep they
+    touch. Return how deep the deepest is, and a warning where that is deeper than `near`.
 
     Raises
     ------
@@ -64,10 +55,14 @@ def check_apart(
     """
     _check_places(numbers, names, owners, initial)
     _check_crowd(numbers, names, owners, initial)
-    trial = tried(numbers, initial)
+    found = detect(numbers, initial)
+
+    def deepest_of(b: int) -> str:
+        return found.deepest_of(b, len(numbers.pieces.sizes), names, surfaces)
+
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
-    gaps = trial.least
+    gaps = found.gaps
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
@@ -76,20 +71,20 @@ def check_apart(
             return 0.0, ()
         return depth, (
             f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
-            f"{trial.deepest_of(first)}), as steps leave what has landed: they are kept no deeper",
+            f"{deepest_of(first)}), as steps leave what has landed: they are kept no deeper",
         )
-    # Who can be moved out of all that it is in, or else the first.
+    # The first body that a move frees, or else the first.
     for b in [*deep][:_MOVES]:
-        where, out = trial.deepest_of(b), _way_out(tried, trial, initial, b, near)
-        if where and out:
+        out = _way_out(detect, numbers, found, initial, b, near)
+        if out and not found.is_covered(b):
             break
     else:
-        b = next(iter(deep))
-        where, out = trial.deepest_of(b), _NO_ROOM
-        if not where:
-            b, where, out = _covered(tried, trial, names, initial, b, deep[b])
+        b, out = next(iter(deep)), _NO_ROOM
+    where = deepest_of(b)
+    if found.is_covered(b):
+        b, where, out = _covered(detect, numbers, names, surfaces, initial, b, deep[b])
     if len(deep) > _PAIR:
-        # Who moves them one by one should know how many there are.
+        # The number helps a user who moves them one by one.
         out += f"; {len(deep)} bodies start in something in all, {-min(deep.values()):.3g} at most"
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
@@ -162,7 +157,10 @@ def _in_rows(numbers: BodyNumbers, b: int) -> str:
     return f'such as x: "{apart}*mod(index, {row})" and y: {apart}*floor(index/{row})'
 
 
-def _way_out(tried: Tried, trial: RigidBodyRun, initial: Array, b: int, near: float) -> str:
+def _way_out(
+    detect: Detect, numbers: BodyNumbers, found: DetectedContacts, initial: Array, b: int,
+    near: float,
+) -> str:  # fmt: skip
     """Return how a body gets out of all that it is in, and of what it would get into then, or "".
 
     The least move out of all that was met so far (least distance programming, Lawson and Hanson
@@ -172,7 +170,7 @@ def _way_out(tried: Tried, trial: RigidBodyRun, initial: Array, b: int, near: fl
 
     move, ways, far = np.zeros(2), np.zeros((0, 2)), np.zeros(0)
     for _ in range(_MOVES):
-        normals, depths = trial.pushes_out(b, near)
+        normals, depths = found.ways_out(b, near)
         if not len(depths):
             dx, dy = np.where(np.abs(move) < near, 0.0, move).tolist()
             return f"move it by ({dx:.6g}, {dy:.6g}) out"
@@ -188,14 +186,15 @@ def _way_out(tried: Tried, trial: RigidBodyRun, initial: Array, b: int, near: fl
         move = -size * left[:2] / left[2]
         state = initial.copy()
         state[3 * b : 3 * b + 2] += move
-        trial = tried(trial.numbers, state)
+        found = detect(numbers, state)
     return ""
 
 
 def _covered(
-    tried: Tried,
-    trial: RigidBodyRun,
+    detect: Detect,
+    numbers: BodyNumbers,
     names: Sequence[str],
+    surfaces: Sequence[str],
     initial: Array,
     b: int,
     margin: float,
@@ -205,10 +204,9 @@ def _covered(
     No face of those is left to touch: of whom the body is as deep in with all others away, that is
     who it is in, or who is in it.
     """
-    numbers = trial.numbers
 
     def as_deep(numbers: BodyNumbers, state: Array) -> bool:
-        gap = tried(numbers, state).least[b]
+        gap = detect(numbers, state).gaps[b]
         return gap <= (1.0 - _SAME) * margin
 
     places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]
@@ -226,32 +224,23 @@ def _covered(
             return one, f"body {names[whole]!r}", far
     far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
     kinds = len(numbers.laws)
-    for s, surface in enumerate(trial.surfaces):
+    for s, surface in enumerate(surfaces):
         laws = numbers.laws.copy()
         laws[:, :kinds] = -1
-        laws[:, kinds:][:, np.arange(len(trial.surfaces)) != s] = -1
+        laws[:, kinds:][:, np.arange(len(surfaces)) != s] = -1
         if as_deep(numbers._replace(laws=laws), initial):
             return b, f"surface {surface!r}", far
     every = np.flatnonzero(numbers.laws[numbers.kinds[b], kinds:] >= 0)
-    listed = ", ".join(repr(trial.surfaces[s]) for s in every.tolist())
+    listed = ", ".join(repr(surfaces[s]) for s in every.tolist())
     return b, f"surfaces {listed}", far.replace("from it", "from them")
 
 
 def check_inside(
     scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, frames: Array
 ) -> None:
-    """Check that what collides with a hollow circle starts in it.
+    """Check that bodies that collide with a hollow circle start in it, at `initial` (6 b,).
 
-    Parameters
-    ----------
-    scene : Scene
-        Its bodies one by one.
-    owners : sequence of str
-        What they are declared by.
-    initial : (6 b,)
-        Coordinates and rates.
-    frames : (s, 3)
-        Of the surfaces, at the start.
+    The scene has its bodies one by one, which `owners` declare; surfaces have `frames` (s, 3).
 
     Raises
     ------

@@ -154,8 +154,8 @@ def push(
             rates[b, 2] += inverse[b, 2] * rows[i, d, k + 2] * amount
 
 
-# What impulses are known to: a stack of twelve under a body of 1e8 times their mass misses 1e-6 in
-# half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
+# Relative accuracy of impulses: a stack of twelve under a body of 1e8 times their mass misses 1e-6
+# in half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
 _ROUNDING = 64.0 * 2.0**-52
 # Impulses that miss by a tenth of the fastest approach hold nothing apart.
 _HOLDS_NOTHING = 0.1
@@ -227,7 +227,7 @@ def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array)
     active, quiet = space.active, 0
     for a in range(len(members)):
         i = members[a]
-        # What is pressed together again does not rebound.
+        # Contacts that are pressed together again do not rebound.
         rebounds = sudden[a, 0] > 0.0 >= chosen[a, 0]
         space.bounces[i] = rebounds and active.materials[i, 2] > 0.0
         quiet += 0 if active.hit[i] else 1
@@ -333,7 +333,7 @@ def solve_islands(
             space.known[i] = max(missed, allowed) * fast
             put(chosen[a], space.pressed[i])
             put(chosen[a], space.steady[i])
-            # What lasts is nearer to what it was than to what others' impacts made it bear.
+            # The last impulse of a lasting contact is a better guess than one beside impacts.
             if quiet == size or active.hit[i]:
                 put(chosen[a], active.pushes[i])
         if forces and quiet < size:

@@ -15,9 +15,9 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import late
 
-# So often impulses are found that close joints as their arms turn by them, as long as the work that
-# they leave falls by this part in so many; where that is this part of the energy of motion they do
-# not close. Nor do they by impulses of joints whose work is that part.
+# Fixed-point iterations that close joints; they end when the remaining work has not shrunk by this
+# factor in so many. Joints stay open where that work, or the work of their impulses, is more than
+# these parts of the kinetic energy.
 _TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
 
 
@@ -116,7 +116,7 @@ def close_joints(
         )
         given = joint_work(contacts, chosen, start, unforced)
         if given > bound + _MOST_WORK * moving:
-            # What wedges closes them, too, by all the work that it likes.
+            # Wedged joints close, too, with unbounded work.
             work = max(work, given)
         elif left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
             return missed, done, softened
@@ -136,7 +136,7 @@ def close_joints(
         return good, done, soft
     space.apart[0] = max(space.apart[0], least / energy)
     if space.apart[1] == 0.0:
-        # What wedges presses without bound: arms turn as they did, and no work is done by that.
+        # Wedged joints press without bound: arms turn as before, which does no work.
         put_rows(first, asked)
         for a in range(size):
             put(space.active.pushes[members[a]], chosen[a])

@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, given_in
+from contacts.collision_detection.midpoint import ForceProgram
+from contacts.dynamics.controllers import flows_in, given, given_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
-from contacts.rigid_bodies.stiff_forces import Forces
 from contacts.scene.fields import copies
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
+from contacts.time_stepping.stability import Stiffness, stiffness
 from statechart.arrays import Array, Ints
+from statechart.automaton.trace import Key
 from statechart.documents.fields import value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -29,13 +32,33 @@ from statechart.formulas.writer import compile_tape
 _KEYS = ("x", "y", "angle", "dx", "dy", "dangle")
 
 
+class Forces(NamedTuple):
+    """Forces on bodies: which bodies (f,), and three formulas for each; values of parameters."""
+
+    bodies: Ints
+    tape: Tape
+    values: Array
+
+    @property
+    def program(self) -> ForceProgram:
+        """The arrays of the compiled step."""
+        tape = self.tape
+        return ForceProgram(self.bodies, tape.code, tape.constants, tape.outputs, self.values)
+
+    def stiffness(
+        self, inverse: Array, size: float, h: float, state: Array, time: float
+    ) -> Stiffness:
+        """Return how they change in a step; see `contacts.time_stepping.stability.stiffness`."""
+        return stiffness(self.bodies, self.tape, self.values, inverse, size, h, state, time)
+
+
 class Starts:
     """The starts of the bodies of a scene."""
 
     def __init__(self, scene: Scene, parameters: Parameters) -> None:
         self._scene = scene
         counts = [1 if n is None else n for n in copies(scene, scene.values()).values()]
-        # Of every body what it is a copy of, and its number among those.
+        # The declared body of every body, and its number among the copies.
         self._kinds = np.repeat(np.arange(len(counts)), counts)
         self._numbers = np.concatenate([np.arange(count) for count in counts])
         index = sp.Symbol("index", real=True)
@@ -88,13 +111,8 @@ class Starts:
 class BodyMechanics(Mechanics):
     """The symbols of free bodies, of which there may be thousands; equations are not composed.
 
-    Attributes
-    ----------
-    scene : Scene
-        With its bodies one by one, whose starts are in `starts`.
-    owners : tuple of str
-        What each of them is a copy of, or itself.
-    starts : Starts
+    The `scene` has its bodies one by one, whose starts are in `starts`; `owners` are what each is a
+    copy of, or itself.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -108,9 +126,10 @@ class BodyMechanics(Mechanics):
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
-        # By the states of the controllers, as runs enter them.
-        self._force_tapes: dict[tuple[tuple[str, str], ...], tuple[Ints, Tape]] = {}
-        self._given_tapes: dict[tuple[tuple[str, str], ...], Tape] = {}
+        # Tapes by the states of the controllers, as runs enter them.
+        self._forces: dict[Key, tuple[Ints, Tape]] = {}
+        self._given: dict[Key, Tape] = {}
+        self._flows: dict[Key, Tape] = {}
 
     @cached_property
     def energy(self) -> sp.Expr:
@@ -134,7 +153,7 @@ class BodyMechanics(Mechanics):
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
-        """What all joints hold, by their names and forces; the steps know the rest as numbers."""
+        """Rows of all joints: names and forces; the steps know the rest as numbers."""
         nothing, rows = sp.S.Zero, list[JointRow]()
         for name, joint in self.scene.joints.items():
             for component in joint.components:
@@ -149,19 +168,30 @@ class BodyMechanics(Mechanics):
 
     def given_in(self, states: Mapping[str, str]) -> Tape:
         """Return the values of what is `given` in these states of the controllers."""
-        key = tuple(states.items())
-        if key not in self._given_tapes:
-            self._given_tapes[key] = self.whole_tape(
-                given(self), definitions=given_in(self, states)
+        key = tuple(states.values())
+        if key not in self._given:
+            self._given[key] = self.whole_tape(given(self), definitions=given_in(self, states))
+        return self._given[key]
+
+    def flows_in(self, states: Mapping[str, str]) -> Tape:
+        """Return the rates of the controllers' variables in these states: over these and time."""
+        key = tuple(states.values())
+        if key not in self._flows:
+            self._flows[key] = compile_tape(
+                flows_in(self, states),
+                variables=tuple(self.memory.values()),
+                parameters=self.parameters.ordered,
+                time=self.time,
+                definitions=self.controlled(states),
             )
-        return self._given_tapes[key]
+        return self._flows[key]
 
     def forces_at(self, states: Mapping[str, str], values: Array) -> Forces:
         """Return the forces on bodies while controllers are in these states."""
-        key = tuple(states.items())
-        if key not in self._force_tapes:
-            self._force_tapes[key] = self._force_tape(states)
-        return Forces(*self._force_tapes[key], values)
+        key = tuple(states.values())
+        if key not in self._forces:
+            self._forces[key] = self._force_tape(states)
+        return Forces(*self._forces[key], values)
 
     def _force_tape(self, states: Mapping[str, str]) -> tuple[Ints, Tape]:
         """Return which bodies forces act on, and what gives these forces."""

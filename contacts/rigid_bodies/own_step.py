@@ -14,7 +14,7 @@ import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.scales import Scales
-from contacts.rigid_bodies.stiff_forces import Forces, stiffness
+from contacts.rigid_bodies.mechanics import Forces
 from statechart.arrays import Array
 
 # A step takes bodies this part of the least inner radius at the fastest speed, and lasts this part
@@ -67,18 +67,8 @@ def forced_speed(
     """Return how fast forces may make a point of a body in a run.
 
     An acceleration a gives a speed of ``a end`` at most, of ``a/d`` against a damping d by mass, of
-    ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``.
-
-    Parameters
-    ----------
-    each : iterable of Forces
-        Under every state of a controller.
-    state : (6 b + w,)
-        Where the run starts.
-    end : float
-        Its end; infinite where it has none.
-    length : float
-        Of the scene.
+    ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``. There is
+    `each` set of forces under a state of a controller; the `end` may be infinite.
     """
     fastest, n, size = 0.0, numbers.inverse.size, float(numbers.sizes.max())
     times = np.linspace(0.0, end, _INSTANTS) if math.isfinite(end) else np.zeros(1)
@@ -87,7 +77,7 @@ def forced_speed(
             continue
         seen = forces.tape.table(np.tile(state, (len(times), 1)), forces.values, times)
         most = np.abs(seen).max(axis=0).reshape(-1, 3) * numbers.inverse[forces.bodies]
-        stiff = stiffness(forces, numbers.inverse, size, 1.0, state, 0.0)
+        stiff = forces.stiffness(numbers.inverse, size, 1.0, state, 0.0)
         own = stiff.rows == stiff.columns
         springs, dampers = (
             np.bincount(stiff.rows[own], np.maximum(part[own], 0.0), minlength=n).reshape(-1, 3)

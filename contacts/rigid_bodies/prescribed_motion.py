@@ -9,15 +9,13 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.midpoint import Prescribed
-from contacts.dynamics.controllers import flows_in, given
+from contacts.dynamics.controllers import given
 from contacts.dynamics.geometry import surface_frame
-from contacts.dynamics.mechanics import Mechanics
 from contacts.rigid_bodies.declared_numbers import symbols_of, touched
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.scene.joints import Path
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
-from statechart.automaton.trace import Key
 from statechart.documents.declaration import TIME
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
@@ -33,13 +31,7 @@ class Positions(NamedTuple):
 
 
 class Paths:
-    """The paths of a scene.
-
-    Attributes
-    ----------
-    any : bool
-        Whether there are any.
-    """
+    """The paths of a scene; `any` tells whether there are some."""
 
     def __init__(self, scene: Scene) -> None:
         surfaces = [scene.surfaces[name] for name in touched(scene)]
@@ -74,52 +66,29 @@ class Paths:
         return Positions(frames, np.array(found[:, 3 * moved :]).reshape(count, self._joints, 2))
 
 
-class ControllerFlow:
-    """The variables and clocks of the controllers of a scene, integrated over time."""
+def integrate(rates: Tape, values: Array, remembered: Array, times: Array) -> Array:
+    """Return controller variables (m, w) at instants (m,), from those at the first of them.
 
-    def __init__(self, mechanics: Mechanics) -> None:
-        self._mechanics = mechanics
-        self._rates: dict[Key, Tape] = {}
-
-    def along(
-        self, states: Mapping[str, str], values: Array, remembered: Array, times: Array
-    ) -> Array:
-        """Return what is remembered (m, w) at instants (m,), from that at the first of them.
-
-        By the rule of Runge and Kutta from each to the next.
-        """
-        result = np.empty((len(times), len(remembered)))
-        result[0] = remembered
-        if not len(remembered):
-            return result
-        rates = self._tape(states)
-        if not len(rates.reads):
-            # All of it flows at constant rates, as clocks do.
-            # Added up one by one, so that it does not matter where steps begin.
-            result[1:] = np.outer(np.diff(times), rates.at(remembered, values, 0.0))
-            found: Array = np.cumsum(result, axis=0)
-            return found
-        for k, h in enumerate(np.diff(times).tolist()):
-            t, w = float(times[k]), result[k]
-            first = rates.at(w, values, t)
-            second = rates.at(w + 0.5 * h * first, values, t + 0.5 * h)
-            third = rates.at(w + 0.5 * h * second, values, t + 0.5 * h)
-            last = rates.at(w + h * third, values, t + h)
-            result[k + 1] = w + h / 6.0 * (first + 2.0 * second + 2.0 * third + last)
+    By the rule of Runge and Kutta from each instant to the next: no motion of bodies changes them.
+    """
+    result = np.empty((len(times), len(remembered)))
+    result[0] = remembered
+    if not len(remembered):
         return result
-
-    def _tape(self, states: Mapping[str, str]) -> Tape:
-        key = tuple(states.values())
-        if key not in self._rates:
-            mechanics = self._mechanics
-            self._rates[key] = compile_tape(
-                flows_in(mechanics, states),
-                variables=tuple(mechanics.memory.values()),
-                parameters=mechanics.parameters.ordered,
-                time=mechanics.time,
-                definitions=mechanics.controlled(states),
-            )
-        return self._rates[key]
+    if not len(rates.reads):
+        # All of it flows at constant rates, as clocks do.
+        # Added up one by one, so that it does not matter where steps begin.
+        result[1:] = np.outer(np.diff(times), rates.at(remembered, values, 0.0))
+        found: Array = np.cumsum(result, axis=0)
+        return found
+    for k, h in enumerate(np.diff(times).tolist()):
+        t, w = float(times[k]), result[k]
+        first = rates.at(w, values, t)
+        second = rates.at(w + 0.5 * h * first, values, t + 0.5 * h)
+        third = rates.at(w + 0.5 * h * second, values, t + 0.5 * h)
+        last = rates.at(w + h * third, values, t + h)
+        result[k + 1] = w + h / 6.0 * (first + 2.0 * second + 2.0 * third + last)
+    return result
 
 
 # A start that is a whole number of steps but for this part of one is that.
@@ -127,35 +96,20 @@ _SAME = 1e-6
 
 
 class PrescribedMotion:
-    """Prescribed motion and forces of one run.
+    """Prescribed motion and `forces` of one run, in the states of its controllers.
 
-    Parameters
-    ----------
-    mechanics : BodyMechanics
-    paths : Paths
-    recall : ControllerFlow
-    known : mapping of str to float
-        Parameters.
-    values : (p,) array
-        Of the parameters and what follows from them.
-
-    Attributes
-    ----------
-    controlled : bool
-        Whether there are controllers.
-    forces : Forces
-        While these are in their states.
+    Parameters are `known` by name; `values` (p,) are theirs and those that follow from them.
+    `controlled` tells whether there are controllers.
     """
 
     def __init__(
         self,
         mechanics: BodyMechanics,
         paths: Paths,
-        recall: ControllerFlow,
         known: Mapping[str, float],
         values: Array,
     ) -> None:
-        self._mechanics, self._paths, self._recall = mechanics, paths, recall
+        self._mechanics, self._paths = mechanics, paths
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
         # Where what has a path was at the last detection, and what the length of that step was.
@@ -192,7 +146,8 @@ class PrescribedMotion:
         number = round(start / h)
         first = number if abs(start - number * h) <= _SAME * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
-        memories = self._recall.along(self._states, self._values, remembered, times)
+        flows = self._mechanics.flows_in(self._states)
+        memories = integrate(flows, self._values, remembered, times)
         seen = np.concatenate([memories[:1], memories[1::2]])
         if not self._paths.any:
             return (
@@ -203,7 +158,7 @@ class PrescribedMotion:
         now = self._paths.at(self._known, times[:1], memories[:1])
         looks = self._paths.at(self._known, times[1::2], memories[1::2])
         before = Positions(*(2.0 * a - b[:1] for a, b in zip(now, looks, strict=True)))
-        # What turns about a point goes on to do so.
+        # A surface that turns about a point continues to do so.
         turned = before.frames[:, :, 2] - now.frames[:, :, 2]
         cos, sin = np.cos(turned), np.sin(turned)
         dx, dy = np.moveaxis((now.frames - looks.frames[:1])[:, :, :2], -1, 0)
@@ -238,7 +193,7 @@ class PrescribedMotion:
 
     @property
     def count(self) -> int:
-        """How many values controllers give."""
+        """Number of values that controllers give."""
         return len(given(self._mechanics))
 
     def given(self, start: float, h: float, states: Array) -> Array:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -18,9 +17,9 @@ from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.island_step import ratio_remarks
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
-from contacts.rigid_bodies.stiff_forces import UNSTABLE, Held, check_followed, stiffness
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
+from contacts.time_stepping.stability import UNSTABLE, Held, check_followed
 from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
@@ -50,7 +49,7 @@ class Penetration:
         self._start_depth, self._part = start_depth, _DEEP
         self._found: _Found | None = None
 
-    def look(self, start: float, chunk: Chunk) -> None:
+    def add(self, start: float, chunk: Chunk) -> None:
         """Note the deepest penetration of some steps that begin at `start`."""
         depths = -np.minimum(chunk.gaps, 0.0)
         parts = np.where(depths > self._start_depth, depths / self._radii, 0.0)
@@ -78,7 +77,7 @@ class Penetration:
         )
 
 
-# What has no value, or an infinite one, somewhere; the others have one wherever their operands do.
+# Operations that have no finite value somewhere.
 _PARTIAL = (DIV, POW, POWI, SQRT, LOG, TAN, ASIN, ACOS)
 
 
@@ -92,7 +91,7 @@ class MissingGround:
         self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
         self.remarks: tuple[str, ...] = ()
 
-    def look(self, start: float, h: float, states: Array, frames: Array) -> None:
+    def add(self, start: float, h: float, states: Array, frames: Array) -> None:
         """Look below the left and the right end of bodies, and their centres, at ends of steps."""
         for s in self._unseen.copy():
             if found := self._first(s, states, frames):
@@ -138,13 +137,15 @@ _TURNED, _FOLLOWED = 0.5, 0.1
 _ADDED = 0.5
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64, 256)
-# So many moves out of what overlaps are tried; a detection takes this part of a step.
+# Moves out of overlaps that are tried; the part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
 
 
-class _MetContacts(NamedTuple):
-    """Contacts of the bodies at the middle of a step."""
+class DetectedContacts(NamedTuple):
+    """Contacts and joints of bodies in one state."""
 
+    gaps: Array  # (b,): the least of every body.
+    keys: Ints  # (m,): pairs; see `Memory`.
     levels: Array  # (m,): how deep contacts are.
     # (m,): which last, and which rub.
     lasts: Bools
@@ -154,12 +155,15 @@ class _MetContacts(NamedTuple):
     joints: Held
 
     @classmethod
-    def of(cls, active: ActiveContacts, many: int, holds: Ints, memory: Memory) -> _MetContacts:
-        """Return it from the contacts of a step, behind which joints stand."""
+    def of(cls, gaps: Array, active: ActiveContacts, memory: Memory, holds: Ints) -> Self:
+        """Return the contacts of a step, behind which joints stand."""
+        many = int(memory.many[0])
         bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
         both = holds == BOTH
         joints = [rows[met:many, 0], rows[met:many][both, 1]]
         return cls(
+            gaps,
+            active.keys[:met, 0].copy(),
             active.memory[:met, 0].copy(),
             memory.contacts[:met, 1] == 1.0,
             active.materials[:met, 1] > 0.0,
@@ -168,32 +172,41 @@ class _MetContacts(NamedTuple):
             Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
         )
 
+    def deepest_of(self, body: int, pieces: int, names: Sequence[str], known: Sequence[str]) -> str:
+        """Return what a body touches the deepest; "" where it touches nothing.
+
+        Surfaces, whose names are `known`, stand behind all `pieces`.
+        """
+        mine = np.flatnonzero((self.normal.bodies == body).any(axis=1))
+        if not len(mine):
+            return ""
+        i = int(mine[np.argmin(self.levels[mine])])
+        surface = int(self.keys[i]) % (pieces + len(known)) - pieces
+        if surface >= 0:
+            return f"surface {known[surface]!r}"
+        one, other = self.normal.bodies[i].tolist()
+        return f"body {names[other if one == body else one]!r}"
+
+    def is_covered(self, body: int) -> bool:
+        """Whether a body is deeper than all that it touches: in the middle of others' pieces."""
+        mine = (self.normal.bodies == body).any(axis=1)
+        return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
+
+    def ways_out(self, body: int, near: float) -> tuple[Array, Array]:
+        """Return ways out (k, 2) of what a body is in deeper than `near`, and how far (k,)."""
+        sides, rows = self.normal.bodies == body, self.normal.rows
+        deep = sides.any(axis=1) & (self.levels < -near)
+        normals = np.where(sides[:, :1], rows[:, :2], rows[:, 3:5])
+        return normals[deep], -self.levels[deep]
+
 
 class RigidBodyRun(SteppedSystem):
-    """One run of colliding bodies: what lasts from step to step.
+    """One run of colliding bodies, whose simultaneous impacts follow a `law` (see `impact_order`).
 
-    Parameters
-    ----------
-    names, surfaces : sequence of str
-        Of the bodies, and of what they touch.
-    numbers : BodyNumbers
-    around : PrescribedMotion
-        What acts on them.
-    law : int
-        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
-    allowed : float
-        Residual of impulses that are good enough.
-    deepest : float
-        A gap that no step may close.
-    forces : bool
-        Whether somebody reads forces and accelerations.
-    start_depth : float
-        How deep bodies start in each other at most; they are kept no deeper.
-
-    Attributes
-    ----------
-    least : (n,) array
-        The least gap seen of every body; inf of one that was near nothing.
+    Impulses with the `allowed` residual are good enough. No step may close a gap of `deepest`.
+    Bodies start up to `start_depth` deep in each other, and are kept no deeper. Forces and
+    accelerations are found where `forces` are read. `least` (b,) is the least gap seen of every
+    body; inf of one that was near nothing.
     """
 
     def __init__(
@@ -214,18 +227,18 @@ class RigidBodyRun(SteppedSystem):
         self._memory = self._saved = Memory.allocate(numbers)
         # As if an impact had left them there.
         self._memory.past[2] = start_depth / LANDED
-        self._room = Workspace.of(self.numbers, self._memory)
+        self._workspace = Workspace.of(self.numbers, self._memory)
         self._allowed = allowed
         self.least = np.full(count, np.inf)
         self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
-        # What joints have added to the energy, and the most that bodies have moved with.
+        # Energy that joints have added, and the largest kinetic energy so far.
         self._added = self._moved = 0.0
         self._before = (0.0, 0.0)
-        self._unfollowed: StepTooLarge | None = None
+        self._gain_error: StepTooLarge | None = None
         self._no_ground = MissingGround(names, surfaces, numbers)
-        self._sinking = Penetration(names, numbers, start_depth)
+        self._penetration = Penetration(names, numbers, start_depth)
         # A disc about its centre of mass looks the same however it turns.
         pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
@@ -240,7 +253,7 @@ class RigidBodyRun(SteppedSystem):
         self._saved = self._saved.as_large(self._memory)
         self._memory = self._saved.copy()
         self._added, self._moved = self._before
-        self._unfollowed = None
+        self._gain_error = None
         self._around.forget()
 
     @property
@@ -249,44 +262,8 @@ class RigidBodyRun(SteppedSystem):
         least = zip(self._names, self.least.tolist(), strict=True)
         return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
 
-    def deepest_of(self, body: int) -> str:
-        """Return what a body touches the deepest since the last step; "" where that is covered."""
-        return self._deepest_met(body, self.least[body])
-
-    def _deepest_at(self, body: int, state: Array, time: float) -> str:
-        """Return what a body touches the deepest in a state."""
-        with self._looking(state, time, self._length):
-            return self._deepest_met(body, math.inf)
-
-    def _deepest_met(self, body: int, least: float) -> str:
-        # Joints stand behind the contacts.
-        count = int(self._memory.many[0]) - len(self.numbers.joints.holds)
-        active = self._room.active
-        mine = [i for i in range(count) if body in active.bodies[i].tolist()]
-        i = min(mine, key=lambda i: float(self._memory.contacts[i, 0]), default=-1)
-        # Deeper than all that it touches is what is in the middle of others' pieces.
-        if i < 0 or self._memory.contacts[i, 0] > least:
-            return ""
-        one, other = active.bodies[i].tolist()
-        pieces = len(self.numbers.pieces.sizes)
-        surface = int(active.keys[i, 0]) % (pieces + len(self.surfaces)) - pieces
-        if surface >= 0:
-            return f"surface {self.surfaces[surface]!r}"
-        return f"body {self._names[other if one == body else one]!r}"
-
-    def pushes_out(self, body: int, near: float) -> tuple[Array, Array]:
-        """Return ways out (k, 2) of what a body is in since the last step, and how far (k,).
-
-        Of what it is in deeper than `near`.
-        """
-        active, count = self._room.active, int(self._memory.many[0])
-        sides = active.bodies[:count] == body
-        deep = sides.any(axis=1) & (active.memory[:count, 0] < -near)
-        normals = np.where(sides[:, :1], active.rows[:count, 0, :2], active.rows[:count, 0, 3:5])
-        return normals[deep], -active.memory[:count, 0][deep]
-
     def depth_left(self, state: Array, time: float) -> float:
-        """Return how deep something stays, whatever moves; see `Stepped`.
+        """Return how deep something stays, whatever moves; see `SteppedSystem`.
 
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
@@ -295,41 +272,44 @@ class RigidBodyRun(SteppedSystem):
         placed[n : 2 * n] = 0.0
         known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
-            rows, held, deep = self._overlaps(placed, time)
-            if not len(deep):
+            met = self.detect(placed, time, _INSTANT * self._length)
+            deep = met.levels < 0.0
+            if not deep.any():
                 break
+            rows = met.normal.only(deep).whole(len(self._names))
             known = np.concatenate([known, rows])
-            gaps = np.concatenate([gaps, deep - rows @ (placed - state)[:n]])
-            depth, move = depth_left(gaps, known, held)
+            gaps = np.concatenate([gaps, met.levels[deep] - rows @ (placed - state)[:n]])
+            depth, move = depth_left(gaps, known, met.joints.whole(len(self._names)))
             if depth > 0.0:
                 break
             placed[:n] = state[:n] + move
         return depth if depth > 0.0 else -math.inf
 
-    def _overlaps(self, state: Array, time: float) -> tuple[Array, Array, Array]:
-        """Return rows of gaps of what overlaps, rows of joints, and these gaps."""
-        met, count = self._touched(state, time, self._length), len(self._names)
-        deep = met.levels < 0.0
-        return met.normal.only(deep).whole(count), met.joints.whole(count), met.levels[deep]
-
-    def _touched(self, state: Array, time: float, h: float) -> _MetContacts:
-        """Return what a small part of a step of `h` meets."""
-        with self._looking(state, time, h):
-            active, many = self._room.active, int(self._memory.many[0])
-            return _MetContacts.of(active, many, self.numbers.joints.holds, self._memory)
-
-    @contextmanager
-    def _looking(self, state: Array, time: float, h: float) -> Iterator[None]:
-        """Take a small part of a step of `h`, after which the run may go on from where it is."""
+    def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
+        """Return what bodies touch in a step of `h` from a state; the run goes on where it is."""
         before, around = self._memory, self._around
         self._memory, self._around = Memory.allocate(self.numbers), copy(around)
-        self._taken(time, _INSTANT * h, state, 1, math.inf)
-        yield
+        chunk, status = self._taken(time, h, state, 1, math.inf)
+        self._check_finite(chunk, status)
+        holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
+        found = DetectedContacts.of(gaps, self._workspace.active, self._memory, holds)
         self._memory, self._around = before.as_large(self._memory), around
+        return found
+
+    def _deepest_at(self, body: int, state: Array, time: float) -> str:
+        """Return what a body touches the deepest in a state."""
+        found, pieces = self.detect(state, time, _INSTANT * self._length), self.numbers.pieces
+        return found.deepest_of(body, len(pieces.sizes), self._names, self.surfaces)
+
+    def _check_finite(self, chunk: Chunk, status: int) -> None:
+        if status == NOT_FINITE and not len(chunk.codes):
+            lost = np.argwhere(~np.isfinite(self._workspace.mid.loose))[:, 0].tolist()
+            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
+            raise NonFinite(f"{what} became infinite or undefined")
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the run."""
+        """Warnings of the run."""
         found: tuple[str, ...] = ()
         if self._turned > _TURNED:
             found += (
@@ -337,9 +317,9 @@ class RigidBodyRun(SteppedSystem):
                 f"{self._length:g}, in which nothing follows how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
-        found += ratio_remarks(self._room.worst, self._names, self._allowed)
+        found += ratio_remarks(self._workspace.worst, self._names, self._allowed)
         found += self._no_ground.remarks
-        found += self._sinking.remarks(self._deepest_at)
+        found += self._penetration.remarks(self._deepest_at)
         if self._parted:
             open_too = ", or joints would not close" if len(self.numbers.joints.holds) else ""
             found += (
@@ -358,8 +338,8 @@ class RigidBodyRun(SteppedSystem):
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
             self._saved, self._before = self._memory.copy(), (self._added, self._moved)
-        if self._unfollowed is not None:
-            raise self._unfollowed
+        if self._gain_error is not None:
+            raise self._gain_error
         self._check_forces(start, h, state)
         chunk, status = self._taken(start, h, state, count, self._deepest)
         parts = iter(_PARTS)
@@ -372,17 +352,14 @@ class RigidBodyRun(SteppedSystem):
                 chunk = chunk.first(0)
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
-        if status == NOT_FINITE and not len(chunk.codes):
-            lost = np.argwhere(~np.isfinite(self._room.mid.loose))[:, 0].tolist()
-            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
-            raise NonFinite(f"{what} became infinite or undefined")
+        self._check_finite(chunk, status)
         if len(self.numbers.joints.holds):
             chunk = self._without_gain(chunk)
-            if not len(chunk.codes) and self._unfollowed is not None:
-                raise self._unfollowed
+            if not len(chunk.codes) and self._gain_error is not None:
+                raise self._gain_error
         bodies = len(self._names)
         self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
-        self._sinking.look(start, chunk)
+        self._penetration.add(start, chunk)
         self._around.passed(len(chunk.codes))
         turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
         struck = chunk.struck[:, self._angular]
@@ -407,7 +384,7 @@ class RigidBodyRun(SteppedSystem):
             return chunk
         k = int(wrong[0])
         part = float(added[k + 1] / moved[k + 1])
-        self._unfollowed = StepTooLarge(
+        self._gain_error = StepTooLarge(
             f"joints have added {part:.2g} of the most energy that bodies have moved with, where "
             f"they should add none: steps of {chunk.h:g} do not follow how what they pull at "
             f"swings; take {0.1 * chunk.h / math.sqrt(part):.1g} or less"
@@ -417,10 +394,10 @@ class RigidBodyRun(SteppedSystem):
     def _check_forces(self, start: float, h: float, state: Array) -> None:
         """Raise `StepTooLarge` where forces are too stiff for these steps."""
         inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
-        stiff = stiffness(self._around.forces, inverse, size, h, state, start)
+        stiff = self._around.forces.stiffness(inverse, size, h, state, start)
         if not stiff.most() > UNSTABLE:
             return
-        met = self._touched(state, start, h)
+        met = self.detect(state, start, _INSTANT * h)
         parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
         held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
         check_followed(stiff, self.numbers.inverse, held, h)
@@ -432,7 +409,7 @@ class RigidBodyRun(SteppedSystem):
         bodies = len(self._names)
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
         solved = 3 * bodies + joint_forces
-        # Of one step more, which is looked at.
+        # One step more, for the last detection.
         ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
@@ -445,17 +422,17 @@ class RigidBodyRun(SteppedSystem):
             some = chunk.after(done).first(step_bodies.together(count - done))
             taken, status = step_bodies(
                 self.numbers, ahead.after(done), start, done, self._law,
-                self._forces, self._memory, self._room, (self._allowed, deepest), some,
+                self._forces, self._memory, self._workspace, (self._allowed, deepest), some,
             )  # fmt: skip
             done += taken
             if status == FULL:
                 self._memory = self._memory.larger()
-                worst = self._room.worst
-                self._room = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
+                worst = self._workspace.worst
+                self._workspace = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
         chunk.states[1:, 6 * bodies :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:
-            self._no_ground.look(start, h, chunk.states, ahead.frames[1 : done + 1])
+            self._no_ground.add(start, h, chunk.states, ahead.frames[1 : done + 1])
         if self._around.count:
             chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
         return chunk, status

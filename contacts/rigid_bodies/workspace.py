@@ -40,7 +40,7 @@ class Workspace(NamedTuple):
     # (4,): what lasts: of all islands whose impulses missed what was allowed, that with the largest
     # ratio of masses: this ratio, its lightest and its heaviest body, the residual.
     worst: Array
-    earlier: Memory  # What was remembered before the last step.
+    earlier: Memory  # The memory before the last step.
     # (2,): the part of the energy of motion that joints add in a step, for which no impulses were
     # found that close them; and 1 where it can be taken in parts.
     apart: Array

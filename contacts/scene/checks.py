@@ -6,16 +6,25 @@ import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.joints import Path
-from contacts.scene.parts import Point, Surface
-from contacts.scene.shapes import INDEX, Shape
+from contacts.scene.parts import Surface
+from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
-from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, check_named_infinity, check_names, value_of
-from statechart.errors import DeclarationProblem, Findings, close_matches
-from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
+from statechart.documents.fields import (
+    PIECES,
+    FormulaText,
+    check_derived,
+    check_named_infinity,
+    check_names,
+    check_smooth,
+    value_of,
+)
+from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.tree import names_in
 
@@ -31,25 +40,85 @@ _PULLED = "write a force on the body, or let the ground move"
 _CONSTANT = "write a formula of parameters"
 
 
-def check_misplaced_names(
-    scene: SceneFields, formula: Formula, known: Collection[str], *loc: str | int
-) -> None:
-    """Refuse names that a formula cannot use where it stands, with what stands in for them.
+def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
+    """Yield the formulas of a part of a scene, and where they stand: what its units measure."""
+    for name, info in type(part).model_fields.items():
+        yield from _formulas_in(
+            getattr(part, name), (*loc, name), isinstance(info.json_schema_extra, dict)
+        )
 
-    Raises
-    ------
-    DeclarationProblem
-        At a control, what a controller remembers, the number of a copy, or what changes along a
-        run where nothing does.
-    """
-    for node in names_in(formula.root):
-        if node.name in known:
-            continue
-        what, advice = _reason(scene, node.name, known, loc)
-        if advice:
-            raise DeclarationProblem(
-                f"{node.name!r}: {what}", advice=advice, loc=loc, offset=node.offset
-            )
+
+def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, FormulaText]]:
+    match value:
+        case Path():
+            # Declared as a list or as a mapping: what it is not is skipped.
+            for place, axis in enumerate(("x", "y")):
+                yield from _formulas_in(getattr(value, axis), (*loc, place, axis), True)
+        case BaseModel():
+            yield from formulas(value, loc)
+        case Mapping():
+            for key, item in value.items():
+                yield from _formulas_in(item, (*loc, key), measured)
+        case list() | tuple():
+            for place, item in enumerate(value):
+                # A single shape is declared as itself.
+                single = loc[-1] == "shape" and len(value) == 1
+                yield from _formulas_in(item, loc if single else (*loc, place), measured)
+        case str() | int() | float() if measured and not isinstance(value, bool):
+            yield loc, value
+
+
+_SECTIONS = frozenset(
+    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "forces", "collisions")
+)
+
+
+def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
+    """Yield the formulas of bodies and what they touch, and where they stand."""
+    return ((loc, text) for loc, text in formulas(scene) if loc[0] in _SECTIONS)
+
+
+def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
+    """Return the names that the formula at a place may use."""
+    parameters = frozenset(scene.parameters)
+    section, name, key, *_ = (*map(str, loc), "", "")
+    match section, key:
+        case "bodies", "angle" | "position":
+            return parameters | {*scene.coordinates}
+        case "bodies", "start" if scene.bodies[name].copies is not None:
+            return parameters | {INDEX}
+        case "surfaces", "height":
+            return parameters | {"x"}
+        case ("surfaces", "displacement" | "turn") | ("joints", "to") if loc[-1] != "at":
+            # What controllers remember moves what shapes touch, and what holds them.
+            if section == "surfaces" or loc[-1] in ("x", "y"):
+                return parameters | {TIME, *(scene.controlled.memory if scene.collisions else ())}
+        case "contacts", "friction" | "restitution":
+            return parameters | {*scene.controls}
+        case "forces", "force" | "moment":
+            # Of a body with copies they may use what each of them is at.
+            copied = scene.bodies.get(scene.forces[name].body)
+            own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
+            return scene.kinematic_names | {*scene.controls, *own, *map(scene.rate_name, own)}
+    return parameters
+
+
+def check_formulas(scene: SceneFields, found: Findings) -> None:
+    """Check that formulas use names that mean something where they stand."""
+    for loc, text in scene_formulas(scene):
+        with found:
+            known, formula = names_for(scene, loc), parse(text)
+            for node in names_in(formula.root):
+                if node.name not in known:
+                    # Those that a formula cannot use where it stands are told what to write.
+                    what, advice = _reason(scene, node.name, known, loc)
+                    if advice:
+                        raise DeclarationProblem(
+                            f"{node.name!r}: {what}", advice=advice, loc=loc, offset=node.offset
+                        )
+            check_names(formula, known, *loc)
+            if loc[0] == "contacts" and loc[-1] in ("friction", "restitution"):
+                scene.controlled.check_coefficient(text, scene.parameters, *loc)
 
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
@@ -86,91 +155,119 @@ def _changing(scene: SceneFields) -> Collection[str]:
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
-def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check masses, inertias, friction, restitution, radii and inclines.
+class Limit(NamedTuple):
+    """Least and greatest value of a formula, and the sentence where it is beyond."""
 
-    Raises
-    ------
-    DeclarationProblem
-        At the first that is out of its bounds.
-    """
-    found = Findings()
+    loc: Loc
+    text: FormulaText
+    least: float
+    most: float
+    words: str = "must be zero or positive, not {:g}"
+    advice: str = ""
+    shown: tuple[FormulaText, ...] = ()  # Formulas whose values the sentence tells, if not its own
+
+
+_MOST = sys.float_info.max
+_POSITIVE = math.ulp(0.0), _MOST, "must be positive, not {:g}"
+# Beyond these masses energies are no floats, or the round-off of forces.
+_MASSES = "must be between 1e-280 and 1e+300, not {:g}"
+_LIGHT = 1e-280, _MOST, _MASSES, "take smaller units"
+_HEAVY = 0.0, 1e300, _MASSES, "take larger units"
+# Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
+_RIGHT_ANGLE = math.nextafter(math.pi / 2, math.inf)
+_INCLINES = (
+    -_RIGHT_ANGLE,
+    _RIGHT_ANGLE,
+    "an incline of {:g} is beyond a right angle",
+    "angles are in radians: {:g}*pi/180; a ceiling is a line",
+)
+
+
+def limits(scene: SceneFields) -> Iterator[Limit]:
+    """Yield the limits of masses, inertias, friction, restitution, radii and inclines."""
     for name, body in scene.bodies.items():
-        with found:
-            at = ("bodies", name, "mass")
-            _bounded(values, body.mass, at, "positive", positive=True)
-            _weighed(values, body.mass, at)
-        with found:
-            if body.inertia is not None:
-                _bounded(values, body.inertia, ("bodies", name, "inertia"), "zero or positive")
+        at: Loc = ("bodies", name)
+        yield Limit((*at, "mass"), body.mass, *_POSITIVE)
+        yield Limit((*at, "mass"), body.mass, *_LIGHT)
+        yield Limit((*at, "mass"), body.mass, *_HEAVY)
+        if body.inertia is not None:
+            yield Limit((*at, "inertia"), body.inertia, 0.0, _MOST)
+        for place, shape in enumerate(body.shape):
+            if shape.disc is not None:
+                several = (place,) if len(body.shape) > 1 else ()
+                yield Limit((*at, "shape", *several, "disc"), shape.disc, *_POSITIVE)
     for name, surface in scene.surfaces.items():
-        with found:
-            if surface.radius is not None:
-                at = ("surfaces", name, "radius")
-                _bounded(values, surface.radius, at, "positive", positive=True)
-        with found:
-            if surface.incline is not None:
-                _within_right_angle(values, surface.incline, ("surfaces", name, "incline"))
+        if surface.radius is not None:
+            yield Limit(("surfaces", name, "radius"), surface.radius, *_POSITIVE)
+        if surface.incline is not None:
+            yield Limit(("surfaces", name, "incline"), surface.incline, *_INCLINES)
     for name, contact in scene.contacts.items():
-        with found:
-            if contact.radius is not None:
-                _within_its_circle(scene, values, name)
-        for key, words, most in (
-            ("friction", "zero or positive", math.inf),
-            ("restitution", "between 0 and 1", 1.0),
-        ):
-            text: FormulaText | None = getattr(contact, key)
-            if text is None:
-                continue
-            region = scene.controlled.region_of(text)
-            for state, seen in scene.controlled.seen_in_states(text, values, Formula.value):
+        at, surface = ("contacts", name), scene.surfaces[contact.surface]
+        if contact.radius is not None:
+            yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
+            if surface.hollow:
+                yield Limit(
+                    (*at, "radius"),
+                    f"({surface.radius}) - ({contact.radius})",
+                    math.ulp(0.0),
+                    _MOST,
+                    "a disc of radius {:g} does not roll in a circle of radius {:g}",
+                    "the circle has to be the larger one",
+                    (contact.radius, surface.radius or 0),
+                )
+    for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
+        for name, law in laws.items():
+            if law.friction is not None:
+                yield Limit((section, name, "friction"), law.friction, 0.0, math.inf)
+            if law.restitution is not None:
+                words = "must be between 0 and 1, not {:g}"
+                yield Limit((section, name, "restitution"), law.restitution, 0.0, 1.0, words)
+
+
+def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
+    """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
+    found = Findings()
+    wrong: set[Loc] = set()
+    for loc, text, least, most, words, advice, shown in limits(scene):
+        region = scene.controlled.region_of(text)
+        for state, seen in scene.controlled.seen_in_states(text, values, Formula.value):
+            with found:
+                value = value_of(text, seen, *loc)
+                if least <= value <= most or loc in wrong:
+                    continue
+                wrong.add(loc)
+                if not math.isfinite(value):
+                    words = "must be finite, not {:g}"
                 where = f" in state {state!r} of {region!r}" if state else ""
-                at, infinite = ("contacts", name, key), key == "friction"
-                with found:
-                    _bounded(seen, text, at, words + where, most=most, infinite=infinite)
+                numbers = [value_of(formula, seen, *loc) for formula in shown] or [value]
+                raise DeclarationProblem(
+                    words.replace(",", where + ",", 1).format(*numbers),
+                    advice=advice.format(value),
+                    loc=loc,
+                )
+    for name, body in scene.bodies.items():
+        for place, shape in enumerate(body.shape):
+            with found:
+                if shape.polygon is None:
+                    continue
+                corners = [[parse(text).value(values) for text in c] for c in shape.polygon]
+                try:
+                    check_polygon([(x, y) for x, y in corners])
+                except DeclarationProblem as problem:
+                    several = (place,) if len(body.shape) > 1 else ()
+                    problem.loc = ("bodies", name, "shape", *several, "polygon", *problem.loc)
+                    raise
     found.check()
 
 
-def physical_limits(scene: SceneFields) -> list[tuple[FormulaText, float, float]] | None:
-    """Return what `check_physical` looks at, each with bounds between which it is surely right.
-
-    None where states of controllers set some of it.
-    """
-    most = sys.float_info.max
-    found: list[tuple[FormulaText, float, float]] = []
-    for body in scene.bodies.values():
-        found.append((body.mass, *_MASSES))
-        found += [(body.inertia, 0.0, most)] if body.inertia is not None else []
-    for surface in scene.surfaces.values():
-        found += [(surface.radius, math.ulp(0.0), most)] if surface.radius is not None else []
-        found += [(surface.incline, -1.5, 1.5)] if surface.incline is not None else []
-    for contact in scene.contacts.values():
-        surface = scene.surfaces[contact.surface]
-        if contact.radius is not None:
-            found.append((contact.radius, math.ulp(0.0), most))
-        if contact.radius is not None and surface.hollow:
-            found.append((f"({surface.radius}) - ({contact.radius})", math.ulp(0.0), most))
-        for text, last in ((contact.friction, math.inf), (contact.restitution, 1.0)):
-            if scene.controlled.region_of(text) is not None:
-                return None
-            found += [(text, 0.0, last)] if text is not None else []
-    return found
-
-
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check that places, gravity and the initial state are finite, and that lines have two ends.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first formula that has no finite value.
-    """
-    for loc, text in _places(scene):
-        if not parse(text).names <= values.keys():
-            # A start that uses the number of a copy.
+    """Check that formulas of parameters alone are finite, and that lines have two ends."""
+    for loc, text in scene_formulas(scene):
+        # Of a start that uses the number of a copy each body's own number decides.
+        if loc[-1] == "friction" or not parse(text).names <= values.keys():
             continue
         value = value_of(text, values, *loc)
-        if math.isinf(value):
+        if not math.isfinite(value):
             raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)
     for name, surface in scene.surfaces.items():
         for form in ("line", "edge"):
@@ -185,51 +282,8 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
                     )
 
 
-def _pair(texts: Sequence[FormulaText], *loc: str | int) -> Iterator[tuple[Loc, FormulaText]]:
-    yield from (((*loc, index), text) for index, text in enumerate(texts))
-
-
-def _places(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
-    """Yield the formulas of parameters alone, and where they stand."""
-    if isinstance(scene.gravity, tuple):
-        yield from _pair(scene.gravity, "gravity")
-    else:
-        yield ("gravity",), scene.gravity
-    for name, coordinate in scene.coordinates.items():
-        yield ("coordinates", name, "start"), coordinate.start
-        yield ("coordinates", name, "rate"), coordinate.rate
-    for name, body in scene.bodies.items():
-        for key, text in body.start.items():
-            yield ("bodies", name, "start", key), text
-    for name, surface in scene.surfaces.items():
-        at = ("surfaces", name)
-        if surface.incline is not None:
-            yield (*at, "incline"), surface.incline
-            yield from _pair(surface.through, *at, "through")
-        for form in ("line", "edge"):
-            for index, end in enumerate(getattr(surface, form) or ()):
-                yield from _pair(end, *at, form, index)
-        yield from _pair(surface.circle or (), *at, "circle")
-    for name, contact in scene.contacts.items():
-        yield from _pair(contact.point.at, "contacts", name, "point", "at")
-        if contact.radius is not None:
-            yield ("contacts", name, "radius"), contact.radius
-    for name, joint in scene.joints.items():
-        yield from _pair(joint.point.at, "joints", name, "point", "at")
-        if isinstance(joint.to, Point):
-            yield from _pair(joint.to.at, "joints", name, "to", "at")
-    for name, force in scene.forces.items():
-        yield from _pair(force.at, "forces", name, "at")
-
-
 def check_rim(surface: Surface, loc: Loc) -> None:
-    """Check that a disc touches a surface where there is a formula for it.
-
-    Raises
-    ------
-    DeclarationProblem
-        Where it does not.
-    """
+    """Check that a disc touches a surface where there is a formula for it."""
     if surface.height is not None and "x" in parse(surface.height).names:
         raise DeclarationProblem(
             "where a disc touches a height that depends on x there is no formula for",
@@ -245,73 +299,11 @@ def check_rim(surface: Surface, loc: Loc) -> None:
         )
 
 
-def _within_its_circle(scene: SceneFields, values: Mapping[str, float], name: str) -> None:
-    contact = scene.contacts[name]
-    assert contact.radius is not None
-    at = ("contacts", name, "radius")
-    _bounded(values, contact.radius, at, "positive", positive=True)
-    surface = scene.surfaces[contact.surface]
-    if surface.hollow and surface.radius is not None:
-        disc, circle = (value_of(text, values, *at) for text in (contact.radius, surface.radius))
-        if not disc < circle:
-            raise DeclarationProblem(
-                f"a disc of radius {disc:g} does not roll in a circle of radius {circle:g}",
-                advice="the circle has to be the larger one",
-                loc=at,
-            )
-
-
-def _within_right_angle(
-    values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]
-) -> None:
-    value = value_of(text, values, *loc)
-    # Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
-    if abs(value) > math.nextafter(math.pi / 2, math.inf):
-        raise DeclarationProblem(
-            f"an incline of {value:g} is beyond a right angle",
-            advice=f"angles are in radians: {value:g}*pi/180; a ceiling is a line",
-            loc=loc,
-        )
-
-
-def _bounded(
-    values: Mapping[str, float],
-    text: FormulaText,
-    loc: tuple[str, ...],
-    words: str,
-    *,
-    most: float = math.inf,
-    positive: bool = False,
-    infinite: bool = False,
-) -> None:
-    value = value_of(text, values, *loc)
-    within = 0.0 <= value <= most and not (positive and value == 0.0)
-    if not within or (math.isinf(value) and not infinite):
-        words = words if math.isfinite(value) else "finite"
-        raise DeclarationProblem(f"must be {words}, not {value:g}", loc=loc)
-
-
-# Beyond these energies are no floats, or the round-off of forces.
-_MASSES = (1e-280, 1e300)
-
-
-def _weighed(values: Mapping[str, float], text: FormulaText, loc: tuple[str, ...]) -> None:
-    value, (least, most) = value_of(text, values, *loc), _MASSES
-    if not least <= value <= most:
-        raise DeclarationProblem(
-            f"must be between {least:g} and {most:g}, not {value:g}",
-            advice=f"take {'larger' if value > most else 'smaller'} units",
-            loc=loc,
-        )
-
-
 _SURFACES = (
     "declare a surface and a contact for each smooth piece: that is all for the higher of them "
     "(max, abs); for the lower (min) each with enabled: a relation that holds on its side"
 )
 _SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth formula"
-
-Text = str | int | float
 
 
 def check_kinks(scene: SceneFields) -> None:
@@ -319,17 +311,16 @@ def check_kinks(scene: SceneFields) -> None:
 
     Forces, and what controllers set them to, are smooth as long as a state lasts; derivatives are
     not too large to be built.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first that has not.
     """
-    for loc, text, variables in _differentiated(scene):
-        ground = loc[-1] == "height"
-        advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
-        check_smooth(text, variables, loc=loc, lacks=lacks, advice=advice, roots=ground)
-        check_derived(parse(text).root, variables, loc)
+    for loc, text in scene_formulas(scene):
+        if loc[0] not in ("surfaces", "joints") and loc[2:3] not in (("position",), ("angle",)):
+            continue
+        variables = names_for(scene, loc) - {*scene.parameters, *scene.controlled.memory}
+        if variables:
+            ground = loc[-1] == "height"
+            advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
+            check_smooth(text, variables, loc=loc, lacks=lacks, advice=advice, roots=ground)
+            check_derived(parse(text).root, variables, loc)
     changing, texts = _forces(scene)
     for loc, text in texts:
         # Guards of controllers are derived along the motion, twice.
@@ -338,16 +329,16 @@ def check_kinks(scene: SceneFields) -> None:
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
 
 
-def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, Text]]]:
+def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
     """Return the names that change as the scene flows, and the formulas of its forces."""
-    found: list[tuple[Loc, Text]] = []
+    found: list[tuple[Loc, FormulaText]] = []
     for name, force in scene.forces.items():
         found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
         found.append((("forces", name, "moment"), force.moment))
     used = set[str]().union(*(parse(text).names for _, text in found))
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
-    values: dict[str, list[tuple[Loc, Text]]] = {
+    values: dict[str, list[tuple[Loc, FormulaText]]] = {
         name: [(("controls", name), text)] for name, text in controls.declared.items()
     }
     for _, _, name, text, at in controls.sets():
@@ -362,26 +353,6 @@ def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, Text]]
     return changing, found
 
 
-def _differentiated(
-    scene: SceneFields,
-) -> Iterator[tuple[Loc, Text, Collection[str]]]:
-    """Yield where a formula stands, it, and the names that it is differentiated by."""
-    for name, surface in scene.surfaces.items():
-        if surface.height is not None:
-            yield ("surfaces", name, "height"), surface.height, ("x",)
-        for place, text in enumerate(surface.displacement):
-            yield ("surfaces", name, "displacement", place), text, (TIME,)
-        yield ("surfaces", name, "turn"), surface.turn, (TIME,)
-    for name, joint in scene.joints.items():
-        if isinstance(joint.to, Path):
-            for place, axis in enumerate(("x", "y")):
-                yield ("joints", name, "to", place, axis), getattr(joint.to, axis) or 0, (TIME,)
-    for name, body in scene.bodies.items():
-        for place, text in enumerate(body.position or ()):
-            yield ("bodies", name, "position", place), text, scene.coordinates
-        yield ("bodies", name, "angle"), body.angle or 0, scene.coordinates
-
-
 _Corner = tuple[float, float]
 _Corners = Sequence[_Corner]
 
@@ -394,10 +365,7 @@ _WHAT = "a polygon is convex, its corners counter-clockwise"
 def check_polygon(corners: _Corners) -> None:
     """Check that corners are those of a convex polygon, counter-clockwise.
 
-    Raises
-    ------
-    DeclarationProblem
-        With the number of the corner as its place, where one is wrong.
+    The place of the problem is the number of the corner that is wrong.
     """
     _check_places(corners)
     _check_crossings(corners)
@@ -518,13 +486,7 @@ def _place(corner: _Corner) -> str:
 
 
 def check_copies(scene: SceneFields) -> None:
-    """Check what copies of bodies need.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first thing that is missing.
-    """
+    """Check what copies of bodies need."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
         raise DeclarationProblem(
             f"{INDEX!r} is the number of a copy", loc=("parameters", INDEX), key=True
@@ -532,7 +494,6 @@ def check_copies(scene: SceneFields) -> None:
     for name, body in scene.bodies.items():
         if body.copies is None:
             continue
-        check_names(parse(body.copies), scene.parameters, "bodies", name, "copies")
         taken = [n for n in scene.bodies if n.startswith(name) and n[len(name) :].isdecimal()]
         if taken:
             raise DeclarationProblem(
@@ -551,13 +512,7 @@ def check_copies(scene: SceneFields) -> None:
 
 
 def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
-    """Check that what carries a surface is one body.
-
-    Raises
-    ------
-    DeclarationProblem
-        If it has copies.
-    """
+    """Check that a surface is carried by one body, not by copies."""
     if body in scene.bodies and scene.bodies[body].copies is not None:
         raise DeclarationProblem(
             f"one body carries a surface, and {body!r} has copies",
@@ -566,15 +521,8 @@ def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
         )
 
 
-def check_collisions(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check the collisions of a scene.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first thing that is wrong.
-    """
-    check_shapes(scene, values)
+def check_collisions(scene: SceneFields) -> None:
+    """Check what collisions need, and exclude."""
     if not scene.collisions:
         return
     absent = {
@@ -640,60 +588,3 @@ def _check_memory(scene: SceneFields) -> None:
                         advice="let it depend on time, controls and variables",
                         loc=(*at, "flows", variable),
                     )
-
-
-def check_shapes(scene: SceneFields, values: Mapping[str, float]) -> None:
-    """Check the numbers of shapes and collisions for `values` of the parameters.
-
-    Raises
-    ------
-    DeclarationProblem
-        At the first that is out of its bounds.
-    """
-    for name, body in scene.bodies.items():
-        for place, shape in enumerate(body.shape):
-            at = ("bodies", name, "shape", *((place,) if len(body.shape) > 1 else ()))
-            _check_shape(scene, at, shape, values)
-    for name, collision in scene.collisions.items():
-        at = ("collisions", name)
-        for key, most in (("friction", math.inf), ("restitution", 1.0)):
-            text = getattr(collision, key)
-            _check_names(scene, text, *at, key)
-            value = value_of(text, values, *at, key)
-            if not 0.0 <= value <= most:
-                raise DeclarationProblem(
-                    f"must be between 0 and {most:g}, not {value:g}", loc=(*at, key)
-                )
-
-
-def _check_shape(scene: SceneFields, at: Loc, shape: Shape, values: Mapping[str, float]) -> None:
-    if shape.disc is not None:
-        places: list[tuple[FormulaText, Loc]] = [(shape.disc, (*at, "disc"))]
-        places += [(text, (*at, "at", axis)) for axis, text in enumerate(shape.at)]
-        for text, loc in places:
-            _check_names(scene, text, *loc)
-            _check_finite(text, values, loc)
-        if not (radius := parse(shape.disc).value(values)) > 0.0:
-            raise DeclarationProblem(f"must be positive, not {radius:g}", loc=(*at, "disc"))
-        return
-    assert shape.polygon is not None
-    for place, corner in enumerate(shape.polygon):
-        for axis, text in enumerate(corner):
-            loc = (*at, "polygon", place, axis)
-            _check_names(scene, text, *loc)
-            _check_finite(text, values, loc)
-    try:
-        check_polygon([(parse(x).value(values), parse(y).value(values)) for x, y in shape.polygon])
-    except DeclarationProblem as problem:
-        problem.loc = (*at, "polygon", *problem.loc)
-        raise
-
-
-def _check_names(scene: SceneFields, text: FormulaText, *loc: str | int) -> None:
-    check_misplaced_names(scene, parse(text), scene.parameters, *loc)
-    check_names(parse(text), scene.parameters, *loc)
-
-
-def _check_finite(text: FormulaText, values: Mapping[str, float], loc: Loc) -> None:
-    if not math.isfinite(value := value_of(text, values, *loc)):
-        raise DeclarationProblem(f"must be finite, not {value:g}", loc=loc)

@@ -14,7 +14,6 @@ from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
-    Loc,
     declared_transitions,
     nested,
 )
@@ -26,7 +25,7 @@ from statechart.documents.fields import (
     check_names,
     unit,
 )
-from statechart.errors import DeclarationProblem, close_matches, undeclared
+from statechart.errors import DeclarationProblem, Loc, close_matches, undeclared
 from statechart.formulas.formula import Formula, parse
 
 Value = TypeVar("Value")
@@ -83,7 +82,7 @@ class Controller(ControlRegion):
 
 @dataclass(frozen=True)
 class Controls:
-    """What the controllers of a scene set."""
+    """Controls of a scene, and the controllers that set them."""
 
     declared: Mapping[str, FormulaText]  # Control -> its value where no state sets it
     regions: Mapping[str, Controller]  # Name -> controller
@@ -102,10 +101,7 @@ class Controls:
     def order(self) -> tuple[str, ...]:
         """Controls, each after those that its formulas use.
 
-        Raises
-        ------
-        CycleError
-            If they depend on each other in a circle.
+        Raises `CycleError` if they depend on each other in a circle.
         """
         uses = {
             control: [
@@ -206,13 +202,7 @@ class Controls:
             yield state, {**known, **{name: value(parse(sets[name]), known) for name in used}}
 
     def check(self, known: Collection[str]) -> None:
-        """Check that each control is set by one region, by formulas over `known` and controls.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that is not.
-        """
+        """Check that each control is set by one region, by formulas over `known` and controls."""
         owners: dict[str, tuple[str, str, Loc]] = {}
         names = {*known, *self.declared}
         for control, text in self.declared.items():
@@ -266,13 +256,7 @@ class Controls:
             ) from None
 
     def check_memory(self, known: Collection[str]) -> None:
-        """Check that regions change variables of their own, by formulas over `known`.
-
-        Raises
-        ------
-        DeclarationProblem
-            At the first that is not so.
-        """
+        """Check that regions change variables of their own, by formulas over `known`."""
         for name, region in self.regions.items():
             changes: list[tuple[Mapping[str, FiniteText], Loc, Collection[str]]] = []
             for state, at in self.states(name):
@@ -298,13 +282,7 @@ class Controls:
     def check_coefficient(
         self, text: FormulaText, parameters: Collection[str], *loc: str | int
     ) -> None:
-        """Check that a coefficient of a contact is constant in every state of one region.
-
-        Raises
-        ------
-        DeclarationProblem
-            If it is not.
-        """
+        """Check that a coefficient of a contact is constant in every state of one region."""
         check_names(parse(text), {*parameters, *self.declared}, *loc)
         # A control that no state sets is refused by `check`.
         used = [control for control in self.owners if control in parse(text).names]

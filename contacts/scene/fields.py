@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
-from contacts.scene.joints import Force, Joint
+from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
     Contact,
@@ -58,9 +58,20 @@ Gravity = Annotated[
 
 
 class SceneFields(Declaration):
-    """What a scene declares, before it is checked (see `contacts.scene.scene.Scene`)."""
+    """Keys of a scene, before it is checked (see `contacts.scene.scene.Scene`)."""
 
-    OTHER_WORDS: ClassVar = {"g": "gravity", "body": "bodies"}
+    OTHER_WORDS: ClassVar = {
+        "g": "gravity",
+        "body": "bodies",
+        **dict.fromkeys(
+            ("spring", "springs"), "forces: {spring: {body: rod, force: [-k*rod.x, 0]}}"
+        ),
+        **dict.fromkeys(
+            ("motor", "motors"), "forces: {motor: {body: arm, moment: M}}, or controls and regions"
+        ),
+        **JOINT_WORDS,
+        **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
+    }
 
     kind: Literal["scene"] = Field(
         default="scene", description="What is declared.", examples=["scene"]
@@ -344,10 +355,7 @@ class SceneFields(Declaration):
 def copies(scene: SceneFields, values: Mapping[str, float]) -> dict[str, int | None]:
     """Return how many copies there are of every body; None where it is declared as one.
 
-    Raises
-    ------
-    DeclarationProblem
-        If a number of copies is not whole, or too large.
+    Raises `DeclarationProblem` if a number of copies is not whole, or too large.
     """
     found: dict[str, int | None] = {}
     for name, body in scene.bodies.items():

@@ -10,12 +10,22 @@ from contacts.scene.parts import Pair, Point
 from statechart.documents.fields import FiniteText, Part, unit
 from statechart.errors import DeclarationProblem
 
+JOINT_WORDS = {
+    **dict.fromkeys(
+        ("hinge", "pin", "revolute", "pivot"), "joints: {NAME: {point: {body: arm}, to: [0, 0]}}"
+    ),
+    "weld": "one body: of several shapes, or with the masses of both",
+}
+"""What joints are called elsewhere."""
+
 
 class Force(Part):
     """A force on a point of a body, or a moment on it."""
 
     OTHER_WORDS: ClassVar = {
         "torque": "moment",
+        **dict.fromkeys(("stiffness", "spring", "k"), "force: [-k*rod.x, 0]"),
+        **dict.fromkeys(("damping", "c"), "force: [-c*rod.dx, 0]"),
         "fx": "force: [fx, fy]",
         "fy": "force: [fx, fy]",
     }
@@ -104,6 +114,15 @@ class Joint(Part):
     It turns freely. A path without time is a fixed pivot; one with time drives the point. A path
     with one component holds that one only.
     """
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(
+            ("friction", "damping"), "a moment among the forces: {body: arm, moment: -c*arm.dangle}"
+        ),
+        **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
+        "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
+        **JOINT_WORDS,
+    }
 
     point: Point = Field(
         description="The point that is held.", examples=[{"body": "arm", "at": ["-L", 0]}]

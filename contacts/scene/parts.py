@@ -1,4 +1,4 @@
-"""What a scene is made of: coordinates, bodies, surfaces, contacts."""
+"""Parts of a scene: coordinates, bodies, surfaces, contacts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
+from contacts.scene.shapes import INDEX, LAW_WORDS, SOFT, Shapes
 from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
@@ -72,7 +72,16 @@ class Body(Part):
     the scene's coordinates.
     """
 
-    OTHER_WORDS: ClassVar = {"m": "mass", "I": "inertia", "velocity": "start: {dx: ..., dy: ...}"}
+    OTHER_WORDS: ClassVar = {
+        "m": "mass",
+        "I": "inertia",
+        "velocity": "start: {dx: ..., dy: ...}",
+        **dict.fromkeys(
+            ("static", "fixed", "immovable"), "surfaces: {floor: {height: 0}}, as a body moves"
+        ),
+        "kinematic": "a surface with a displacement or a turn in time, which is no body",
+        "density": "mass, and inertia: of a disc m*r**2/2, of a box m*(width**2 + height**2)/12",
+    }
 
     mass: FormulaText = Field(
         description="Above 0.", examples=["m"], json_schema_extra=unit("mass")
@@ -173,7 +182,7 @@ class Body(Part):
 
 
 class Surface(Part):
-    """What bodies may touch: a height function, an incline, a straight line, an edge, a circle.
+    """Ground or wall: a height function, an incline, a straight line, an edge, a circle.
 
     The normal is to the left of the line's direction, the solid to its right: a ground goes from
     left to right. A surface may be carried by a body, or displaced and turned in time.
@@ -303,7 +312,7 @@ def _as_list(value: Any) -> Any:
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius"}
+    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "stiffness": SOFT, "damping": SOFT}
 
     point: Point = Field(
         description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]
@@ -318,7 +327,8 @@ class Contact(Part):
     surface: str = Field(description="What it may touch.", examples=["floor"])
     modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(
         default=(Free(), Slide(), Pin()),
-        description="Those that it may take, of free, slide and pin.",
+        description="Those that it may take, of free, slide and pin: all where not given, but no "
+        "pin without friction.",
         examples=[["slide", "pin"]],
     )
     friction: FormulaText | None = Field(
@@ -351,11 +361,18 @@ class Contact(Part):
     @property
     def kinds(self) -> frozenset[str]:
         """The modes' names."""
-        return frozenset(mode.mode for mode in self.modes)
+        return frozenset(mode.mode for mode in self.allowed)
+
+    @property
+    def allowed(self) -> tuple[ContactMode, ...]:
+        """The modes; a contact without friction that lists none has no pin."""
+        if self.frictionless and "modes" not in self.model_fields_set:
+            return tuple(mode for mode in self.modes if not isinstance(mode, Pin))
+        return self.modes
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        if len(self.kinds) != len(self.modes):
+        if len({mode.mode for mode in self.modes}) != len(self.modes):
             raise DeclarationProblem(
                 "a mode is listed twice", advice="list each once", loc=("modes",)
             )
@@ -397,7 +414,7 @@ class Contact(Part):
     def frictionless(self) -> bool:
         """Whether no force acts along the surface: friction is the number 0, or it only bounces."""
         if self.friction is None:
-            return self.kinds == {"free"}
+            return {mode.mode for mode in self.modes} == {"free"}
         return _is_zero(self.friction)
 
 

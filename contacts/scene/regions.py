@@ -45,7 +45,7 @@ def states(contact: Contact, *, gate: str) -> tuple[str, ...]:
     """
     sliding = ("slide",) if contact.frictionless else ("slide+", "slide-")
     per_mode = {"free": ("free",), "slide": sliding, "pin": ("pin",)}
-    own = tuple(state for mode in contact.modes for state in per_mode[mode.mode])
+    own = tuple(state for mode in contact.allowed for state in per_mode[mode.mode])
     return (*own, OFF) if gate else own
 
 
@@ -64,7 +64,7 @@ def region(
     Its quantities, and the margins that take it off (`gates`) and bring it `back`, are asked for
     when a state is built. Its transitions are `arrows` (see `edges`), its `gate` is `Scene.gate`.
     """
-    modes = {mode.mode: mode for mode in contact.modes}
+    modes = {mode.mode: mode for mode in contact.allowed}
 
     def build(role: Role) -> State:
         if role.state == OFF:

@@ -13,25 +13,21 @@ from contacts.scene.checks import (
     check_collisions,
     check_copies,
     check_finite,
+    check_formulas,
     check_kinks,
-    check_misplaced_names,
     check_physical,
     check_rim,
 )
 from contacts.scene.fields import SceneFields, copies
-from contacts.scene.joints import Path
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
-from contacts.scene.shapes import INDEX
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
-from statechart.documents.document import Loc
-from statechart.documents.fields import FormulaText, check_names, check_relation, value_of
+from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
-from statechart.documents.uses import check_uses
-from statechart.errors import DeclarationProblem, Findings
+from statechart.errors import DeclarationProblem, Findings, Loc
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import parse_relation
 
@@ -89,7 +85,6 @@ class Scene(SceneFields):
                 check_names(parse(text), self.parameters, *loc)
                 if not math.isfinite(value_of(text, values, *loc)):
                     raise DeclarationProblem("must be finite", loc=loc)
-        check_collisions(self, values)
 
     @model_validator(mode="after")
     def _names_are_apart(self) -> Self:
@@ -102,40 +97,29 @@ class Scene(SceneFields):
                 if used in declared:
                     raise _twice(used, loc, declared[used], " for the coordinate")
             declared |= dict.fromkeys((name, self.rate_name(name)), loc)
-        sections: dict[str, Iterable[str]] = {
-            "contacts": self.contacts,
-            "joints": self.joints,
-            "bodies": self.bodies,
-            "controls": self.controls,
-        }
-        found: list[Loc] = [(section, name) for section in sections for name in sections[section]]
-        found += [
-            ("regions", region, "variables", name)
-            for region, controller in self.regions.items()
-            for name in controller.variables
-        ]
-        others: dict[str, Loc] = {}
-        for loc in found:
-            name = str(loc[-1])
-            before = declared.get(name, others.get(name) if len(loc) > 2 else None)
-            if before is not None:
-                raise _twice(name, loc, before)
-            others.setdefault(name, loc)
-        taken = dict.fromkeys(self.bodies, ("body", "bodies"))
-        for section, names in {**sections, "regions": self.regions}.items():
-            if section == "bodies":
-                continue
-            for name in names:
-                if name in taken:
-                    one, of = taken[name]
+        things: dict[str, str] = {}  # Name -> its section
+        for section in ("bodies", "contacts", "joints", "controls", "regions"):
+            for name in getattr(self, section):
+                if name in declared and section != "regions":
+                    raise _twice(name, (section, name), declared[name])
+                if name in things:
+                    one = "body" if things[name] == "bodies" else things[name][:-1]
                     raise DeclarationProblem(
                         f"{name!r} is a {one} already, {{see}}",
                         advice=f"choose another name for the {section[:-1]}",
                         loc=(section, name),
                         key=True,
-                        see=(of, name),
+                        see=(things[name], name),
                     )
-            taken |= dict.fromkeys(names, (section[:-1], section))
+                things[name] = section
+        for region, controller in self.regions.items():
+            for name in controller.variables:
+                loc = ("regions", region, "variables", name)
+                if things.get(name, "regions") != "regions":
+                    declared.setdefault(name, (things[name], name))
+                if name in declared:
+                    raise _twice(name, loc, declared[name])
+                declared[name] = loc
         return self
 
     @model_validator(mode="after")
@@ -147,8 +131,7 @@ class Scene(SceneFields):
     def _names_mean_something(self) -> Self:
         found = Findings()
         self._references_exist(found)
-        self._formulas_of_what_moves_use_declared_names(found)
-        self._formulas_of_what_touches_use_declared_names(found)
+        self._formulas_use_declared_names(found)
         self._coordinates_move_bodies(found)
         found.check()
         return self
@@ -190,19 +173,11 @@ class Scene(SceneFields):
                         loc=("modes", name),
                     )
 
-    def _formulas_of_what_moves_use_declared_names(self, found: Findings) -> None:
+    def _formulas_use_declared_names(self, found: Findings) -> None:
         with found:
             self.controlled.check(self.kinematic_names)
         with found:
             self.controlled.check_memory(self.kinematic_names)
-        parameters = frozenset(self.parameters)
-        positions, known = parameters | {*self.coordinates}, self.kinematic_names | {*self.controls}
-        self._formulas(found, self.gravity, parameters, "gravity")
-        for name, coordinate in self.coordinates.items():
-            for key in ("start", "rate"):
-                self._formulas(
-                    found, getattr(coordinate, key), parameters, "coordinates", name, key
-                )
         # Beside what moves, a body may stand at a place.
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
@@ -216,47 +191,9 @@ class Scene(SceneFields):
                         loc=("bodies", name, "position"),
                         key=True,
                     )
-            for key in ("mass", "inertia"):
-                self._formulas(found, getattr(body, key), parameters, "bodies", name, key)
-            for key in ("angle", "position"):
-                self._formulas(found, getattr(body, key), positions, "bodies", name, key)
-            counted = parameters if body.copies is None else parameters | {INDEX}
-            for part, text in body.start.items():
-                self._formulas(found, text, counted, "bodies", name, "start", part)
-        for name, force in self.forces.items():
-            # Of a body with copies they may use what each of them is at.
-            copied = self.bodies.get(force.body)
-            own = {f"{force.body}.{c}" for c in copied.coordinates} if copied else set()
-            seen = known | own | {self.rate_name(c) for c in own}
-            for key, names in (("force", seen), ("at", parameters), ("moment", seen)):
-                self._formulas(found, getattr(force, key), names, "forces", name, key)
-
-    def _formulas_of_what_touches_use_declared_names(self, found: Findings) -> None:
-        parameters = frozenset(self.parameters)
-        # What controllers remember moves what shapes touch, and what holds them.
-        ahead = {TIME, *(self.controlled.memory if self.collisions else ())}
-        for name, surface in self.surfaces.items():
-            at = ("surfaces", name)
-            self._formulas(found, surface.height, parameters | {"x"}, *at, "height")
-            for key in ("incline", "through", "circle", "radius"):
-                self._formulas(found, getattr(surface, key), parameters, *at, key)
-            for form in ("line", "edge"):
-                for place, corner in enumerate(getattr(surface, form) or ()):
-                    self._formulas(found, corner, parameters, *at, form, place)
-            for key in ("displacement", "turn"):
-                self._formulas(found, getattr(surface, key), parameters | ahead, *at, key)
+        check_formulas(self, found)
         for name, contact in self.contacts.items():
             self._check_contact(found, name, contact)
-        for name, joint in self.joints.items():
-            at = ("joints", name)
-            self._formulas(found, joint.point.at, parameters, *at, "point", "at")
-            if isinstance(joint.to, Path):
-                for place, key in enumerate(("x", "y")):
-                    # Declared as a list or as a mapping: what it is not is skipped.
-                    text = getattr(joint.to, key)
-                    self._formulas(found, text, parameters | ahead, *at, "to", place, key)
-            else:
-                self._formulas(found, joint.to.at, parameters, *at, "to", "at")
 
     def _on_a_surface(self, contact: str) -> bool:
         return self.contacts[contact].surface in self.surfaces
@@ -271,8 +208,6 @@ class Scene(SceneFields):
                     advice="list free among the modes",
                     loc=(*at, "modes"),
                 )
-        self._formulas(found, contact.point.at, parameters, *at, "point", "at")
-        self._formulas(found, contact.radius, parameters, *at, "radius")
         with found:
             if contact.radius is not None and self._on_a_surface(name):
                 check_rim(self.surfaces[contact.surface], (*at, "radius"))
@@ -286,13 +221,6 @@ class Scene(SceneFields):
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
-        for key in ("friction", "restitution"):
-            text = getattr(contact, key)
-            with found:
-                if text is not None:
-                    controls = {*parameters, *self.controls}
-                    check_misplaced_names(self, parse(text), controls, *at, key)
-                    self.controlled.check_coefficient(text, parameters, *at, key)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         for place, text in enumerate(contact.enabled):
             with found:
@@ -328,6 +256,7 @@ class Scene(SceneFields):
     def _numbers_are_physical(self) -> Self:
         check_kinks(self)
         self.check_values(self.values())
+        check_collisions(self)
         return self
 
     @model_validator(mode="after")
@@ -355,7 +284,7 @@ class Scene(SceneFields):
             causes |= dict.fromkeys(self.owners(), causes_of_bodies)
         wrong = Findings()
         with wrong:
-            check_uses(self, names, found, causes, changing)
+            self.check_uses(names, found, causes, changing)
         for name, region in self.regions.items():
             found_here = list(declared_transitions(region, "regions", name))
             with wrong:
@@ -377,22 +306,6 @@ class Scene(SceneFields):
         assert isinstance(known, dict)
         with found:
             check_member(what, name, known, *loc)
-
-    def _formulas(
-        self,
-        found: Findings,
-        written: FormulaText | tuple[FormulaText, ...] | None,
-        known: frozenset[str],
-        *loc: str | int,
-    ) -> None:
-        """Check what stands in a field: a formula, several, or nothing."""
-        texts = written if isinstance(written, tuple) else () if written is None else (written,)
-        for index, text in enumerate(texts):
-            where: tuple[str | int, ...] = (*loc, index) if len(texts) > 1 else loc
-            with found:
-                formula = parse(text)
-                check_misplaced_names(self, formula, known, *where)
-                check_names(formula, known, *where)
 
 
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:

@@ -73,10 +73,17 @@ Shapes = Annotated[
 
 LAW_WORDS = {
     "mu": "friction",
+    **dict.fromkeys(
+        ("mu_s", "mu_k", "static_friction", "kinetic_friction", "friction_coefficient"),
+        "friction, one coefficient for sticking and for slip",
+    ),
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
     "coefficientOfRestitution": "restitution",
 }
 """What coefficients of laws are called elsewhere."""
+
+SOFT = "a force on the body; surfaces are rigid, and bounce by their restitution"
+"""What a contact is that gives way."""
 
 
 class Collision(Part):

@@ -16,7 +16,7 @@ from contacts.solvers.saddle_point import (
     room,
     solve_in,
 )
-from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import part, seldom
@@ -141,7 +141,7 @@ def solve_modes(
     cones : (c, 2)
         cone_n, cone_t.
     codes : (k, c) of int
-        FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS.
+        FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS.
     closed, still : (c,) of bool
         Whether the gap is closed; whether the slip is zero.
     force_scale, acceleration_scale : float
@@ -185,7 +185,7 @@ def solve_modes(
                 if code[c] == PIN:
                     directions[m, 0], directions[m, 1] = 1 - d, d
                 else:
-                    directions[m, 0] = cones[c, 0]
+                    directions[m, 0] = 1.0 if code[c] == SLIDE else cones[c, 0]
                     directions[m, 1] = -_direction(code[c]) * cones[c, 1]
                 for i in range(n):
                     rows[m, i] = jacobians[c, d, i]

@@ -95,7 +95,7 @@ def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> Non
 
 
 @part
-def _factorise(factors: Array, order: Ints, errors: Array) -> bool:
+def factorise(factors: Array, order: Ints, errors: Array) -> bool:
     """Eliminate with partial pivoting, in place; False where no pivot is left.
 
     A pivot that its own rounding could have made of zero is none: running error analysis
@@ -191,7 +191,7 @@ def solve_in(memory: Room, scaled: Array, b: Array, x: Array, size: int) -> int:
         order[i], residual[i], x[i] = i, b[i], 0.0
         for k in range(size):
             factors[i, k] = scaled[i, k]
-    if not _factorise(factors, order, errors):
+    if not factorise(factors, order, errors):
         return SINGULAR
     for _ in range(3):
         substitute(factors, order, residual, y)

@@ -57,10 +57,10 @@ def assert_depths(
             if carrier == b:
                 continue
             if carrier >= 0:
-                outline = _seen(states[:, carrier], outline)
+                outline = _in_frames(states[:, carrier], outline)
             elif numbers.surfaces.moves[s]:
                 assert frames is not None
-                outline = _seen(frames[:, s], outline)
+                outline = _in_frames(frames[:, s], outline)
             gaps = _above(numbers.surfaces, s, outline, pieces.radii[p])
             what = "a surface"
         k = int(np.argmin(gaps))
@@ -116,7 +116,7 @@ def _between(one: Array, radius: float, other: Array, other_radius: float) -> Ar
     return np.where((gaps > 0.0) | (one.shape[1] == 2), nearest, gaps) - both
 
 
-def _seen(frames: Array, points: Array) -> Array:
+def _in_frames(frames: Array, points: Array) -> Array:
     """Return points (m, k, 2) in frames (m, 3)."""
     cos, sin = np.cos(frames[:, 2, None]), np.sin(frames[:, 2, None])
     dx, dy = np.moveaxis(points - frames[:, None, :2], -1, 0)

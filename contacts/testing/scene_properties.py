@@ -161,7 +161,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
                 work += _work_of_joints(mechanics, subject, trace, jump)
             add(states, times, np.array([before, work]), f"by {jump.region} {jump.cause}")
 
-    for arc, tau, _ in _points(trace):
+    for arc, tau in dense(trace):
         jumps(arc.j)
         j = arc.j
         made = step_ends(trace, arc)
@@ -286,18 +286,14 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     )
 
 
-def _points(trace: Trace) -> Iterator[tuple[Arc, Array, Array]]:
-    for arc, tau in dense(trace):
-        yield arc, tau, arc.start.high + (arc.start.low + tau)
-
-
 def _forces(
     scene: Scene, subject: Subject, trace: Trace
 ) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
     """Yield every contact in every arc: its name and mode, times, and V and H at them."""
     known = subject.automaton.observables
     expressions = [known[f"{name}.{force}"] for name in scene.contacts for force in ("V", "H")]
-    for arc, tau, times in _points(trace):
+    for arc, tau in dense(trace):
+        times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
         for (name, state), V, H in zip(_states(scene, arc), forces, forces, strict=True):
             yield arc, name, state, times, V, H

@@ -30,16 +30,16 @@ APART, LASTING, HIT = range(3)
 """How a contact takes part in a step."""
 
 BESIDE = 1e-6
-"""Corners that arrive together are told apart by no rounding of their gaps and speeds: bounds are
-this part of a step beside the numbers that declared lengths and speeds make."""
+"""Margin of time bounds, in parts of a step: round-off of gaps and speeds must not separate corners
+that arrive together."""
 
 SLOW = 2.0 + BESIDE
 """Impulses of contacts that approach slower than what so many steps without contact would make of
 rest are those of a contact that lasts."""
 
 LIVELY = 0.5
-"""From this restitution on it is told that impacts at once are not those in turn: the approach that
-is given back has a quarter of its energy. Heaps of what rebounds less are seldom told by an order.
+"""Restitution from which a warning says that impacts at once are not those in turn: the approach
+that is given back has a quarter of its energy. The order rarely matters to heaps that rebound less.
 """
 
 # Unknowns of a step solved outside its kernel.
@@ -183,10 +183,10 @@ def arriving(
         Gap tolerance: a contact touches up to this gap.
     """
     if not lasting:
-        # What has come out does not go as deep again.
+        # A contact that has come out does not go as deep again.
         level = min(max(level, gap), 0.0)
     above = gap - level
-    # What is slow is let in before it arrives: others may push it there in this step.
+    # A slow contact takes part before it arrives: others may push it there in this step.
     soon = gap <= near or above + h * (ahead - slow) <= 0.0
     if lasting or (nearing <= slow and soon):
         if above < 0.0 and not lasting:
@@ -240,7 +240,7 @@ def stepped(
                 raise
             break
         if solved and len(given) < _MOST_GIVEN:
-            # Of a step there are two problems: with restitution, and without.
+            # A step has two problems: with restitution, and without.
             given = np.concatenate([given, z])
         elif how == AS_ASKED:
             given, how = np.zeros(0), SOFTENED

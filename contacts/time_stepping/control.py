@@ -29,26 +29,13 @@ from statechart.errors import EventLoop
 
 _TOLD = 4  # of those that follow each other for ever
 _MOST_TURNS = 100
-# What becomes true within this part of a step after its end is true at its end: times of steps, and
-# so timeouts that end with one, are rounded.
+# A guard that becomes true within this part of a step after its end is true at its end: times of
+# steps, and so timeouts that end with one, are rounded.
 _AT_END = 1e-6
 
 
 class StepControl:
-    """The controllers of one run.
-
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations.
-    controllers : Controllers
-        Of the scene.
-    setup : SceneSetup
-        The run's numbers.
-    scene : SteppedSystem
-    regions : sequence of Region
-        All, those of the controllers last.
-    """
+    """The controllers of one run of a scene, whose regions stand behind all other `regions`."""
 
     def __init__(
         self,
@@ -91,15 +78,7 @@ class StepControl:
     ) -> Array:
         """Take the transitions that are due at the end of a step; return the state after them.
 
-        Parameters
-        ----------
-        recorder : Recorder
-            What they are recorded by.
-        jumps : sequence of Jump
-            Of the step.
-        state : (2 n,)
-        solved : (u,)
-            Unknowns of the step.
+        The step has these jumps, and unknowns `solved` (u,).
 
         Raises
         ------
@@ -109,7 +88,7 @@ class StepControl:
         pending: dict[str, tuple[Jump, ...]] = {}
         for _, together in groupby(jumps, key=lambda jump: jump.t):
             first, *others = together
-            # What several contacts do at one instant is one event, as with events.
+            # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._listening.heard(pending, jump)
         time = np.array([recorder.clock.high])
@@ -147,7 +126,9 @@ class StepControl:
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._scene.switch(self._states.named(self.states))
-        last = (f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.told[-_TOLD:])
+        last = (
+            f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
+        )
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )

@@ -19,22 +19,18 @@ from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.step_impulses import solve_impacts
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.limits import Swings
 from contacts.time_stepping.scene_tape import SteppedTape
+from contacts.time_stepping.stability import DEPENDENT, Swings
 from statechart.arrays import Array, Bools, Ints
 
 # A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
 _LITTLE = 1e-3
-# So much of the speeds of a run is worth a word: what forces give and no step shows; what impacts
-# are off, of which a shipped model has a tenth at its own step; how far springs swing ahead, half a
-# radian of the fastest motion.
+# Errors, relative to the speeds of a run, from which a warning is given: of forces between the
+# midpoints of steps; of impacts (a shipped model has a tenth at its own step); of the phase of
+# springs, half a radian of the fastest motion.
 _FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
-# And so much of the way of a coordinate.
+# The same, relative to the way of a coordinate.
 _WAY = 0.2
-
-
-# Directions are one to within this part of the largest.
-_DEPENDENT = 1e-9
 
 
 def velocity_change(
@@ -42,24 +38,15 @@ def velocity_change(
 ) -> Array | None:
     """Return what Moreau's law of impact adds to the rates (n,); None where it is not solved.
 
-    Parameters
-    ----------
-    mass : (n, n) array
-    held : (r, n) array
-        Directions in which joints and pins hold.
-    pushes : (m, 2, n) array
-        Jacobians of what is struck.
-    velocities : (m, 2) array
-        Normal and tangential, before.
-    cones : (m, 2) array
-    restitution : (m,) array
+    Joints and pins hold in directions `held` (r, n). Struck contacts have Jacobians `pushes`
+    (m, 2, n), normal and tangential velocities (m, 2) before, cones (m, 2) and restitution (m,).
     """
     n, m, r = len(mass), len(pushes), len(held)
     rows = pushes.reshape(2 * m, n)
     system = np.zeros((n + r, n + r))
     system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
-    moved = np.linalg.lstsq(system, right, rcond=_DEPENDENT)[0][:n]
+    moved = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
     delassus = np.ascontiguousarray(rows @ moved)
     wanted = np.zeros((m, 2))
     wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
@@ -102,19 +89,12 @@ class DiscretisationError:
         found.__dict__.update(self.__dict__)  # no array is changed in place
         return found
 
-    def look(
+    def add(
         self, now: Equations, chunk: Chunk, start: float, codes: Ints, swings: Swings | None
     ) -> None:
-        """Look at steps.
+        """Add the errors of steps from `start` on.
 
-        Parameters
-        ----------
-        start : float
-            When they begin.
-        codes : (c,) array of int
-            Modes before.
-        swings : Swings or None
-            Of the springs where they begin.
+        Contacts had the modes `codes` (c,) before; `swings` are those of the springs then.
         """
         n, h = now.source.size, chunk.h
         rates = chunk.states[:, n : 2 * n]
@@ -180,7 +160,7 @@ class DiscretisationError:
         n, missed = source.size, np.zeros((len(chunk.codes), source.size))
         before = np.vstack([codes, chunk.codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        # What slides at the start was in no mode before.
+        # A contact that slides at the start was in no mode before.
         slid[0] |= start == 0.0
         borne = (chunk.codes == PIN) | (chunk.codes == SLIDE_PLUS) | (chunk.codes == SLIDE_MINUS)
         turned = slid & borne & (before != chunk.codes) & ~chunk.struck

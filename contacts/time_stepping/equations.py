@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from contacts.solvers.contact_lcp_kernels import UNKNOWNS
-from contacts.solvers.saddle_point import substitute
+from contacts.solvers.saddle_point import factorise, substitute
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import part
@@ -55,7 +54,7 @@ class StepConstants(NamedTuple):
     # Round-off of velocities: no contact begins to press at an approach up to this.
     rounding: float
     speed: float  # The scene's scale of velocities.
-    # What contacts add to the energy is told in parts of what they move with: at this speed at
+    # The energy that contacts add is relative to the energy of their motion: at this speed at
     # least, and twice this energy at least.
     slowest: float
     negligible: float
@@ -111,7 +110,7 @@ class ContactMemory(NamedTuple):
         return ContactMemory._make(array.copy() for array in self)
 
 
-class Tape(NamedTuple):
+class TapeValues(NamedTuple):
     """The numbers of a step's tape; the Jacobian of contact i begins at ``first + per * i``."""
 
     numbers: Array  # shape (k,)
@@ -121,7 +120,7 @@ class Tape(NamedTuple):
     per: int
 
 
-class Met(NamedTuple):
+class ContactRoles(NamedTuple):
     """Roles of contacts in a step."""
 
     # (c,): who takes part, who is struck, whose condition ceases to hold while it lasts.
@@ -137,11 +136,11 @@ class Met(NamedTuple):
     free: Array
 
 
-class Problem(NamedTuple):
+class ContactProblem(NamedTuple):
     """The contact problem of those that take part."""
 
     which: Ints  # (m,): contacts.
-    # What unit impulses do to all that moves, and to the contacts' velocities.
+    # Changes of all rates, and of the contacts' velocities, by unit impulses.
     columns: Array  # shape (2 m, s)
     delassus: Array  # shape (2 m, 2 m)
     groups: Ints  # (m,): equal for those that feel each other's impulses.
@@ -155,7 +154,7 @@ class Problem(NamedTuple):
     sudden: Bools
 
 
-class Answer(NamedTuple):
+class ContactForces(NamedTuple):
     """Solution of the contact problem."""
 
     # (4 m,): unknowns; which of them are positive.
@@ -178,58 +177,12 @@ CONTACT = 6
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""
 
-# A pivot below this part of the scales of its row and column, whatever the unit of mass: the
-# equations do not determine the motion.
-_SINGULAR = 1e-12
 # Coordinates without an inertia of their own get this part of what the others have at their levers.
 _LIGHTEST = 1e-9
 
 
 @part
-def _factor(matrix: Array) -> tuple[bool, Ints]:
-    """Factor in place with partial pivoting of equilibrated rows; False where singular."""
-    size = len(matrix)
-    order, scale = np.empty(size, np.int64), np.empty(size)
-    column, row = np.zeros(size), np.zeros(size)
-    for i in range(size):
-        order[i] = i
-        for j in range(size):
-            column[j] = max(column[j], abs(matrix[i, j]))
-    for i in range(size):
-        largest = 0.0
-        for j in range(size):
-            largest = max(largest, abs(matrix[i, j]))
-            if not math.isfinite(matrix[i, j]):
-                return False, order
-            if matrix[i, j] != 0.0:
-                row[i] = max(row[i], abs(matrix[i, j]) / column[j])
-        if not largest > 0.0:
-            return False, order
-        scale[i] = 1.0 / largest
-    for k in range(size):
-        best = k
-        for i in range(k + 1, size):
-            if abs(matrix[i, k]) * scale[i] > abs(matrix[best, k]) * scale[best]:
-                best = i
-        if not abs(matrix[best, k]) > _SINGULAR * row[best] * column[k]:
-            return False, order
-        if best != k:
-            for j in range(size):
-                matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
-            scale[k], scale[best] = scale[best], scale[k]
-            row[k], row[best] = row[best], row[k]
-            order[k], order[best] = order[best], order[k]
-        for i in range(k + 1, size):
-            if matrix[i, k] != 0.0:
-                factor = matrix[i, k] / matrix[k, k]
-                matrix[i, k] = factor
-                for j in range(k + 1, size):
-                    matrix[i, j] -= factor * matrix[k, j]
-    return True, order
-
-
-@part
-def back(factors: Array, order: Ints, right: Array) -> Array:
+def solve_factored(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
     x = np.empty(len(right))
     substitute(factors, order, right, x)
@@ -253,7 +206,7 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
 
 
 @part
-def factored(
+def factor_equations(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:
     """Return (regular, factors, order, right side) of what moves without free contacts' impulses.
@@ -307,5 +260,5 @@ def factored(
             right[at] = -numbers[row + n] / h - numbers[row + n + 1]
             right[at] -= 0.5 * h * numbers[row + n + 2]
         at += 1
-    regular, order = _factor(matrix)
-    return regular, matrix, order, right
+    order = np.arange(size)
+    return factorise(matrix, order, np.empty((size, size))), matrix, order, right

@@ -41,18 +41,11 @@ def struck(
 ) -> tuple[Array, Array]:
     """Return the coefficients (k, w, TERMS) of both parts of steps, before and after impacts.
 
-    Parameters
-    ----------
-    left, right, n
-        As of `smooth`.
-    acceleration : (k, n) array
-        Under what lasts.
-    lengths : two (k, 1) arrays
-        Of the parts.
+    The acceleration (k, n) is that under lasting forces; `lengths` (k, 1) are those of the parts.
     """
     kept = slice(2 * n, None)
     middle = 0.5 * (left[:, kept] + right[:, kept])
-    # Of the velocities as they were and will be, so that the ends of the step are exact.
+    # By the velocities before and after, so that the ends of the step are exact.
     rates, (before, after) = right[:, n : 2 * n], lengths
     second = np.empty_like(right)
     second[:, :n] = right[:, :n] - after * (rates - 0.5 * after * acceleration)
@@ -83,20 +76,10 @@ class Pieces(NamedTuple):
     def of(
         cls, states: Array, acceleration: Array, h: Array | float, late: Array, hit: Bools, n: int
     ) -> Pieces:
-        """Return those of steps.
+        """Return those of steps of length `h` between states (k + 1, w).
 
-        Parameters
-        ----------
-        states : (k + 1, w) array
-            Where they begin and end.
-        acceleration, n
-            As of `struck`.
-        h : float or (k, 1) array
-            Their length.
-        late : (k,) array
-            How long after their middles something strikes.
-        hit : (k,) array of bool
-            In which of them something strikes.
+        In those that are `hit` (k,) something strikes, so `late` (k,) after the middle; for the
+        acceleration and `n` see `struck`.
         """
         left, right = states[:-1], states[1:]
         if not hit.any():

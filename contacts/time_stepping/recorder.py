@@ -28,7 +28,7 @@ _LONGEST = 2**23
 
 
 class _Tail(NamedTuple):
-    """A step, and the recorder before it: modes shown and told, jumps, and when it begins."""
+    """A step, and the recorder before it: modes shown and raw, jumps, and when it begins."""
 
     step: Chunk
     row: Ints
@@ -39,39 +39,15 @@ class _Tail(NamedTuple):
 
 @dataclass(eq=False)
 class Recorder:
-    """Collects steps as arcs and jumps.
+    """Collects steps as arcs and jumps; both are made when they are read.
 
-    Parameters
-    ----------
-    regions : sequence of str
-        Names of those that steps recognise.
-    start : (r,) array
-        Modes at the start.
-    controls : Key
-        States of further regions, which change only where they are told to.
-    sticks : (r,) array of bool
-        Whether the region has a pin beside slide.
-    again : str
-        Cause of an impact on a region that is not free.
-    forces : int or None
-        Place of the first region's V and H among the further unknowns; None: they have none.
-    energy : callable
-        (states, times) -> energies.
-    coordinates : int
-        How many there are; behind them and their rates stands what controllers remember.
-    modes : bool
-        Whether modes and jumps of regions are told; else it is counted how many jumps there are,
-        and arcs end where they would.
-    arcs_too : bool
-        Whether somebody looks at arcs; else they are made of the last step of a run alone, in which
-        a stop condition may be met.
-
-    Attributes
-    ----------
-    arcs, jumps : sequence
-        Since they were last taken; each is made when it is looked at.
-    told : list of Jump
-        Those of further regions, as a trace tells them that has no others, and the stop.
+    Regions have modes (r,) at the start; `controls` are states of further regions, which `turn`
+    changes. `sticks` (r,) tells which regions have a pin beside slide. An impact on a region that
+    is not free has the cause `again`. `forces` is the place of the first region's V and H among
+    the further unknowns; None: they have none. Behind the `coordinates` and their rates stand
+    controller variables. Without `modes`, jumps of regions are only counted, and arcs end where
+    they would; without `arcs_too`, only the last step of a run becomes an arc, in which a stop
+    condition may be met. `control_jumps` are those of further regions and the stop.
     """
 
     regions: Sequence[str]
@@ -85,7 +61,7 @@ class Recorder:
     modes: bool = True
     arcs_too: bool = True
     clock: Clock = field(default_factory=Clock)
-    told: list[Jump] = field(default_factory=list)
+    control_jumps: list[Jump] = field(default_factory=list)
     count: int = 0
     indeterminate: dict[Key, tuple[str, ...]] = field(default_factory=dict)
 
@@ -196,7 +172,9 @@ class Recorder:
         target = (*self.key[: len(self.row)], *controls)
         jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
         self._note(jump)
-        self.told.append(replace(jump, j=len(self.told), source=self.controls, target=controls))
+        self.control_jumps.append(
+            replace(jump, j=len(self.control_jumps), source=self.controls, target=controls)
+        )
         self.controls, self.key = controls, target
         return jump
 
@@ -220,11 +198,13 @@ class Recorder:
         key, controls = self.key, self.controls
         stopped = Jump(self.clock.high, self.count, "", "stop", key, key, state, state, (name,))
         self._note(stopped)
-        self.told.append(replace(stopped, j=len(self.told), source=controls, target=controls))
+        self.control_jumps.append(
+            replace(stopped, j=len(self.control_jumps), source=controls, target=controls)
+        )
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is told of forces that the motion leaves open, once each."""
+        """Warnings of forces that the motion does not determine, once each."""
         return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
@@ -336,7 +316,7 @@ class PoseRecorder:
     def __init__(self, coordinates: int) -> None:
         self._coordinates = coordinates
         self._blocks = Blocks[Steps]()
-        # Of each block: number of jumps before it, mode of the controllers.
+        # Number of jumps before each block, and mode of the controllers.
         self._shown: list[tuple[int, Key]] = []
         self._open: list[Steps] = []
         self._size = 0

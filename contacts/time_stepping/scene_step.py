@@ -27,28 +27,28 @@ from contacts.time_stepping.chunk import (
 from contacts.time_stepping.equations import (
     CONTACT,
     JOINT,
-    Answer,
+    ContactForces,
     ContactMemory,
-    Met,
-    Problem,
+    ContactProblem,
+    ContactRoles,
     StepConstants,
-    Tape,
-    back,
-    factored,
+    TapeValues,
+    factor_equations,
+    solve_factored,
 )
 from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
-    answered,
-    as_shared,
+    clear_contacts,
     close_opposed,
     contact_problem,
-    energy_of,
-    guessed,
+    find_active,
+    initial_guess,
+    largest_energy_gain,
     mixed_with_impacts,
-    nothing_borne,
     order_decides,
-    taking_part,
-    told,
+    share_forces,
+    split_forces,
+    write_modes,
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
@@ -71,7 +71,7 @@ def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float)
 
 
 @part
-def _deepest(memory: ContactMemory, tape: Tape, i: int) -> float:
+def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
     """Return the least gap that contact i has where a point comes from the surfaces it lies on.
 
     A surface that goes on from another is reached as deep as the point lies in that, at most so
@@ -107,8 +107,9 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
 
 
 @part
-def switched(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, k: int, met: Met, chunk: Chunk
+def switch_contacts(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, k: int, met: ContactRoles, chunk:
+    Chunk
 ) -> bool:  # fmt: skip
     """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
 
@@ -162,7 +163,7 @@ _AT_REST = 1e-9
 
 
 @part
-def _moved(
+def _free_change(
     scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
 ) -> tuple[bool, Array, Array, Ints]:
     """Return (regular, change, factors, order): how a step changes rates without free contacts.
@@ -170,28 +171,29 @@ def _moved(
     Where coordinates have no inertia of their own they are given one, from there on.
     """
     damped, held, joints = scene.damped, scene.held, scene.joints
-    regular, factors, order, right = factored(numbers, n, h, damped, held, joints, light[0])
+    regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, light[0])
     if not regular and not light[0]:
         light[0] = True
-        regular, factors, order, right = factored(numbers, n, h, damped, held, joints, True)
-    return regular, back(factors, order, right) if regular else right, factors, order
+        regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, True)
+    return regular, solve_factored(factors, order, right) if regular else right, factors, order
 
 
 @part
-def _borne(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, problem: Problem, answer: Answer,
-    met: Met, rates: Array, k: int, total: Array, lasting: Array, chunk: Chunk,
+def _write_forces(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, problem: ContactProblem,
+    answer: ContactForces, met: ContactRoles, rates: Array, k: int, total: Array, lasting: Array,
+    chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Write what contacts bear in step k; return whether forces are mixed with impacts.
 
     What all impulses, and those that are forces, do to what moves is added to `total` and
     `lasting`.
     """
-    made = energy_of(scene, tape, problem, answer.pushes, rates)
+    made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
     chunk.gained[k] = max(chunk.gained[k], made)
-    # Before it is told who lasts now.
+    # Before the memory of lasting contacts changes.
     mixed = mixed_with_impacts(memory, tape, problem, answer.pushes, chunk.h)
-    modes = told(scene, memory, problem, answer, met, k, chunk)
+    modes = write_modes(scene, memory, problem, answer, met, k, chunk)
     blurred, columns = False, problem.columns
     for a in range(len(problem.which)):
         blurred = blurred or mixed[a]
@@ -199,7 +201,7 @@ def _borne(
             for j in range(len(total)):
                 total[j] += columns[2 * a + d, j] * answer.pushes[a, d]
                 lasting[j] += columns[2 * a + d, j] * answer.steady[a, d]
-    steady = as_shared(memory, tape, problem, modes, answer.steady, k, chunk)
+    steady = share_forces(memory, tape, problem, modes, answer.steady, k, chunk)
     before = tape.size + scene.joints
     for a in range(len(problem.which)):
         i = problem.which[a]
@@ -210,7 +212,7 @@ def _borne(
 
 
 @part
-def _held(
+def _write_held(
     scene: StepConstants, n: int, total: Array, lasting: Array, blurred: bool, k: int, chunk: Chunk
 ) -> None:
     """Write what is held whatever the impulse: contacts, and joints behind them."""
@@ -229,7 +231,7 @@ def _held(
 
 
 @part
-def _flowed(scene: StepConstants, time: float, there: Array, h: float, state: Array) -> None:
+def _flow_memory(scene: StepConstants, time: float, there: Array, h: float, state: Array) -> None:
     """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
     count = len(state) - 2 * scene.size
     if count == 0:
@@ -242,7 +244,12 @@ def _flowed(scene: StepConstants, time: float, there: Array, h: float, state: Ar
 
 @part
 def _follow(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, there: Array, met: Met, near: float
+    scene: StepConstants,
+    memory: ContactMemory,
+    tape: TapeValues,
+    there: Array,
+    met: ContactRoles,
+    near: float,
 ) -> None:
     """Turn contacts on whose surfaces follow one that a point leaves.
 
@@ -259,8 +266,8 @@ def _follow(
 
 @late
 def keep_leaving(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, change: Array, factors: Array,
-    order: Ints, middle: Array, state: Array, time: float, k: int, met: Met, chunk: Chunk,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, factors: Array,
+    order: Ints, middle: Array, state: Array, time: float, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
@@ -270,7 +277,7 @@ def keep_leaving(
     """
     n, h, stays = tape.size, chunk.h, False
     level, closed = memory.level.copy(), memory.closed.copy()
-    taking_part(scene, memory, tape, change, k, met, chunk)
+    find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
     which = indices(met.active)
     problem = contact_problem(scene, tape, factors, order, which, met)
@@ -284,7 +291,8 @@ def keep_leaving(
                 problem.wanted[a, 0] = 0.0
         good, _, _, pushes, _ = solve_impacts(
             problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
-            problem.cones, problem.rebounds, guessed(problem, memory.bases), np.zeros(0), AS_ASKED,
+            problem.cones, problem.rebounds, initial_guess(problem, memory.bases), np.zeros(0),
+            AS_ASKED,
         )  # fmt: skip
         for a in range(len(which)):
             bears[a] = good and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
@@ -294,7 +302,7 @@ def keep_leaving(
                 for d in range(2):
                     there[n + j] += problem.columns[2 * a + d, j] * pushes[a, d]
             there[j] += h * there[n + j]
-    _flowed(scene, time, middle, h, there)
+    _flow_memory(scene, time, middle, h, there)
     tape_values(*scene.equations, there, scene.parameters, time + h, ahead)
     for i in range(len(closed)):
         memory.off[i] = memory.off[i] or met.leaving[i]
@@ -338,9 +346,9 @@ def keep_leaving(
 
 
 @beside
-def _settled(
+def _settle(
     scene: StepConstants, memory: ContactMemory, time: float, middle: Array, state: Array,
-    tape: Tape, factors: Array, order: Ints, k: int, chunk: Chunk,
+    tape: TapeValues, factors: Array, order: Ints, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of contacts that settle, under the velocities after the step."""
     n, there = tape.size, middle.copy()
@@ -350,7 +358,7 @@ def _settled(
 
 
 @part
-def _after(memory: ContactMemory, active: Bools) -> None:
+def _age_contacts(memory: ContactMemory, active: Bools) -> None:
     """Let contacts grow older by a step."""
     for i in range(len(active)):
         memory.fresh[i] = max(memory.fresh[i] - 1, 0)
@@ -386,54 +394,54 @@ def step_scene(
     n, c = scene.size, len(scene.cones)
     nothing, none = np.empty((0, 0)), np.empty((0, 2))
     numbers = np.empty(len(scene.equations[2]))
-    tape = Tape(numbers, n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT)
+    tape = TapeValues(numbers, n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT)
     set_at, forces = tape.first + tape.per * c + (n + JOINT) * scene.joints, n + scene.joints
     for k in range(len(chunk.codes)):
         middle = state.copy()
-        _flowed(scene, start + (done + k) * h, state, 0.5 * h, middle)
+        _flow_memory(scene, start + (done + k) * h, state, 0.5 * h, middle)
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
         time = start + (done + k + 0.5) * h
         tape_values(*scene.equations, middle, scene.parameters, time, numbers)
-        regular, change, factors, order = _moved(scene, memory.light, numbers, n, h)
+        regular, change, factors, order = _free_change(scene, memory.light, numbers, n, h)
         if not regular:
             return k, BAD_INERTIA, nothing, none, none
         for i in range(set_at, len(numbers)):
             chunk.solved[k, forces + 2 * c + i - set_at] = numbers[i]
         chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
-        met = Met(
+        met = ContactRoles(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switched(scene, memory, tape, k, met, chunk):
+        if not switch_contacts(scene, memory, tape, k, met, chunk):
             return k, NOT_FINITE, nothing, none, none
         if met.leaving.any():
             keep_leaving(
                 scene, memory, tape, change, factors, order, middle, state, time, k, met, chunk
             )
-        taking_part(scene, memory, tape, change, k, met, chunk)
+        find_active(scene, memory, tape, change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
         which, total, lasting, blurred = indices(met.active), change, change.copy(), False
         chunk.efforts[k, CONTACTS] = len(which)
-        nothing_borne(memory.off, forces, k, chunk)
+        clear_contacts(memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, tape, factors, order, which, met)
             good, z, basis, pushes, least = solve_impacts(
                 problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
-                problem.cones, problem.rebounds, guessed(problem, memory.bases),
+                problem.cones, problem.rebounds, initial_guess(problem, memory.bases),
                 given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
             )  # fmt: skip
             if not good:
                 return k, HARD, problem.delassus, least, problem.cones
-            answer = answered(scene, memory, problem, z, basis, least, pushes)
+            answer = split_forces(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
-            blurred = _borne(
+            blurred = _write_forces(
                 scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
                 chunk,
             )  # fmt: skip
             ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
             chunk.efforts[k, AMBIGUOUS] = ambiguous
-        _held(scene, n, total, lasting, blurred, k, chunk)
+        _write_held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
             chunk.solved[k, i] = lasting[i] / h
             # On average over the step.
@@ -443,9 +451,9 @@ def step_scene(
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
         if unsettle(memory, k, chunk):
-            _settled(scene, memory, time, middle, state, tape, factors, order, k, chunk)
-        _after(memory, met.active)
-        _flowed(scene, time, middle, h, state)
+            _settle(scene, memory, time, middle, state, tape, factors, order, k, chunk)
+        _age_contacts(memory, met.active)
+        _flow_memory(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none

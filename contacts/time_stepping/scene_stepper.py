@@ -23,11 +23,11 @@ from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, Ste
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactMemory, StepConstants
-from contacts.time_stepping.limits import Swings, check_swing, remarks
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.solver_residual import INDETERMINATE
+from contacts.time_stepping.stability import Swings, check_swing, remarks
 from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
@@ -36,11 +36,12 @@ from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
 from statechart.kernels.jit import by_python
 
-# Beside what a step moves at the scene's speed: what goes no deeper between two detections grazes.
+# A point that goes no deeper between two midpoints, relative to a step at the scene's speed,
+# grazes.
 _GRAZED = 0.1
-# Slower than this part of the scene's speed, what a contact moves at is no measure of anything.
+# Contact speeds below this part of the scene's are no scale of energies.
 _SLOWEST = 0.1
-# And energies below this part of the scene's are none.
+# Energies below this part of the scene's are zero.
 _NEGLIGIBLE = 1e-6
 # A landing goes as deep as its approach in a step.
 _LANDED = 2.0
@@ -104,8 +105,8 @@ class SteppedScene(SteppedSystem):
         )
         self._kept = self._memory.copy()
         self._swing = self._length = 0.0
-        self._misses = DiscretisationError(setup.scales)
-        self._misses_kept = self._misses.copy()
+        self._errors = DiscretisationError(setup.scales)
+        self._errors_kept = self._errors.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Go on with other values of parameters; return the numbers."""
@@ -141,7 +142,7 @@ class SteppedScene(SteppedSystem):
 
     def forget(self) -> None:
         """Take back the last steps."""
-        self._memory, self._misses = self._kept.copy(), self._misses_kept.copy()
+        self._memory, self._errors = self._kept.copy(), self._errors_kept.copy()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -156,10 +157,10 @@ class SteppedScene(SteppedSystem):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the run."""
+        """Warnings of the run."""
         return (
             *remarks(self._swing, self._length),
-            *self._misses.remarks(self._length),
+            *self._errors.remarks(self._length),
             *self._stays_off(),
         )
 
@@ -184,7 +185,7 @@ class SteppedScene(SteppedSystem):
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
         chunk = chunk._replace(modes=chunk.codes.copy())
-        self._kept, self._misses_kept = self._memory.copy(), self._misses.copy()
+        self._kept, self._errors_kept = self._memory.copy(), self._errors.copy()
         memory = self._memory.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
@@ -203,7 +204,7 @@ class SteppedScene(SteppedSystem):
         done = stepped(step, _failure, chunk, self._allowed)
         followed = self._followed(chunk.first(done), start)
         if followed < done:
-            # What is remembered is to be that of the steps that are taken.
+            # The memory must be that of the steps that are taken.
             self.forget()
             return self.steps(start, h, state, followed)
         chunk = chunk.first(done)
@@ -212,7 +213,7 @@ class SteppedScene(SteppedSystem):
         self._look_between(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
-            self._misses.look(now, chunk, start, self._kept.codes, swings)
+            self._errors.add(now, chunk, start, self._kept.codes, swings)
         return chunk
 
     def depth_left(self, state: Array, time: float) -> float:
@@ -250,7 +251,7 @@ class SteppedScene(SteppedSystem):
         lines[:, :n, 0] = places[:count] - back[:, None] * rates[:count]
         lines[:, :n, 1] = lengths[:, None] * rates[:count]
         lines[:, n : 2 * n, 0] = rates[:count]
-        # What controllers remember flows as it does in the step.
+        # Controller variables flow as they do in the step.
         flows = np.diff(chunk.states[:, 2 * n :], axis=0) / h
         lines[:, 2 * n :, 1] = lengths[:, None] * flows
         lines[:, 2 * n :, 0] = chunk.states[:-1, 2 * n :] - back[:, None] * flows
@@ -270,10 +271,10 @@ class SteppedScene(SteppedSystem):
         )
         if line >= 0:
             chunk.passed[line] = part
-        # What leaves at its first detection, or is deeper than its approach explains, was entered
-        # elsewhere.
+        # A point that leaves where it is first seen, or is deeper than its approach explains, has
+        # entered elsewhere.
         deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
-        # What was off comes back no deeper than what lasts.
+        # A contact that was off comes back no deeper than one that lasts.
         deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
         deep[0] &= ~(self._kept.contacts.past[:, 1] <= 0.0)
@@ -404,7 +405,7 @@ class SceneStepper(Stepper):
 
     def _checked(self, setup: SceneSetup, allowed: float) -> tuple[Ints, Bools, tuple[str, ...]]:
         """Check the initial state; return modes at the start, contacts that are off, warnings."""
-        warnings = [*self._lacks(setup), *self._cut(setup)]
+        warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))

@@ -12,7 +12,7 @@ from contacts.dynamics.controllers import given, given_in, memory_rates
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
-from contacts.time_stepping.limits import StepLimits
+from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
 from statechart.formulas.tape import Tape
 
@@ -79,7 +79,7 @@ class SteppedTape:
         self.tape: Tape = mechanics.whole_tape(outputs)
         flows = [set_.get(rate, rate) for rate in memory_rates(mechanics).values()]
         self.flows: Tape = mechanics.whole_tape(flows)
-        # Of pins the velocity is given, of slides without friction the normal one.
+        # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(
             [
                 2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0

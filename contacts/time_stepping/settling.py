@@ -29,15 +29,15 @@ from contacts.time_stepping.equations import (
     LANDED,
     ContactMemory,
     StepConstants,
-    Tape,
-    back,
+    TapeValues,
+    solve_factored,
 )
-from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, moved_columns
+from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import beside, part
 
-# So many steps of the accelerations explain a velocity, and so many of that velocity a gap.
+# Number of steps of the accelerations that explain a velocity, and of that velocity a gap.
 LEFT = 4.0
 # Accelerations below this part of what the step makes of them are zero to the first order; above
 # that part of their terms they are not, however long the step is.
@@ -57,7 +57,9 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
 
 
 @part
-def _free_accelerations(scene: StepConstants, tape: Tape, factors: Array, order: Ints) -> Array:
+def _free_accelerations(
+    scene: StepConstants, tape: TapeValues, factors: Array, order: Ints
+) -> Array:
     """Return the accelerations of the coordinates without free contacts' forces."""
     n, numbers, right = tape.size, tape.numbers, np.zeros(len(order))
     for j in range(n):
@@ -72,11 +74,13 @@ def _free_accelerations(scene: StepConstants, tape: Tape, factors: Array, order:
         if numbers[row + n + 3] == 0.0:
             right[at] = -numbers[row + n + 2]
         at += 1
-    return back(factors, order, right)
+    return solve_factored(factors, order, right)
 
 
 @part
-def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes: Array) -> None:
+def _write_accelerations(
+    tape: TapeValues, i: int, moving: Array, found: Array, sizes: Array
+) -> None:
     """Write the accelerations (2,) of contact i, and the sums of the sizes of their terms."""
     n = tape.size
     row = tape.first + tape.per * i
@@ -91,7 +95,7 @@ def _write_accelerations(tape: Tape, i: int, moving: Array, found: Array, sizes:
 
 
 @part
-def _is_near(memory: ContactMemory, tape: Tape, i: int, size: float, h: float) -> bool:
+def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: float) -> bool:
     """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
     row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
@@ -169,7 +173,9 @@ def _direction(mode: int) -> float:
 
 
 @part
-def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed: bool) -> int:
+def mode_of_acceleration(
+    acceleration: Array, slip: float, still: bool, cone: Array, directed: bool
+) -> int:
     """Return the number of the mode of a contact with these accelerations (2,)."""
     if acceleration[0] > 0.0:
         return FREE
@@ -183,8 +189,8 @@ def mode_of(acceleration: Array, slip: float, still: bool, cone: Array, directed
 
 @beside
 def settle(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, factors: Array, order: Ints, k: int,
-    chunk: Chunk,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, factors: Array, order: Ints,
+    k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts in step k.
 
@@ -192,10 +198,10 @@ def settle(
     ----------
     memory : ContactMemory
         Changed in place.
-    tape : Tape
+    tape : TapeValues
         In the middle of the step, with the velocities after it.
     factors, order
-        The equations of the step (`contacts.time_stepping.equations.factored`).
+        The equations of the step (`contacts.time_stepping.equations.factor_equations`).
     chunk : Chunk
         Its step k is changed in place.
     """
@@ -213,7 +219,7 @@ def settle(
     m = len(which)
     modes = chunk.modes[k]
     if m > 0:
-        delassus = delassus_of(tape, which, moved_columns(tape, factors, order, which))
+        delassus = delassus_of(tape, which, unit_responses(tape, factors, order, which))
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
@@ -241,10 +247,10 @@ def settle(
             idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
             if solved and near[i] and not idle:
                 still, directed = slides[a] == 0.0, scene.slips[i] == 2
-                modes[i] = mode_of(forced[a], slips[a], still, cones[a], directed)
+                modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
                 if memory.settling[i] == LANDED or modes[i] != chunk.codes[k, i]:
                     clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
-                    modes[i] = mode_of(forced[a], slips[a], still, cones[a], directed)
+                    modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
     _show(memory, n + scene.joints, k, chunk)
 
 

@@ -28,12 +28,10 @@ INDETERMINATE = (
 
 
 class SolverResidual:
-    """Counts contacts and iterations, and the steps whose impulses are not as asked.
+    """Counts contacts and iterations, and the steps whose impulses are not accurate enough.
 
-    Attributes
-    ----------
-    residual : float
-        By how much impulses missed the contact laws at most, in parts of a step's fastest approach.
+    `residual` is the largest by which impulses missed the contact laws, relative to the fastest
+    approach of their step.
     """
 
     def __init__(self, asked: Impulses) -> None:
@@ -89,7 +87,7 @@ class SolverResidual:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader must know of the impulses."""
+        """Warnings of impulses that miss the contact laws, or are not the only ones."""
         found: tuple[str, ...] = ()
         if self._softened:
             found += (

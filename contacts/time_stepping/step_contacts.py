@@ -1,4 +1,4 @@
-"""The contacts of a step of a scene on tape: which take part, what they bear, and how that is told.
+"""Active contacts of a step of a scene on tape, their impulses, modes and forces.
 
 Moreau's midpoint rule: all impulses of a step are those of one contact problem in its middle.
 """
@@ -29,13 +29,13 @@ from contacts.time_stepping.equations import (
     HOLDING,
     JOINT,
     LANDED,
-    Answer,
+    ContactForces,
     ContactMemory,
-    Met,
-    Problem,
+    ContactProblem,
+    ContactRoles,
     StepConstants,
-    Tape,
-    back,
+    TapeValues,
+    solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
@@ -106,7 +106,7 @@ ROUNDING = 1e-9
 
 
 @part
-def borne_mode(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
+def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact that bears an impulse.
 
     Parameters
@@ -162,7 +162,7 @@ _BENT = 1.01
 
 @part
 def close_opposed(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, h: float, met: Met
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, h: float, met: ContactRoles
 ) -> None:
     """Close both or none of two opposed contacts, such as a latch and its stop.
 
@@ -192,7 +192,7 @@ def close_opposed(
 
 
 @part
-def _opposing_lever(tape: Tape, i: int, other: int) -> float:
+def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
     """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
     n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
     most = least = apart = 0.0
@@ -216,9 +216,9 @@ _LATE = 1e-9
 
 
 @part
-def taking_part(
-    scene: StepConstants, memory: ContactMemory, tape: Tape, change: Array, k: int, met: Met,
-    chunk: Chunk,
+def find_active(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
+    met: ContactRoles, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write which contacts take part in step k.
 
@@ -269,7 +269,7 @@ def _alone(groups: Ints, a: int) -> bool:
 
 
 @part
-def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array:
+def unit_responses(tape: TapeValues, factors: Array, order: Ints, which: Ints) -> Array:
     """Return what unit impulses of contacts do to all that moves (2 m, s)."""
     n = tape.size
     columns, push = np.zeros((2 * len(which), len(order))), np.zeros(len(order))
@@ -278,12 +278,12 @@ def moved_columns(tape: Tape, factors: Array, order: Ints, which: Ints) -> Array
         for d in range(2):
             for j in range(n):
                 push[j] = tape.numbers[row + d * n + j]
-            put(back(factors, order, push), columns[2 * a + d])
+            put(solve_factored(factors, order, push), columns[2 * a + d])
     return columns
 
 
 @part
-def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
+def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
     """Return what unit impulses of contacts do to their velocities."""
     m, n = len(which), tape.size
     result = np.zeros((2 * m, 2 * m))
@@ -299,7 +299,7 @@ def delassus_of(tape: Tape, which: Ints, columns: Array) -> Array:
 
 
 @part
-def _groups(scene: StepConstants, tape: Tape, which: Ints) -> Ints:
+def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
     numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
     constraints = indices(scene.held > 0)
@@ -318,14 +318,19 @@ def _groups(scene: StepConstants, tape: Tape, which: Ints) -> Ints:
 
 @part
 def contact_problem(
-    scene: StepConstants, tape: Tape, factors: Array, order: Ints, which: Ints, met: Met
-) -> Problem:
-    """Return the problem of the contacts that take part; `met` is told who does not rebound.
+    scene: StepConstants,
+    tape: TapeValues,
+    factors: Array,
+    order: Ints,
+    which: Ints,
+    met: ContactRoles,
+) -> ContactProblem:
+    """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups.
 
     What moves has the equations of these factors, in this order.
     """
     m = len(which)
-    columns = moved_columns(tape, factors, order, which)
+    columns = unit_responses(tape, factors, order, which)
     delassus = delassus_of(tape, which, columns)
     groups = _groups(scene, tape, which)
     cones, before = np.empty((m, 2)), np.empty((m, 2))
@@ -340,13 +345,13 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
-    return Problem(
+    return ContactProblem(
         which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
     )  # fmt: skip
 
 
 @part
-def guessed(problem: Problem, bases: Bools) -> Bools:
+def initial_guess(problem: ContactProblem, bases: Bools) -> Bools:
     """Return which unknowns (4 m,) are positive: those of the last problem; what is new presses."""
     m = len(problem.which)
     guess = np.zeros(UNKNOWNS * m, np.bool_)
@@ -361,10 +366,10 @@ def guessed(problem: Problem, bases: Bools) -> Bools:
 
 
 @part
-def answered(
-    scene: StepConstants, memory: ContactMemory, problem: Problem, z: Array, basis: Bools,
+def split_forces(
+    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, z: Array, basis: Bools,
     least: Array, pushes: Array,
-) -> Answer:  # fmt: skip
+) -> ContactForces:  # fmt: skip
     """Return what of impulses is force; what jams is struck at an instant.
 
     Where friction presses a sliding contact into its surface no finite force keeps one there that
@@ -380,17 +385,17 @@ def answered(
             if paradox and least[a, 0] < 0.0 and not sudden[a]:
                 sudden[a], jammed = True, i + 1
             clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
-            # What others bear tells, too, where there are others.
+            # The impulses of others decide, too, where there are others.
             off = least[a, 0] > clear and memory.closed[i] and _alone(problem.groups, a)
             several = several or (paradox and off)
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
     relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
-    return Answer(z, basis, least, pushes, steady, slides, several, jammed)
+    return ContactForces(z, basis, least, pushes, steady, slides, several, jammed)
 
 
 @part
-def energy_of(
-    scene: StepConstants, tape: Tape, problem: Problem, pushes: Array, rates: Array
+def largest_energy_gain(
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, pushes: Array, rates: Array
 ) -> float:
     """Return the largest part of its own energy that contacts add to a group of them."""
     m, delassus = len(problem.which), problem.delassus
@@ -409,7 +414,7 @@ def energy_of(
 
 @part
 def mixed_with_impacts(
-    memory: ContactMemory, tape: Tape, problem: Problem, pushes: Array, h: float
+    memory: ContactMemory, tape: TapeValues, problem: ContactProblem, pushes: Array, h: float
 ) -> Bools:
     """Return whose impulses (m,) of this step are not those of forces alone."""
     which, groups, m = problem.which, problem.groups, len(problem.which)
@@ -432,9 +437,9 @@ def mixed_with_impacts(
 
 
 @part
-def told(
-    scene: StepConstants, memory: ContactMemory, problem: Problem, answer: Answer, met: Met, k: int,
-    chunk: Chunk,
+def write_modes(
+    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
+    met: ContactRoles, k: int, chunk: Chunk,
 ) -> Ints:  # fmt: skip
     """Write modes and impulses of step k, and who lasts; return the modes (m,) under forces."""
     m, sudden, cones = len(problem.which), problem.sudden, problem.cones
@@ -455,18 +460,18 @@ def told(
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
         chunk.struck[k, i] = sudden[a] and pressed
         if chunk.struck[k, i] and not met.hit[i]:
-            # What jams falls freely up to the middle of the step, where it is struck.
+            # A jamming contact falls freely up to the middle of the step, where it is struck.
             falling = -0.5 * (problem.before[a, 0] + problem.free[a, 0])
             chunk.approach[k] = max(chunk.approach[k], falling)
         memory.closed[i] = pressed and not problem.rebounds[a]
         if memory.closed[i]:
             sliding = answer.z[UNKNOWNS * a + 3] > 0.0 and slip != 0.0
-            chunk.codes[k, i] = borne_mode(pushes[a], slip, sliding, cones[a], directed)
+            chunk.codes[k, i] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
         if steady[a, 0] > 0.0:
-            modes[a] = borne_mode(steady[a], slip, answer.slides[a], cones[a], directed)
+            modes[a] = mode_of_impulse(steady[a], slip, answer.slides[a], cones[a], directed)
         elif not pressed and velocity_after(problem.delassus, answer.least, steady, a, 0) == 0.0:
             slip = velocity_after(problem.delassus, answer.least, steady, a, 1)
-            modes[a] = borne_mode(steady[a], slip, slip != 0.0, cones[a], directed)
+            modes[a] = mode_of_impulse(steady[a], slip, slip != 0.0, cones[a], directed)
     return modes
 
 
@@ -503,7 +508,7 @@ def _share_body(bodies: Ints, a: int, b: int) -> bool:
 
 
 @part
-def order_decides(scene: StepConstants, problem: Problem, k: int, chunk: Chunk) -> bool:
+def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: Chunk) -> bool:
     """Return whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
     lively = np.empty(m, np.bool_)
@@ -519,9 +524,9 @@ def order_decides(scene: StepConstants, problem: Problem, k: int, chunk: Chunk) 
 
 
 @part
-def as_shared(
-    memory: ContactMemory, tape: Tape, problem: Problem, modes: Ints, steady: Array, k: int,
-    chunk: Chunk,
+def share_forces(
+    memory: ContactMemory, tape: TapeValues, problem: ContactProblem, modes: Ints, steady: Array,
+    k: int, chunk: Chunk,
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""
     m, n = len(problem.which), tape.size
@@ -546,7 +551,7 @@ def as_shared(
 
 
 @part
-def nothing_borne(off: Bools, before: int, k: int, chunk: Chunk) -> None:
+def clear_contacts(off: Bools, before: int, k: int, chunk: Chunk) -> None:
     """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
     for i in range(len(off)):
         chunk.codes[k, i] = OFF_CODE if off[i] else FREE

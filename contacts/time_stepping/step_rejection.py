@@ -39,14 +39,8 @@ def too_large(
 ) -> Rejection | None:
     """Return the first step that is too large for what happens in it.
 
-    Parameters
-    ----------
-    angles : slice or (a,) array of int
-        Where the rates of angles are in a state; see `evenly`.
-    size : float
-        Of the scene.
-    step : float
-        As asked for, of which those of the chunk may be parts.
+    Rates of angles are at the places `angles` of a state (see `as_slice`); `size` is that of the
+    scene; the steps of the chunk may be parts of the declared `step`.
     """
     h = chunk.h
     turn: Array = h * np.max(np.abs(chunk.states[1:, angles]), axis=1, initial=0.0)
@@ -66,7 +60,7 @@ def too_large(
             f"{0.5 * h * chunk.passed[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
-        # What is added goes with the square of the step.
+        # The added energy goes with the square of the step.
         part = math.sqrt(_MOST_ADDED / chunk.gained[k])
         return Rejection(k, StepTooLarge(
             f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
@@ -80,7 +74,7 @@ def too_large(
     ), regions[int(np.argmin(_gaps(chunk)[k]))])  # fmt: skip
 
 
-def evenly(places: Ints) -> slice | Ints:
+def as_slice(places: Ints) -> slice | Ints:
     """Return a slice where places are evenly apart: it copies nothing."""
     steps = np.diff(places)
     if len(steps) and np.all(steps == steps[0]):
@@ -88,7 +82,7 @@ def evenly(places: Ints) -> slice | Ints:
     return places
 
 
-class Squeezed:
+class SqueezeCheck:
     """Tells where something sinks that no impulses keep out."""
 
     def __init__(self, regions: Sequence[str], step: float, start_depth: float) -> None:
@@ -134,7 +128,7 @@ class Squeezed:
         allowed = self._left + sinks
         if not stays(k) > allowed:
             return None
-        # Of those up to it, the first.
+        # The first of those up to it.
         stuck = stuck[stuck <= k]
         k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
         name = self._name(chunk, k)

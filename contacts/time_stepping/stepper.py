@@ -47,7 +47,13 @@ from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.lazy_arcs import TERMS
 from contacts.time_stepping.recorder import PoseRecorder, Recorder
 from contacts.time_stepping.solver_residual import SolverResidual
-from contacts.time_stepping.step_rejection import Rejection, Squeezed, evenly, no_room, too_large
+from contacts.time_stepping.step_rejection import (
+    Rejection,
+    SqueezeCheck,
+    as_slice,
+    no_room,
+    too_large,
+)
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
 from statechart.arrays import Bools, Ints
@@ -82,7 +88,7 @@ class RunInputs(NamedTuple):
     """A run that can start, or why it cannot."""
 
     setup: SceneSetup
-    stepped: SteppedSystem
+    system: SteppedSystem
     codes: Ints  # (r,): modes at the start, as `contacts.states` numbers them.
     warnings: tuple[str, ...]  # Besides those of the setup.
     control: StepControl | None = None  # Acts at the ends of steps.
@@ -92,9 +98,9 @@ class RunInputs(NamedTuple):
 
 
 class Span(NamedTuple):
-    """How far a run goes, by which steps, who is told; after what time at most it is looked at.
+    """End and step of a run, its limits, progress display and recording policy.
 
-    And what is kept of it.
+    It yields after each `every`, at least.
     """
 
     step: float
@@ -122,33 +128,33 @@ _KNOWN = 2**15
 class SteppedRun:
     """A run by steps, as far as it has come."""
 
-    def __init__(self, stepper: Stepper, begun: RunInputs, span: Span) -> None:
-        self._begun, self.stepper, self.span = begun, stepper, span
-        self.setup, self.stepped, self.control = begun.setup, begun.stepped, begun.control
+    def __init__(self, stepper: Stepper, inputs: RunInputs, span: Span) -> None:
+        self._inputs, self.stepper, self.span = inputs, stepper, span
+        self.setup, self.system, self.control = inputs.setup, inputs.system, inputs.control
         values, (record, watch) = self.setup.values, span.policy
         # Controllers wait for the events of regions.
-        told = record is Record.MODES or begun.control is not None
+        records = record is Record.MODES or inputs.control is not None
         self.recorder = Recorder(
-            stepper.regions[: len(begun.codes)],
-            begun.codes,
+            stepper.regions[: len(inputs.codes)],
+            inputs.codes,
             stepper.controls,
             stepper.sticks,
             stepper.again,
             stepper.forces,
             lambda states, times: stepper.energy.table(states, values, times)[:, 0],
             len(stepper.angles),
-            told or (watch is not None and watch.events),
-            told or (watch is not None and watch.motion),
+            records or (watch is not None and watch.events),
+            records or (watch is not None and watch.motion),
         )
         self.stops = StopConditions(stepper.stops, self.setup)
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
         self.effort = SolverResidual(span.impulses)
-        self._squeezed = Squeezed(stepper.regions, span.step, begun.setup.start_depth)
+        self._squeeze = SqueezeCheck(stepper.regions, span.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
-        self._turning = evenly(len(stepper.angles) + np.flatnonzero(stepper.angles))
+        self._turning = as_slice(len(stepper.angles) + np.flatnonzero(stepper.angles))
 
     def end(self, outcome: Outcome, message: str) -> None:
         """Let the run end, and say why."""
@@ -157,8 +163,8 @@ class SteppedRun:
     def chunks(self) -> Iterator[None]:
         """Make the run; yield when it begins and after every chunk of steps."""
         try:
-            if self._begun.failure is not None:
-                raise self._begun.failure
+            if self._inputs.failure is not None:
+                raise self._inputs.failure
             steps = self._steps()
             while True:
                 with interrupts.held():
@@ -199,9 +205,9 @@ class SteppedRun:
                 interrupts.check()
                 begin, asked = first + done * h, count - done
                 if asked < 1.0:
-                    chunk = self.stepped.steps(begin, asked * h, self.state, 1)
+                    chunk = self.system.steps(begin, asked * h, self.state, 1)
                 else:
-                    chunk = self.stepped.steps(
+                    chunk = self.system.steps(
                         begin, h, self.state, min(int(asked), most, each - int(done) % each)
                     )
                 due = False
@@ -236,8 +242,8 @@ class SteppedRun:
         if refused is not None:
             failure = refused.why
             chunk = chunk.first(refused.step)
-        missed = self.effort.beyond(chunk) or self._squeezed.found(
-            chunk, start, self.fastest, self.stepped.depth_left
+        missed = self.effort.beyond(chunk) or self._squeeze.found(
+            chunk, start, self.fastest, self.system.depth_left
         )
         if missed is not None:
             failure = missed[1]
@@ -257,7 +263,9 @@ class SteppedRun:
             self._hand_on()
             if self._poses is not None:
                 recorder = self.recorder
-                self._poses.add(chunk, recorder.clock, len(recorder.told), recorder.controls)
+                self._poses.add(
+                    chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
+                )
             self.recorder.add(chunk)
             self.effort.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
@@ -274,7 +282,7 @@ class SteppedRun:
         if self.span.policy.record is Record.NOTHING:
             return False
         modes = self.span.policy.record is Record.MODES
-        jumps = self.recorder.count if modes else len(self.recorder.told)
+        jumps = self.recorder.count if modes else len(self.recorder.control_jumps)
         if jumps >= self.span.max_jumps:
             self.end(Outcome.TOO_MANY_JUMPS, several(self.span.max_jumps, "jump"))
             return True
@@ -295,7 +303,7 @@ class SteppedRun:
 
     @cached_property
     def _piece(self) -> Trace:
-        """What a piece of the run has of a trace but arcs and jumps: names and numbers."""
+        """A trace without arcs and jumps: names and numbers of a piece of the run."""
         return self._trace(Record.MODES, (), ())
 
     def _check_pace(self) -> None:
@@ -317,7 +325,7 @@ class SteppedRun:
         if found is None or not found.deep:
             return found
         k = found.step
-        depth = self.stepped.depth_left(chunk.states[k], start + k * chunk.h)
+        depth = self.system.depth_left(chunk.states[k], start + k * chunk.h)
         return found._replace(why=no_room(found.deep, depth, size) or found.why)
 
     def _stop(self, condition: int) -> None:
@@ -338,17 +346,17 @@ class SteppedRun:
         recorder.close()
         self._hand_on()
         if record is Record.MODES:
-            # Of a long run what is looked at is made anew: it takes some times as much.
+            # Arcs of a long run are made anew when read: they take some times as much.
             return self._trace(record, *recorder.kept(kept=TERMS * self.size <= LARGEST))
-        # The end comes after all jumps, those of which nothing was told, too.
+        # The end comes after all jumps, those that were not recorded, too.
         outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
         if self._poses is None:
             return replace(self._trace(record, (), ()), outputs=outputs)
         arcs = self._poses.arcs(self.time)
-        return replace(self._trace(record, arcs, tuple(recorder.told)), outputs=outputs)
+        return replace(self._trace(record, arcs, tuple(recorder.control_jumps)), outputs=outputs)
 
     def _trace(self, record: Record, arcs: Sequence[Arc], jumps: Sequence[Jump]) -> Trace:
-        recorder, stepper, warnings = self.recorder, self.stepper, self._begun.warnings
+        recorder, stepper, warnings = self.recorder, self.stepper, self._inputs.warnings
         regions, start, final = stepper.regions, recorder.start_key, recorder.key
         if record is Record.POSES:
             controlled = len(regions) - len(stepper.controls)
@@ -383,7 +391,7 @@ class SteppedRun:
                 *self.setup.warnings,
                 *warnings,
                 *self.effort.remarks,
-                *self.stepped.remarks,
+                *self.system.remarks,
                 *recorder.remarks,
             ),
             counts={
@@ -395,7 +403,7 @@ class SteppedRun:
                 **self.effort.counts,
             },
             step=self.span.step,
-            margins=self.stepped.margins,
+            margins=self.system.margins,
             undetermined=recorder.indeterminate if record is Record.MODES else {},
             record=record,
         )
@@ -410,18 +418,9 @@ RELATIVE = 1e-9
 class Stepper(ABC):
     """Steps a scene (see `statechart.automaton.time_stepper.TimeStepper`).
 
-    Parameters
-    ----------
-    mechanics : Mechanics
-        The scene's equations, or no more than its names and symbols.
-    stops : sequence of StopCondition
-    regions : sequence of Region
-        All, those of the controllers last.
-    controllers : Controllers
-    again : str
-        Cause of an impact on a region that is not free.
-    forces, sticks
-        See `Recorder`.
+    The mechanics have the scene's equations, or no more than its names and symbols; `regions` are
+    all, those of controllers last; `again` is the cause of an impact on a region that is not free;
+    for `forces` and `sticks` see `Recorder`.
     """
 
     def __init__(
@@ -449,11 +448,11 @@ class Stepper(ABC):
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        begun = self._begin(overrides, 0.0, USUAL.tolerance, False)
-        if begun.failure is not None:
-            raise begun.failure
-        states = tuple(STATES[code] for code in begun.codes.tolist())
-        return (*states, *self.controls), (*begun.setup.warnings, *begun.warnings)
+        inputs = self._begin(overrides, 0.0, USUAL.tolerance, False)
+        if inputs.failure is not None:
+            raise inputs.failure
+        states = tuple(STATES[code] for code in inputs.codes.tolist())
+        return (*states, *self.controls), (*inputs.setup.warnings, *inputs.warnings)
 
     def run(
         self,
@@ -469,9 +468,9 @@ class Stepper(ABC):
         """Run from the declared initial state; see `TimeStepper.run`."""
         record, watch = policy
         forces = record is not Record.NOTHING or (watch is not None and watch.motion)
-        begun = self._able(overrides, step, until, impulses.tolerance, forces)
+        inputs = self._checked_inputs(overrides, step, until, impulses.tolerance, forces)
         span = Span(step, until, max_jumps, impulses, show, policy=policy)
-        return SteppedRun(self, begun, span).whole()
+        return SteppedRun(self, inputs, span).whole()
 
     def stream(
         self,
@@ -484,21 +483,21 @@ class Stepper(ABC):
         impulses: Impulses = USUAL,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
-        begun = self._able(overrides, step, until, impulses.tolerance)
+        inputs = self._checked_inputs(overrides, step, until, impulses.tolerance)
         show, every = (lambda time, jumps, steps: None), sampling.every
         span = Span(step, until, max_jumps, impulses, show, every)
-        return self._streamed(begun, span, sampling, dict(overrides))
+        return self._streamed(inputs, span, sampling, dict(overrides))
 
     def _streamed(
-        self, begun: RunInputs, span: Span, sampling: Sampling, parameters: dict[str, float]
+        self, inputs: RunInputs, span: Span, sampling: Sampling, parameters: dict[str, float]
     ) -> Iterator[Arc | Jump]:
-        if sampling.control is not None and begun.change is None:
+        if sampling.control is not None and inputs.change is None:
             raise Unsupported(
                 "time steps change parameters of scenes alone whose bodies do not collide by their "
                 "shapes and that have no controllers of their own; take the engine taylor or scipy"
             )
-        made = SteppedRun(self, begun, span)
-        recorder, seen = made.recorder, [0, 0]
+        run = SteppedRun(self, inputs, span)
+        recorder, seen = run.recorder, [0, 0]
 
         def fresh() -> list[Arc | Jump]:
             recorder.close()
@@ -506,29 +505,29 @@ class Stepper(ABC):
             seen[:] = len(recorder.arcs), len(recorder.jumps)
             return in_order(found)
 
-        for _ in made.chunks():
+        for _ in run.chunks():
             yield from fresh()
-            if sampling.control is None or begun.change is None:
+            if sampling.control is None or inputs.change is None:
                 continue
             mode = dict(zip(self.regions, recorder.key, strict=True))
-            state = dict(zip(self.names, made.state.tolist(), strict=True))
-            changed = sampling.control(Sample(made.time, mode, state))
+            state = dict(zip(self.names, run.state.tolist(), strict=True))
+            changed = sampling.control(Sample(run.time, mode, state))
             if changed:
                 parameters |= changed
-                made.stops = StopConditions(self.stops, begun.change(parameters))
+                run.stops = StopConditions(self.stops, inputs.change(parameters))
         yield from fresh()
-        trace = made.trace()
+        trace = run.trace()
         if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
             raise error_of(trace)
 
-    def _able(
+    def _checked_inputs(
         self, overrides: Mapping[str, float], step: float, until: float, allowed: float,
         forces: bool = True,
     ) -> RunInputs:  # fmt: skip
         """Return a run by steps that are long enough to move anything."""
         read = forces or bool(self.stops.names) or bool(self.controls)
-        begun = self._begin(overrides, step, allowed, read)
-        scales = begun.setup.scales
+        inputs = self._begin(overrides, step, allowed, read)
+        scales = inputs.setup.scales
         least = _EPS * scales.length / scales.speed
         if step < min(least, until):
             raise DeclarationProblem(
@@ -537,7 +536,7 @@ class Stepper(ABC):
                 advice=f"take {least:.1g} or more",
                 loc=("settings", "step"),
             )
-        return begun
+        return inputs
 
     @abstractmethod
     def _begin(
@@ -548,7 +547,7 @@ class Stepper(ABC):
         Forces need not be found where nobody reads them.
         """
 
-    def _lacks(self, setup: SceneSetup) -> tuple[str, ...]:
+    def _replaced_laws(self, setup: SceneSetup) -> tuple[str, ...]:
         """Return what differs from the declaration."""
         values = dict(zip(self.parameter_names, setup.values.tolist(), strict=True))
         return tuple(f"{what}: {why}" for what, why in replaced(self._scene, values).items())

@@ -44,18 +44,10 @@ class ActiveStates:
 
 
 class StopTapes:
-    """The stop conditions of a scene, on tape.
+    """The stop conditions of a scene, on tape: margins of their atoms, over variables and unknowns.
 
-    Attributes
-    ----------
-    stops : tuple of StopCondition
-    names : tuple of str
-    margins : Tape
-        Those of the atoms, over variables and unknowns.
-    counts : (2, a) array of bool
-        Which atoms hold on their boundary, too, where they stay there for a step; and at once, of
-        what jumps alone change, so that no motion tells the way it goes.
-    active : ActiveStates
+    `counts` (2, a) are the atoms that hold on their boundary, too, where they stay there for a
+    step; and at once, of numbers that jumps alone change, so that no motion tells the way they go.
     """
 
     def __init__(
@@ -159,7 +151,7 @@ class StopConditions:
         return np.split(atoms, np.cumsum(counts)[:-1], axis=1)
 
     def _met(self, rows: Array, margins: Array, times: Array) -> Bools:
-        # What rests moves at what steps leave of its speed.
+        # A resting coordinate moves at the residual speed of the steps.
         zero = self._rounded * self._tapes.terms(rows, self._sizes, self._values, times)
         ends = np.vstack([self._near, np.abs(margins) <= zero])
         before, near, self._near = ends[:-1], ends[1:], ends[-1]
@@ -172,7 +164,7 @@ class StopConditions:
             return None
         rows, margins = self._ends(chunk, start)
         single = [stop.condition.single for stop in self._tapes.stops]
-        # Of several atoms one may have a value where another needs none.
+        # One of several atoms may have a value where another needs none.
         values = [
             part if alone else np.where(np.isnan(part).all(axis=1, keepdims=True), part, 0.0)
             for part, alone in zip(self._parts(margins), single, strict=True)

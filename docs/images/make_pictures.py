@@ -18,7 +18,7 @@ if __name__ == "__main__":
     if FOUND is not None:
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
             page = stick.report(Path(place) / "stick.html")
-            with Browser(Path(place) / "browser") as browser:
+            with Browser(Path(place) / "browser", width=1280, height=900) as browser:
                 browser.open(page)
                 browser.value("go(Math.round(0.8 * last))")
                 browser.screenshot(HERE / "toppling_stick_page.png")

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,10 +40,10 @@ if TYPE_CHECKING:
     from statechart.formulas.tape import Tape
 
 
-UNTOLD = "not recorded"
+NOT_RECORDED = "not recorded"
+"""Word shown for the state of a region whose modes a run does not record."""
 NEUTRAL = re.compile(r"zz\d+zz")
 """Names that alike components share."""
-"""What is shown as the state of a region whose modes a run does not keep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +87,7 @@ class Automaton:
 
     @property
     def laws_of_events(self) -> Laws:
-        """The laws, for those who cannot do without.
-
-        Raises
-        ------
-        Unsupported
-            If only steps can run the model.
-        """
+        """The laws; raises `Unsupported` if only steps can run the model."""
         if self.laws is None:
             raise Unsupported(
                 f"{self.name!r} runs on the engine impulse alone: say --engine impulse "
@@ -103,18 +98,12 @@ class Automaton:
     @property
     def modes_total(self) -> int:
         """Number of product modes, directions of sliding told apart."""
-        total = 1
-        for region in self.regions:
-            total *= len(region.states)
-        return total
+        return prod(len(region.states) for region in self.regions)
 
     @property
     def modes_declared(self) -> int:
         """Number of product modes as the declaration counts them (sliding without direction)."""
-        total = 1
-        for region in self.regions:
-            total *= len({region.declared(state) for state in region.states})
-        return total
+        return prod(len({*map(region.declared, region.states)}) for region in self.regions)
 
     @cached_property
     def stop_margins(self) -> tuple[Margin, ...]:
@@ -128,7 +117,7 @@ class Automaton:
 
     def active(self, key: Key) -> Active:
         """Return the test whether a region is in a state, or in one inside it."""
-        return active_in(self.told(key), key)
+        return active_in(self.recorded_regions(key), key)
 
     @cached_property
     def region_names(self) -> tuple[str, ...]:
@@ -152,19 +141,22 @@ class Automaton:
             for label, text in self.declaration.invariants.items()
         )
 
-    def told(self, key: Key) -> tuple[Region, ...]:
+    def recorded_regions(self, key: Key) -> tuple[Region, ...]:
         """Return the regions whose states a key has: all, or where poses are kept controllers."""
         return self.regions[len(self.regions) - len(key) :]
 
-    def states_told(self, key: Key) -> list[tuple[str, ...]]:
-        """Return the states of all regions; of those that a key has not, `UNTOLD`."""
-        untold = len(self.regions) - len(key)
-        return [(UNTOLD,)] * untold + [region.states for region in self.told(key)]
+    def recorded_states(self, key: Key) -> list[tuple[str, ...]]:
+        """Return the states of all regions; of those that a key has not, `NOT_RECORDED`."""
+        missing = len(self.regions) - len(key)
+        return [(NOT_RECORDED,)] * missing + [
+            region.states for region in self.recorded_regions(key)
+        ]
 
     def label(self, key: Key) -> str:
         """Return the name of a mode: ``tip:slide+``, or ``A:free B:pin``."""
         return " ".join(
-            f"{region.name}:{state}" for region, state in zip(self.told(key), key, strict=True)
+            f"{region.name}:{state}"
+            for region, state in zip(self.recorded_regions(key), key, strict=True)
         )
 
     def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:
@@ -200,13 +192,7 @@ class Component:
 
 
 class Places:
-    """Places of a component's regions, variables and parameters in the whole.
-
-    Attributes
-    ----------
-    regions, variables, parameters : array of int
-    whole : Automaton
-    """
+    """Places of a component's regions, variables and parameters in the whole, arrays of int."""
 
     def __init__(self, component: Component, whole: Automaton) -> None:
         part, named = component.automaton, component.named

@@ -38,21 +38,10 @@ def split(
 ) -> list[tuple[Data, dict[str, str]]]:
     """Return the independent parts of a declaration in neutral names; none where it is one.
 
-    Parameters
-    ----------
-    data : dict
-        The declaration.
-    moving : collection of str
-        Sections whose entities change in time, or say how others do.
-    regions : collection of str
-        Those of them whose entities are regions.
-    reserved : callable
-        Words of the document that no name may be, as names are replaced in texts.
-
-    Returns
-    -------
-    list of (dict, dict)
-        Declaration, and neutral name -> name.
+    A part is its declaration, and neutral name -> name. `moving` are the sections whose entities
+    change in time, or say how others do; `regions` those of them whose entities are regions.
+    `reserved` returns the words of the document that no name may be, as names are replaced in
+    texts.
     """
     entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
     stops = data.get("stop", {}).get("conditions", {})

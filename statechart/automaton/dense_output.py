@@ -16,21 +16,18 @@ Flow = tuple[float, ArrayLike, ArrayLike]
 """Start, local times (k + 1,) of the steps' ends and coefficients (k, n, d + 1) of a flow."""
 
 # Flows of one batch.
-_FLOWS = 1024
+_MAX_FLOWS = 1024
 
 
 def lowest(tape: Tape, flows: Sequence[Flow], parameters: ArrayLike, per_step: int = 16) -> Array:
     """Return the least value of every output on a grid along flows.
 
-    Raises
-    ------
-    ValueError
-        If a shape does not fit.
+    Raises `ValueError` if a shape does not fit.
     """
     s = np.arange(per_step + 1) / per_step
     parameters, found = contiguous(parameters), np.full(len(tape.outputs), np.inf)
-    for first in range(0, len(flows), _FLOWS):
-        some = flows[first : first + _FLOWS]
+    for first in range(0, len(flows), _MAX_FLOWS):
+        some = flows[first : first + _MAX_FLOWS]
         parts = [checked_arc(tape, *flow[1:], parameters)[:2] for flow in some]
         begin = np.concatenate([times[:-1] for times, _ in parts])[:, None]
         end = np.concatenate([times[1:] for times, _ in parts])[:, None]
@@ -55,27 +52,10 @@ def integrals(
 ) -> tuple[Array, Array]:
     """Integrate every output over local time, by Gauss and Legendre with 16 nodes in a piece.
 
-    Pieces are steps, halved until every output is resolved in them: what is narrower than a step
-    is found by its enclosure, and a kink ends in a piece as wide as rounding.
-
-    Parameters
-    ----------
-    tape, times, coeffs, parameters, start
-        As in `statechart.engines.event_location.search`.
-    t_from, t_to : float
-        Local times; what lies outside the steps does not count.
-
-    Returns
-    -------
-    totals : ndarray, shape (n_out,)
-        Integrals, in the output's unit times that of time.
-    ends : ndarray
-        Local times at which the pieces end.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit.
+    Pieces are steps, halved until every output is resolved in them: what is narrower than a step is
+    found by its enclosure, and a kink ends in a piece as wide as rounding. The limits are local
+    times; what lies outside the steps does not count. Returns the integrals (n_out,), and the local
+    times at which the pieces end. Raises `ValueError` if a shape does not fit.
     """
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(
@@ -92,13 +72,7 @@ def integrals(
 
 
 def sample(coeffs: ArrayLike, times: ArrayLike, tau: ArrayLike) -> Array:
-    """Evaluate the polynomials.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit.
-    """
+    """Evaluate the polynomials; raises `ValueError` if a shape does not fit."""
     coeffs, times, tau = contiguous(coeffs), contiguous(times), contiguous(tau)
     if coeffs.ndim != 3 or len(coeffs) == 0 or times.shape != (len(coeffs) + 1,) or tau.ndim != 1:
         raise ValueError(

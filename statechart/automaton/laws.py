@@ -80,7 +80,7 @@ class Setup:
 
 
 class Flow(NamedTuple):
-    """What the executor does next: flow in a mode, possibly shown as another, possibly timed."""
+    """Next flow of the executor: its mode, possibly shown as another, possibly timed."""
 
     mode: Key  # The mode shown.
     roles: Roles  # Whose equations apply; `HELD` is the state of a region that is held.
@@ -116,7 +116,7 @@ class Flow(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What the laws are asked about: where a flow has come to."""
+    """End of a flow, as the laws are asked about it."""
 
     setup: Setup  # The numbers of the run.
     clock: Clock  # When.
@@ -144,7 +144,7 @@ class Instant(NamedTuple):
 
 
 class Laws(Protocol):
-    """What happens at the instants between flows; the executor knows nothing else."""
+    """Jumps at the instants between flows; the executor knows nothing else."""
 
     @property
     def compiled_laws(self) -> CompiledLaws | None:
@@ -167,22 +167,9 @@ class Laws(Protocol):
     ) -> tuple[Jump, Flow] | None:
         """Skip the rest of a sequence of jumps that accumulate.
 
-        Parameters
-        ----------
-        jumps : sequence of Jump
-            The last ones; the last of them is the one after which the rest can be skipped.
-        rest : float
-            Time to the accumulation.
-
-        Returns
-        -------
-        (Jump, Flow) or None
-            The last jump and the flow after it, changed; None where the sequence has to go on.
-
-        Raises
-        ------
-        Zeno
-            If nothing declared says what follows.
+        `jumps` are the last ones; behind the last of them the rest can be skipped, which takes the
+        time `rest`. Returns that jump and the flow after it, changed; None where the sequence has
+        to go on. Raises `Zeno` if nothing declared says what follows.
         """
         ...
 
@@ -222,11 +209,15 @@ class CompiledLaws(Protocol):
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
-        """What gives the numbers of a run that `batch` makes many of."""
+        """What gives the numbers of a run that the loop finds itself where it starts runs."""
         ...
 
     def compiled(self) -> bool:
-        """Whether it lies compiled on disk; if not, that takes a while."""
+        """Whether the loop lies compiled on disk; if not, that takes a while."""
+        ...
+
+    def ready(self) -> bool:
+        """Whether it does, and costs nothing to have."""
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
@@ -245,21 +236,8 @@ class CompiledLaws(Protocol):
         """Whether it can go on from the start of a flow in a mode that it knows."""
         ...
 
-    def ready(
-        self, setup: Setup, loop: Any, floors: Array
-    ) -> Callable[..., tuple[int, int, float]]:
-        """Return the loop for the numbers of a run; see `statechart.execution.compiled_loop`."""
-        ...
-
-    def batch_compiled(self) -> bool:
-        """Whether the call for many runs lies compiled on disk; if not, that takes a while."""
-        ...
-
-    def batch(self, loop: Any, names: Sequence[str], relative: float) -> Any | None:
-        """Return the call for runs with values of some parameters; None where there is none.
-
-        See `statechart.execution.compiled_loop.BatchCall`.
-        """
+    def call(self, loop: Any, relative: float) -> Any:
+        """Return calls of the loop; see `statechart.execution.compiled_loop.LoopCall`."""
         ...
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
@@ -271,13 +249,13 @@ class CompiledLaws(Protocol):
         ...
 
 
-MOST_MODES = 4096
+MAX_MODES = 4096
 """Products of more modes than this, six contacts' for one, are never enumerated."""
 
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Which product modes are possible at a configuration."""
+    """Verdict on the product modes at a configuration."""
 
     modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
     # The same as the declaration counts modes (sliding without direction).

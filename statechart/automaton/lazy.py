@@ -9,7 +9,7 @@ from typing import Generic, TypeVar, overload
 T = TypeVar("T")
 
 # Of a sequence, the first so many are kept once they have been made.
-_SHORT = 1 << 12
+_MAX_KEPT = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
@@ -40,12 +40,8 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 class LazySequence(Sequence[T], Generic[T]):
     """Sequence whose items are made when they are read.
 
-    Attributes
-    ----------
-    keeps : bool
-        `kept`.
-    source : object
-        What all of them stand in, for those who read that; does not travel.
+    The first ones are kept if it `keeps`. The object in which all of them stand may be its
+    `source`, for those who read that; it does not travel.
     """
 
     def __init__(
@@ -81,7 +77,7 @@ class LazySequence(Sequence[T], Generic[T]):
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if self.keeps and place < _SHORT:
+            if self.keeps and place < _MAX_KEPT:
                 self._seen[place] = found
         return found
 

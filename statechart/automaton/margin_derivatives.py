@@ -21,7 +21,7 @@ UNDERFLOW = 1e-290
 """Round-off of terms that are all zero: a tolerance of zero would leave a margin undecided that
 starts at zero and rises with slope zero."""
 # Derivatives up to this order are looked at; a margin that has none there stays where it is.
-_ORDERS = 12
+_MAX_ORDER = 12
 
 
 class MarginDerivatives:
@@ -46,25 +46,10 @@ class MarginDerivatives:
     ) -> float:
         """Return the sign of the first derivative that is not zero; 0.0 where all are.
 
-        Parameters
-        ----------
-        setup : Setup
-            The numbers of the run.
-        roles : Roles
-            The mode whose equations apply.
-        margin : str or Expr
-            Name of one of its margins, or any expression of the variables, parameters and time.
-        state, sizes : (n,) array
-            Where the mode is entered, and how large the terms of each variable are.
-        time : float
-            When.
-        relative : float
-            Derivatives this small relative to their terms are zero.
-
-        Returns
-        -------
-        float
-            Not a number where the derivatives have no value.
+        `margin` is the name of a margin of the mode of `roles`, or an expression of the variables,
+        parameters and time. The mode is entered in `state` (n,), whose terms are of `sizes` (n,).
+        Derivatives as small as `relative` to their terms are zero. Not a number where they have no
+        value.
         """
         assert setup.modes is not None
         try:
@@ -77,7 +62,7 @@ class MarginDerivatives:
             for x, size in zip(state.tolist(), sizes.tolist(), strict=True)
         ]
         parameters = setup.values.tolist()
-        for order in range(_ORDERS + 1):
+        for order in range(_MAX_ORDER + 1):
             *rates, found = expand(tape, series, parameters, time)
             value, size = found.values[order], found.sizes[order]
             if order > 0 and not abs(value) <= relative * size:
@@ -127,7 +112,7 @@ class MarginDerivatives:
 
 
 def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return what the rounding of an expression is relative to."""
+    """Return the size of the terms of an expression, which its round-off is relative to."""
     if not expression.args:
         return sizes.get(expression, abs(expression))
     # A number is exact: an exponent, a factor.

@@ -1,28 +1,30 @@
-"""Regions to modes: the equations of a mode, built when it is entered; the product's graph."""
+"""Equations of a mode, built when it is entered, and reconstruction of what they eliminate."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
+import numpy as np
 import sympy as sp
 
+from statechart.arrays import Array, Ints32
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import uncaptured
-from statechart.automaton.reduction import Elimination, eliminated, minimal_equations
+from statechart.automaton.reduction import Elimination, eliminated
 from statechart.automaton.regions import Loads, Margin, Mode, State
 from statechart.automaton.trace import Roles
 from statechart.formulas.linear import Definition, solve_linear
+from statechart.formulas.tape import Tape, contiguous
+from statechart.formulas.writer import compile_tape
+from statechart.kernels.reconstruction import Program, reconstruct, reconstruction_program
 
 
 def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) -> Mode:
     """Solve the equations of `roles`.
 
-    Raises
-    ------
-    Singular
-        If the equations leave an unknown free whatever the numbers are.
+    Raises `Singular` if they leave an unknown free whatever the numbers are.
     """
     bare = uncaptured(roles)
     if bare != roles:
@@ -143,15 +145,22 @@ def _minimal(
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
     unit = _MassUnit(automaton, substitution)
-    solved = minimal_equations(
-        coordinates,
-        elimination,
-        [e.xreplace(substitution) for e in unit.motion(motion)],
-        [e.xreplace(known).xreplace(substitution) for e in laws],
-        [e.xreplace(known).xreplace(substitution) for e in unit.motion(follow)],
-        automaton.unknowns,
+
+    def inserted(equations: Iterable[sp.Expr]) -> list[sp.Expr]:
+        return [e.xreplace(known).xreplace(substitution) for e in equations]
+
+    left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
+    forces = [u for u in automaton.unknowns if u not in coordinates.accelerations]
+    free = [force for force in forces if force not in elimination.forces]
+    held = [force for force in forces if force in elimination.forces]
+    moving = [e.xreplace(substitution) for e in unit.motion(motion)]
+    return unit.solved(
+        (
+            *solve_linear([*moving, *inserted(laws)], (*left, *free), len(moving)),
+            *elimination.accelerations.items(),
+            *solve_linear(inserted(unit.motion(follow)), held),
+        )
     )
-    return unit.solved(solved)
 
 
 def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
@@ -208,3 +217,53 @@ def _shared(
     laws |= {unknown: sp.Add(*terms) for unknown, terms in sums.items()}
     equations = [law.xreplace(substitution) for law in laws.values()]
     return solve_linear(equations, tuple(laws), len(laws), before=sums)
+
+
+class Reconstruction(NamedTuple):
+    """Reconstruction of the dependent coordinates in one flow."""
+
+    program: Program
+
+    def onto(self, state: Array, time: float) -> Array:
+        """Return a state (n,) whose dependent coordinates follow from the others."""
+        if not len(self.program[3]):
+            return state
+        moved = np.array(state)
+        reconstruct(self.program, moved, time)
+        return moved
+
+
+@dataclass(frozen=True, eq=False)
+class ModeReconstruction:
+    """Reconstruction of the dependent coordinates in the flows of a mode."""
+
+    # Outputs: the dependent coordinates; its variables are those of the automaton, then anchors.
+    tape: Tape
+    places: Ints32  # (k,): of the outputs among the variables.
+    anchors: Tape  # Outputs: the anchors, of the state in which a flow begins.
+
+    def begun(self, state: Array, parameters: Array, time: float) -> Reconstruction:
+        """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""
+        anchors = self.anchors.at(contiguous(state), parameters, time)
+        program = self.tape.program
+        return Reconstruction(
+            reconstruction_program(*program, self.places, anchors, parameters, len(state))
+        )
+
+
+def mode_reconstruction(automaton: Automaton, mode: Mode) -> ModeReconstruction:
+    """Compile the reconstruction of the coordinates that a mode eliminates."""
+
+    def tape(outputs: Sequence[sp.Expr], further: Sequence[sp.Symbol] = ()) -> Tape:
+        return compile_tape(
+            outputs,
+            variables=(*automaton.variables, *further),
+            parameters=automaton.parameters,
+            time=automaton.time,
+        )
+
+    return ModeReconstruction(
+        tape([*mode.eliminated.values()], [*mode.anchors]),
+        np.array([*mode.eliminated], dtype=np.int32),
+        tape([*mode.anchors.values()]),
+    )

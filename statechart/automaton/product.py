@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import MOST_MODES, Feasibility, Setup
+from statechart.automaton.laws import MAX_MODES, Feasibility, Setup
 from statechart.automaton.regions import UNREACHED, Edge, Region
 from statechart.automaton.trace import Key, Trace
 from statechart.errors import StatechartError
@@ -65,39 +65,20 @@ def explored(
     """Return the product automaton, or the part of it that is asked for; no other is built.
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
-    declares, is an edge without guard.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        Whose regions.
-    around : iterable of Key
-        Where to begin; the modes of the trace by default.
-    within : int, optional
-        How many edges lead there from the modes `around`, at most: with 0 and a trace they are
-        those visited. By default all modes are there.
-    trace : Trace, optional
-        A run, whose visits are counted.
-    found : Feasibility, optional
-        Which modes are possible.
-    directions : bool
-        Whether directions of sliding are told apart.
-    unreached : bool
-        Whether the declared states that no chain of transitions enters are there, too, as modes
-        that are not feasible.
-
-    Raises
-    ------
-    StatechartError
-        If there are more modes than `MOST_MODES`, or those given are not of this automaton.
+    declares, is an edge without guard. The part has the modes up to `within` edges from those
+    `around`, by default the modes of the trace; without `within` all. Visits of `trace` are
+    counted. `directions` of sliding are told apart. With `unreached` the declared states that no
+    chain of transitions enters are there, too, as modes that are not feasible. Raises
+    `StatechartError` if there are more modes than `MAX_MODES`, or those given are not of this
+    automaton.
     """
     charts = tuple(
         drawn_region(region, directions=directions, unreached=unreached)
         for region in automaton.regions
     )
     path = () if trace is None else visited(automaton, trace, directions=directions)
-    begin = list(map(_naming(automaton, directions), around)) or path
-    keys = _all(charts) if within is None else _near(charts, begin, within)
+    begin = list(map(_key_names(automaton, directions), around)) or path
+    keys = _all_modes(charts) if within is None else _neighbours(charts, begin, within)
     reasons = {} if found is None else found.modes if directions else found.declared
     entries = Counter(path)
     modes: dict[Key, dict[str, Any]] = {}
@@ -119,13 +100,13 @@ def _is_entered(region: Region, state: str) -> bool:
 
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:
     """Return the modes of a product in the order a run took them, repeats merged."""
-    shown = map(_naming(automaton, directions), trace.modes)
+    shown = map(_key_names(automaton, directions), trace.modes)
     return tuple(key for key, _ in groupby(shown))
 
 
 def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> Iterator[_Jump]:
     """Yield source, target, region and event of every jump; a stop leads nowhere."""
-    shown = _naming(automaton, directions)
+    shown = _key_names(automaton, directions)
     for jump in trace.jumps:
         if jump.region:
             yield shown(jump.source), shown(jump.target), jump.region, jump.cause
@@ -134,19 +115,13 @@ def _jumps(automaton: Automaton, trace: Trace, *, directions: bool = True) -> It
 def feasibility(
     automaton: Automaton, setup: Setup, state: Array, time: float
 ) -> Feasibility | None:
-    """Judge every product mode at a configuration.
-
-    Raises
-    ------
-    StatechartError
-        If the modes cannot be judged there.
-    """
-    if automaton.laws is None or automaton.modes_total > MOST_MODES:
+    """Judge every product mode; raises `StatechartError` if they cannot be judged there."""
+    if automaton.laws is None or automaton.modes_total > MAX_MODES:
         return None
     return automaton.laws.feasibility(automaton.regions, setup, state, time)
 
 
-def _naming(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
+def _key_names(automaton: Automaton, directions: bool) -> Callable[[Key], Key]:
     """Return what names a mode as the product does, and refuses what is none."""
     names: list[dict[str, str]] = []
     for region in automaton.regions:
@@ -204,14 +179,14 @@ def _declared(region: Region, state: str) -> Iterator[Edge]:
             yield Edge(edge.cause, state, target, edge.guard, edge.reset)
 
 
-def _all(charts: Sequence[Region]) -> Iterable[Key]:
+def _all_modes(charts: Sequence[Region]) -> Iterable[Key]:
     total = prod(len(chart.states) for chart in charts)
-    if total > MOST_MODES:
+    if total > MAX_MODES:
         raise _too_many(f"{total} modes")
     return product(*(chart.states for chart in charts))
 
 
-def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Iterable[Key]:
+def _neighbours(charts: Sequence[Region], around: Iterable[Key], within: int) -> Iterable[Key]:
     """Return the modes up to so many edges away, the nearest first."""
     found = dict.fromkeys(around)
     front = tuple(found)
@@ -220,14 +195,14 @@ def _near(charts: Sequence[Region], around: Iterable[Key], within: int) -> Itera
         for key in front:
             for place, chart in enumerate(charts):
                 targets = (edge.target for edge in chart.edges if edge.source == key[place])
-                found.update((_with(key, place, target), None) for target in targets)
-            if len(found) > MOST_MODES:
-                raise _too_many(f"more than {MOST_MODES} modes so near")
+                found.update((_replace_state(key, place, target), None) for target in targets)
+            if len(found) > MAX_MODES:
+                raise _too_many(f"more than {MAX_MODES} modes so near")
         front = tuple(islice(found, known, None))
     return found
 
 
-def _with(key: Key, place: int, state: str) -> Key:
+def _replace_state(key: Key, place: int, state: str) -> Key:
     return (*key[:place], state, *key[place + 1 :])
 
 
@@ -238,25 +213,25 @@ def _edges(
     left = Counter(taken)
     for place, chart in enumerate(charts):
         for edge in chart.edges:
-            said = _said(chart.name, edge.cause, edge.guard, edge.reset)
+            said = _attributes(chart.name, edge.cause, edge.guard, edge.reset)
             for source in keys:
                 if source[place] != edge.source:
                     continue
-                target = _with(source, place, edge.target)
+                target = _replace_state(source, place, edge.target)
                 if target in keys:
                     visits = left.pop((source, target, chart.name, edge.cause), 0)
                     yield source, target, said if taken is None else {**said, "visits": visits}
     for (source, target, name, event), visits in left.items():
         if source in keys and target in keys:
-            yield source, target, {**_said(name, event, "", ""), "visits": visits}
+            yield source, target, {**_attributes(name, event, "", ""), "visits": visits}
 
 
-def _said(region: str, event: str, guard: str, reset: str) -> dict[str, Any]:
+def _attributes(region: str, event: str, guard: str, reset: str) -> dict[str, Any]:
     return {"region": region, "event": event, "guard": guard, "reset": reset}
 
 
 def _too_many(found: str) -> StatechartError:
     return StatechartError(
-        f"{found}, and a graph has at most {MOST_MODES}: ask for those within fewer jumps of a "
+        f"{found}, and a graph has at most {MAX_MODES}: ask for those within fewer jumps of a "
         "mode, or for those that a run visited"
     )

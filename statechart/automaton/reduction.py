@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import sympy as sp
 
 from statechart.automaton.regions import Hold
-from statechart.formulas.linear import Definition, solve_linear
 
 # A coordinate is eliminated where a unit of it moves what is held by so many at least: the ones of
 # mechanics are 1.
-_PIVOT = 0.5
+_MIN_PIVOT = 0.5
 
 Known = Mapping[sp.Symbol, sp.Expr]
 
@@ -136,45 +135,7 @@ def _pivot(place: sp.Expr, coordinates: Coordinates) -> tuple[sp.Symbol, sp.Expr
         if not place.has(coordinate):
             continue
         pivot = sp.diff(place, coordinate)
-        if pivot.is_number and abs(pivot) >= max(_PIVOT, best[0] if best else 0.0):
+        if pivot.is_number and abs(pivot) >= max(_MIN_PIVOT, best[0] if best else 0.0):
             value = place.xreplace({coordinate: sp.S.Zero}) / -pivot
             best = float(abs(pivot)), coordinate, sp.expand_mul(value)
     return None if best is None else best[1:]
-
-
-def minimal_equations(
-    coordinates: Coordinates,
-    elimination: Elimination,
-    motion: Sequence[sp.Expr],
-    laws: Sequence[sp.Expr],
-    follow: Sequence[sp.Expr],
-    unknowns: Sequence[sp.Symbol],
-) -> tuple[Definition, ...]:
-    """Solve the equations of a mode some of whose coordinates are eliminated.
-
-    Parameters
-    ----------
-    coordinates, elimination
-        Of the mode.
-    motion : sequence of Expr
-        Equations of motion of the coordinates that are left.
-    laws : sequence of Expr
-        Those of the forces that may do work on them.
-    follow : sequence of Expr
-        The equations of the coordinates eliminated.
-    unknowns : sequence of Symbol
-        Of the automaton: accelerations and forces.
-
-    Returns
-    -------
-    tuple of (Symbol, Expr)
-        As of `statechart.formulas.linear.solve_linear`.
-    """
-    left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
-    forces = [u for u in unknowns if u not in coordinates.accelerations]
-    working = [force for force in forces if force not in elimination.forces]
-    return (
-        *solve_linear([*motion, *laws], (*left, *working), len(motion)),
-        *elimination.accelerations.items(),
-        *solve_linear(follow, [force for force in forces if force in elimination.forces]),
-    )

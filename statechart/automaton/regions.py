@@ -178,7 +178,7 @@ class History(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Nesting:
-    """What was declared of the states of a flattened region, beside its superstates."""
+    """Declared states in states of a flattened region, beside its superstates."""
 
     names: tuple[str, ...] = ()  # States and superstates in the order of the document.
     # State of the region -> the innermost states that are active in it.
@@ -219,10 +219,6 @@ class Claim:
     holds: bool  # True: all of them hold. False: at least one does not.
 
 
-def _no_claims(_state: str) -> tuple[Claim, ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class Loads:
     """Unknowns that the motion leaves open: something carries them in the equations of motion.
@@ -254,7 +250,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class State:
-    """What a region contributes to a mode."""
+    """Contribution of a region to a mode."""
 
     # Each = 0, linear in the automaton's unknowns and its carriers.
     equations: tuple[sp.Expr, ...] = ()
@@ -308,7 +304,7 @@ class Region:
     # "" where every state says something.
     default: str = ""
     # State -> the declared relations that tests compare with its runs.
-    claims: Callable[[str], tuple[Claim, ...]] = _no_claims
+    claims: Callable[[str], tuple[Claim, ...]] = lambda _: ()
 
     def declared(self, state: str) -> str:
         """Return the state as the declaration names it."""
@@ -319,17 +315,13 @@ class Region:
 
         Of a configuration of several, each of them with its superstates.
         """
-        found = self._actives.get(state)
-        if found is None:
-            found = self._actives[state] = self._active(state)
-        return found
+        if state not in self._actives:
+            self._actives[state] = self.nesting.active(state, self.superstates)
+        return self._actives[state]
 
     @cached_property
     def _actives(self) -> dict[str, tuple[str, ...]]:
         return {}
-
-    def _active(self, state: str) -> tuple[str, ...]:
-        return self.nesting.active(state, self.superstates)
 
     def causes(self, cause: str) -> tuple[str, ...]:
         """Return what a cause of jumps stands for: itself, or transitions taken together."""

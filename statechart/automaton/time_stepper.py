@@ -12,7 +12,7 @@ from statechart.documents.setting import Record
 
 
 class Impulses(NamedTuple):
-    """How well the impulses of a step are to satisfy the contact laws."""
+    """Tolerances of the impulses of a step."""
 
     tolerance: float = 1e-6  # In parts of the step's fastest approach; more is told.
     bound: float = math.inf  # More ends the run.
@@ -60,12 +60,8 @@ class TimeStepper(Protocol):
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; return its mode and what a reader must know.
 
-        Raises
-        ------
-        DeclarationProblem
-            If no run can start there.
-        SimulationError
-            If the model has what the stepper lacks.
+        Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has
+        what the stepper lacks.
         """
         ...
 
@@ -82,25 +78,10 @@ class TimeStepper(Protocol):
     ) -> Trace:
         """Run from the declared initial state.
 
-        Parameters
-        ----------
-        overrides : mapping of str to float
-            Parameter -> value.
-        step : float
-            Length of every step but the last two, of which the last ends at `until`.
-        until : float
-            End of the run.
-        max_jumps : int
-            End after so many jumps.
-        show : callable
-            Called now and then with the time reached, the number of jumps and that of steps.
-        impulses : Impulses
-        policy : RecordingPolicy
-
-        Returns
-        -------
-        Trace
-            Also where the run could not go on; its outcome says so.
+        All steps are of length `step` but the last two, of which the last ends at `until`. A run
+        ends after `max_jumps`. `show` is called now and then with the time reached, the number of
+        jumps and that of steps. Returns the trace also where the run could not go on; its outcome
+        says so.
         """
         ...
 
@@ -116,17 +97,14 @@ class TimeStepper(Protocol):
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come, an arc ending wherever the run is looked at.
 
-        Raises
-        ------
-        SimulationError
-            Where the run cannot go on, after all that it made.
+        Raises `SimulationError` where the run cannot go on, after all that it made.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a controller is shown at an instant.
+    """State of a run that a controller is shown at an instant.
 
     Attributes
     ----------
@@ -148,7 +126,7 @@ Control = Callable[[Sample], Mapping[str, float] | None]
 
 
 class Sampling(NamedTuple):
-    """When a run is looked at, and what may change then."""
+    """Instants at which a controller sees a run, and may change its parameters."""
 
     every: float  # Time between instants; inf for none.
     control: Control | None

@@ -72,7 +72,7 @@ def check_size(size: int, jumps: int, time: float) -> None:
 
 
 class Role(NamedTuple):
-    """How a region takes part in a flow."""
+    """State whose equations a region contributes to a flow."""
 
     state: str  # Whose equations apply.
     # True where the region is shown in another state meanwhile: for everybody else its forces are
@@ -203,7 +203,7 @@ _UNTOLD = (
 
 @dataclass(frozen=True)
 class Motion:
-    """What is proved of the steps of a run: how far they are off their differential equations.
+    """Proved distance of the steps of a run from their differential equations.
 
     Attributes
     ----------

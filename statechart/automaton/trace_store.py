@@ -61,13 +61,7 @@ class Blocks(Generic[B]):
         return self._blocks[place]
 
     def add(self, block: B) -> None:
-        """Append a block.
-
-        Raises
-        ------
-        TooLong
-            If neither memory nor the disk is to take it.
-        """
+        """Append a block; raises `TooLong` if neither memory nor the disk is to take it."""
         self._blocks.append(block)
         size = sum([part.nbytes for part in block if isinstance(part, np.ndarray)])
         self._bytes += size
@@ -211,12 +205,8 @@ def copied(buffer: TraceBuffer) -> TraceBuffer:
 class TraceStore:
     """Arcs and jumps of a run in blocks, made when they are read.
 
-    Attributes
-    ----------
-    made : dict
-        Number of jumps before it -> a jump stored as an object.
-    last : callable or None
-        Makes the jump that follows all events.
+    `made` has jumps stored as objects, by the number of jumps before each; `last`, if set, makes
+    the jump that follows all events.
     """
 
     def __init__(
@@ -267,7 +257,7 @@ class TraceStore:
         return self._events[-1] + int(self.buffer.used[EVENTS]) + (self.last is not None)
 
     def _arc(self, place: int) -> Arc:
-        block, row = self._found(self._arcs, place)
+        block, row = self._locate(self._arcs, place)
         arc = arc_of(block, row, self.variables, self._kinds)
         if block is self.buffer:  # a later arc overwrites it
             arc = replace(arc, times=arc.times.copy(), coefficients=arc.coefficients.copy())
@@ -280,9 +270,9 @@ class TraceStore:
         if self.last is not None and j == self._count() - 1:
             return self.last()
         assert self._jump is not None
-        return self._jump(event_of(*self._found(self._events, j), j, self._kinds))
+        return self._jump(event_of(*self._locate(self._events, j), j, self._kinds))
 
-    def _found(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
+    def _locate(self, begins: list[int], place: int) -> tuple[TraceBuffer, int]:
         """Return the block and the row of one item of a sequence."""
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
@@ -292,12 +282,7 @@ class TraceStore:
 class TraceRecorder(TraceStore):
     """Records a run in a buffer; moves that to a block if it is full, and at the end.
 
-    Parameters
-    ----------
-    variables, kinds, buffer, jump
-        As of a `TraceStore`.
-    begun : bool
-        Whether the buffer holds the beginning of the run already.
+    `begun`: the buffer holds the beginning of the run already.
     """
 
     def __init__(

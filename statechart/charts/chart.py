@@ -12,7 +12,6 @@ from statechart.charts.flatten import FlatRegion, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
-    Loc,
     check_listening,
     check_periods,
     declared_transitions,
@@ -20,20 +19,21 @@ from statechart.charts.transitions import (
 )
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
+    PIECES,
     FiniteText,
     Label,
     NameText,
     RelationText,
     ValueName,
+    check_derived,
     check_names,
     check_relation,
+    check_smooth,
     unit,
     value_of,
 )
 from statechart.documents.quantities import Quantity
-from statechart.documents.uses import check_uses
-from statechart.errors import DeclarationProblem, undeclared
-from statechart.formulas.derivatives import PIECES, check_derived, check_smooth
+from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
 
@@ -162,7 +162,7 @@ class Chart(Declaration):
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
         timers = self.timers
-        check_uses(self, names | timers, states, causes, changing)
+        self.check_uses(names | timers, states, causes, changing)
         return self
 
     @model_validator(mode="after")

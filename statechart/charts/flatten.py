@@ -34,7 +34,7 @@ from statechart.documents.outputs import Event
 from statechart.documents.quantities import Dimension
 from statechart.errors import DeclarationProblem
 
-MOST_CONFIGURATIONS = 4096
+MAX_CONFIGURATIONS = 4096
 """Regions side by side multiply: what has more could not be looked at, nor kept."""
 
 
@@ -42,7 +42,7 @@ def flatten(name: str, region: BaseRegion, *loc: str | int) -> FlatRegion:
     """Flatten a declared region.
 
     Raises `DeclarationProblem` if its states or transitions make no sense (see `tree`), or if there
-    are more than `MOST_CONFIGURATIONS`.
+    are more than `MAX_CONFIGURATIONS`.
     """
     found = tree(region, *loc)
     return _Flattening(name, found, loc).region()
@@ -134,7 +134,7 @@ class _Flattening:
             for leaf in leaves(self._tree, active)
             if (holders := {leaf, *self._tree.above[leaf]})
         ]
-        if prod(map(len, choices)) > MOST_CONFIGURATIONS:
+        if prod(map(len, choices)) > MAX_CONFIGURATIONS:
             raise self._too_many("sets of transitions that one event may fire together")
         together = (
             selected(self._tree, active, memory, set(chain.from_iterable(one)))
@@ -199,7 +199,7 @@ class _Flattening:
         ]
         name = self._joined(leaves(found, active)) + (f"[{', '.join(words)}]" if words else "")
         self._named.setdefault(name, (active, kept))
-        if len(self._named) > MOST_CONFIGURATIONS:
+        if len(self._named) > MAX_CONFIGURATIONS:
             raise self._too_many("configurations")
         return name
 
@@ -290,7 +290,7 @@ class _Flattening:
 
     def _too_many(self, what: str) -> DeclarationProblem:
         return DeclarationProblem(
-            f"more than {MOST_CONFIGURATIONS} {what} of {self._name!r}",
+            f"more than {MAX_CONFIGURATIONS} {what} of {self._name!r}",
             advice="make regions of a state regions of the model: these are not multiplied",
             loc=self._loc,
             key=True,

@@ -39,9 +39,9 @@ from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.writer import compile_tape
 
 # Of its terms, a margin that is so small is zero, however exactly a run is computed.
-_ROUNDED = 2.0**-40
+_ZERO_MARGIN = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
-_OF_TIME = 8.0 * EPS
+_TIME_ROUND_OFF = 8.0 * EPS
 _NO_VALUES: Mapping[sp.Symbol, sp.Expr] = MappingProxyType({})
 
 
@@ -114,7 +114,7 @@ class GuardWatch:
         A guard of time alone is as exact as time, whatever the tolerance of the run.
         """
         sizes = np.where(np.isfinite(rows[:, 3]), rows[:, 3], 0.0)
-        parts = np.where(self.timed, min(relative, _OF_TIME), relative) * sizes
+        parts = np.where(self.timed, min(relative, _TIME_ROUND_OFF), relative) * sizes
         return {
             margin: max(part, UNDERFLOW)
             for margin, part in zip(self.margins, parts.tolist(), strict=True)
@@ -147,7 +147,7 @@ class GuardWatch:
             if (guard.place, guard.transition) != (place, transition) or not condition.single:
                 continue
             margin, size = rows[first, 0], rows[first, 3]
-            if guard.name not in fired and margin > _ROUNDED * size:
+            if guard.name not in fired and margin > _ZERO_MARGIN * size:
                 return (
                     f"{guard.name} is taken for true, {margin:.2g} short of it: that is within "
                     "the tolerance of the run"

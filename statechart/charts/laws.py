@@ -7,17 +7,21 @@ state's transition ``on: zeno``, if it has one, takes its place.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, partial
+from pathlib import Path
 
 import numpy as np
 import sympy as sp
+from pydantic import ValidationError
 
 from statechart.arrays import Array
-from statechart.automaton.automaton import Automaton
+from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
+from statechart.automaton.components import Data, composed, reserved_words, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
@@ -25,7 +29,6 @@ from statechart.automaton.regions import Invariant, Region, State, active_in, st
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
-from statechart.charts.components import components
 from statechart.charts.flatten import FlatRegion, Updates
 from statechart.charts.guard_watch import (
     Guard,
@@ -39,7 +42,7 @@ from statechart.charts.guard_watch import (
 )
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
-from statechart.errors import DeclarationProblem, NonFinite, Zeno
+from statechart.errors import DeclarationProblem, NonFinite, StatechartError, Zeno
 from statechart.formulas.formula import parse
 from statechart.formulas.parameters import Parameters
 from statechart.formulas.tape import Tape
@@ -371,3 +374,39 @@ def _sizes(flow: Flow, state: Array) -> Array:
     """
     sizes, found = flow.sizes, _summed(flow, state)
     return found if sizes is None else np.maximum(sizes, found)
+
+
+@cache
+def _reserved() -> frozenset[str]:
+    schema = Path(__file__).with_name("schema.json").read_text("utf-8")
+    return frozenset(reserved_words(json.loads(schema)))
+
+
+def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Component, ...]:
+    """Return the components of a chart, none where all of it belongs together."""
+    data = chart.model_dump(by_alias=True, exclude_unset=True)
+    parts = split(data, ("variables", "regions"), ("regions",), _reserved)
+    try:
+        return composed(
+            parts,
+            _form,
+            lambda part: compose(Chart.model_validate(part)),
+            lambda _: _restricted,
+            joint=False,
+        )
+    except (StatechartError, ValidationError):
+        return ()
+
+
+def _form(part: Data) -> Data:
+    """Return a declaration without the values that its variables start from."""
+    return {**part, "variables": list(part.get("variables", ()))}
+
+
+def _restricted(whole: Setup, places: Places) -> Setup:
+    return replace(
+        whole,
+        values=whole.values[places.parameters],
+        initial=whole.initial[places.variables],
+        modes=None,
+    )

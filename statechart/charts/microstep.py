@@ -58,8 +58,8 @@ def selected(
             chosen[first] = None
     kept: list[int] = []
     for one in chosen:
-        mine = _left(tree, active, memory, one)
-        rivals = [other for other in kept if mine & _left(tree, active, memory, other)]
+        mine = _exit_set(tree, active, memory, one)
+        rivals = [other for other in kept if mine & _exit_set(tree, active, memory, other)]
         source = tree.arrows[one].source
         if all(tree.holds(tree.arrows[other].source, source) for other in rivals):
             kept = [other for other in kept if other not in rivals] + [one]
@@ -69,7 +69,7 @@ def selected(
 def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -> Microstep:
     """Return what taking some arrows together does."""
     taken = tuple(taken)
-    left = frozenset[int]().union(*(_left(tree, active, memory, place) for place in taken))
+    left = frozenset[int]().union(*(_exit_set(tree, active, memory, place) for place in taken))
     kept = dict(memory)
     for node in left:
         for history in tree.nodes[node].histories:
@@ -84,7 +84,7 @@ def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -
             # What histories stand for is looked up before and after the exits.
             domain = _domain(tree, memory, place)
             _descend(tree, arrow.target, entered, kept)
-            for target in _effective(tree, kept, arrow.target):
+            for target in _effective_targets(tree, kept, arrow.target):
                 _ascend(tree, target, domain, entered, kept)
     return Microstep(
         taken,
@@ -95,7 +95,7 @@ def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -
     )
 
 
-def _left(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
+def _exit_set(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
     """Return the exit set of an arrow."""
     if tree.arrows[place].target < 0:
         return frozenset()
@@ -106,7 +106,7 @@ def _left(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
 def _domain(tree: Tree, memory: Memory, place: int) -> int:
     """Return the innermost compound state that holds source and targets of an arrow."""
     arrow = tree.arrows[place]
-    ends = _effective(tree, memory, arrow.target)
+    ends = _effective_targets(tree, memory, arrow.target)
     return next(
         node
         for node in tree.above[arrow.source]
@@ -114,7 +114,7 @@ def _domain(tree: Tree, memory: Memory, place: int) -> int:
     )
 
 
-def _effective(tree: Tree, memory: Memory, target: int) -> Nodes:
+def _effective_targets(tree: Tree, memory: Memory, target: int) -> Nodes:
     """Return what a target stands for: of a history, what is remembered."""
     node = tree.nodes[target]
     if node.sort not in HISTORIES:
@@ -126,7 +126,7 @@ def _descend(tree: Tree, state: int, found: set[int], memory: Memory) -> None:
     """Add a state and what is entered in it; of a history, what it stands for."""
     node = tree.nodes[state]
     if node.sort in HISTORIES:
-        remembered = sorted(_effective(tree, memory, state))
+        remembered = sorted(_effective_targets(tree, memory, state))
         for each in remembered:
             _descend(tree, each, found, memory)
         for each in remembered:
@@ -137,7 +137,7 @@ def _descend(tree: Tree, state: int, found: set[int], memory: Memory) -> None:
         _descend(tree, node.initial, found, memory)
         _ascend(tree, node.initial, state, found, memory)
     elif node.sort is Sort.PARALLEL:
-        _beside(tree, state, found, memory)
+        _enter_regions(tree, state, found, memory)
 
 
 def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Memory) -> None:
@@ -147,10 +147,10 @@ def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Memory)
             return
         found.add(node)
         if tree.nodes[node].sort is Sort.PARALLEL:
-            _beside(tree, node, found, memory)
+            _enter_regions(tree, node, found, memory)
 
 
-def _beside(tree: Tree, parallel: int, found: set[int], memory: Memory) -> None:
+def _enter_regions(tree: Tree, parallel: int, found: set[int], memory: Memory) -> None:
     for child in tree.nodes[parallel].children:
         if not any(tree.holds(child, node) for node in found):
             _descend(tree, child, found, memory)

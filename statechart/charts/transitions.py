@@ -18,10 +18,8 @@ from statechart.documents.fields import (
     value_of,
 )
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, Loc
 from statechart.formulas.formula import parse
-
-Loc = tuple[str | int, ...]
 
 
 class Transition(Part):

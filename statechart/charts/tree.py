@@ -16,12 +16,11 @@ from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
     Holder,
-    Loc,
     Transition,
     declared_transitions,
     nested,
 )
-from statechart.errors import DeclarationProblem, close_matches
+from statechart.errors import DeclarationProblem, Loc, close_matches
 
 
 class Sort(enum.Enum):

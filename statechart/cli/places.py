@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from statechart.documents.files import made, obstacle, write_atomic
+from statechart.documents.files import new_folder, obstacle, write_atomic
 from statechart.errors import DeclarationError, StatechartError
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def write_sweep(
     from statechart.sweeps.figure import figure
 
     def write(path: Path, content: bytes) -> None:
-        with made(path.parent):
+        with new_folder(path.parent):
             write_atomic(path, content)
 
     if arguments.output is not None and not is_store(arguments.output):

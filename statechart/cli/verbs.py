@@ -412,7 +412,7 @@ def check(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({**report.to_json(), "reproduction": written})
     else:
-        show(report.told())
+        show(report.blocks())
         if written is not None:
             print(f"{written} reproduces it")
     _print_left_out(pieces)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -21,12 +21,14 @@ from statechart.documents.fields import (
     RelationText,
     ValueName,
     check_names,
+    check_relation,
     problem,
     unit,
     value_of,
 )
-from statechart.documents.outputs import Count, Integral, Maximum, Minimum, Output, Value
+from statechart.documents.outputs import Integral, Output, check_output, formula_of
 from statechart.documents.quantities import (
+    BASES,
     POWERS,
     SYSTEMS,
     Fact,
@@ -175,13 +177,13 @@ class Declaration(Part):
         """Yield what formulas measure, and which measure the same."""
         yield from fields_of(self)
         for name, output in self.outputs.items():
-            match output:
-                case Value(value=text) | Minimum(minimum=text) | Maximum(maximum=text):
-                    yield Name(_of_output(name)), parse(text).root
-                case Integral(integral=text):
-                    yield Name(_of_output(name)), Binary("*", parse(text).root, Name(TIME))
-                case Count():
-                    yield Name(_of_output(name)), POWERS["1"]
+            formula = formula_of(output)
+            if formula is None:
+                yield Name(_of_output(name)), POWERS["1"]
+                continue
+            root = parse(formula).root
+            timed = Binary("*", root, Name(TIME)) if isinstance(output, Integral) else root
+            yield Name(_of_output(name)), timed
 
     @cached_property
     def dimensions(self) -> Mapping[str, Powers]:
@@ -218,12 +220,12 @@ class Declaration(Part):
         """
         if name in self.units:
             return self.units[name]
-        match self.outputs.get(name):
-            case Value(value=text) | Minimum(minimum=text) | Maximum(maximum=text):
-                # Of a formula that is one name the unit is that of the name.
-                same = str(text).strip()
-                if same in parse(text).names and same != name:
-                    return self.unit(same)
+        output = self.outputs.get(name)
+        if output is not None and not isinstance(output, Integral):
+            # Of a formula that is one name the unit is that of the name.
+            same = str(formula_of(output) or "").strip()
+            if same != name and same and same in parse(same).names:
+                return self.unit(same)
         if name in self.outputs:
             return written(self.dimensions.get(_of_output(name)), self.units)
         if dimension := self.stated(name).dimension:
@@ -302,6 +304,41 @@ class Declaration(Part):
     def omitted(self, values: Mapping[str, float], *, stepped: bool) -> Mapping[str, str]:
         """Return what a run with these values of parameters, stepped or not, lacks, and why."""
         return {}
+
+    def check_uses(
+        self,
+        names: Collection[str],
+        states: Mapping[str, Collection[str]],
+        causes: Mapping[str, Collection[str]],
+        changing: Collection[str],
+    ) -> None:
+        """Check that stop conditions, invariants and outputs speak of things that exist.
+
+        For the validators of the models of a kind, which know what exists: what formulas may use,
+        the states and the causes of jumps of every region (`stop` need not be among them), and the
+        names whose value some flow changes. Raises `DeclarationProblem` at the first that does not.
+        """
+        found = Findings()
+        named = {*BASES, *names, *self.parameters, *self.outputs}
+        for name in self.units:
+            with found:
+                if name not in named:
+                    raise DeclarationProblem(
+                        f"nothing is called {name!r}",
+                        advice=close_matches(name, named),
+                        loc=("units", name),
+                        key=True,
+                    )
+        for label, relation in self.stop.conditions.items():
+            with found:
+                check_relation(relation, names, states, changing, "stop", "conditions", label)
+        for label, relation in self.invariants.items():
+            with found:
+                check_relation(relation, names, states, changing, "invariants", label)
+        for label, output in self.outputs.items():
+            with found:
+                check_output(output, names, states, causes, "outputs", label)
+        found.check()
 
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check what the values of the parameters decide.

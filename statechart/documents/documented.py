@@ -44,8 +44,7 @@ class Documented(ModelMetaclass):
         try:
             return super().__call__(**kwargs)
         except ValidationError as error:
-            from statechart.documents.document import Built
-            from statechart.documents.validation import declaration_error
+            from statechart.documents.validation import Built, declaration_error
 
             model = cast("type[BaseModel]", cls)
             raise declaration_error(error, Built(model, kwargs), model) from None

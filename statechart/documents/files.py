@@ -1,26 +1,21 @@
 """Files read up to a bound, and whole files or none: nothing half-written is ever left behind.
 
-What a killed process leaves is removed by the next one that writes there. It is told from the work
-of a process that lives by a lock on it.
+Temporary files and folders are named after the machine and the process that writes them: those of
+a process that was killed are removed by the next one that writes there.
 """
 
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 
 from statechart.errors import DeclarationError
-
-_RANDOM = "[a-z0-9_]{8}"  # as `tempfile` writes it
-_PART = ".part"
-# Windows has none: what is left behind stays there.
-_LOCKS = find_spec("fcntl") is not None
 
 
 def read_bounded(path: Path, most: int, advice: str) -> bytes:
@@ -49,11 +44,10 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises `OSError` if the folder is missing or not writable, or the disk is full; `path` is then
     as it was.
     """
-    _sweep(path.parent, re.compile(rf"\.{re.escape(path.name)}\.{_RANDOM}{re.escape(_PART)}"))
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_PART)
+    _sweep(path.parent, path.name)
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name))
     try:
         with os.fdopen(descriptor, "wb") as stream:
-            _lock(descriptor)
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
@@ -82,8 +76,8 @@ def obstacle(path: Path) -> str:
 
 
 @contextmanager
-def made(folder: Path) -> Iterator[None]:
-    """Make a folder and its parents; where the work in it fails, remove those that were made."""
+def new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and its parents; where the work in it fails, remove those that it made."""
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,25 +90,24 @@ def made(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+def staging_folder(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """Make a place for files that appear in `folder` at the end, and not at all after an error.
 
     A new folder appears at once. In one that exists, files are replaced one by one; those of
     `names` that were not written this time are of another time, and removed; others are left alone.
     Raises `OSError` if that cannot be done; what was there is as it was.
     """
-    names = set(names)
     # Inside a folder that exists: its parent may be read-only, or on another disk.
     exists = folder.exists()
     place = folder if exists else folder.parent
-    with made(place):
+    with new_folder(place):
         for left in {place, folder.parent}:
-            _sweep(left, re.compile(rf"\.{re.escape(folder.name)}\.{_RANDOM}"), names)
-        temporary, descriptor = _locked_folder(place, f".{folder.name}.")
+            _sweep(left, folder.name)
+        temporary = Path(tempfile.mkdtemp(dir=place, prefix=_prefix(folder.name)))
         try:
             yield temporary
             if exists:
-                for name in sorted(names):
+                for name in sorted({*names}):
                     if (temporary / name).exists():
                         os.replace(temporary / name, folder / name)
                     else:
@@ -124,65 +117,35 @@ def aside(folder: Path, names: Iterable[str]) -> Iterator[Path]:
                 os.replace(temporary, folder)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-            if descriptor is not None:
-                os.close(descriptor)
 
 
-def _locked_folder(place: Path, prefix: str) -> tuple[Path, int | None]:
-    while True:
-        temporary = Path(tempfile.mkdtemp(dir=place, prefix=prefix))
-        if not _LOCKS:
-            return temporary, None
-        with suppress(FileNotFoundError):
-            descriptor = os.open(temporary, os.O_RDONLY)
-            _lock(descriptor)
-            # Before it was locked another process may have taken it for left behind.
-            if temporary.exists():
-                return temporary, descriptor
-            os.close(descriptor)
+def _prefix(name: str, process: object = None) -> str:
+    return f".{name}.{platform.node()}-{process or os.getpid()}-"
 
 
-def _sweep(place: Path, pattern: re.Pattern[str], names: set[str] | None = None) -> None:
-    """Remove what a killed process left: files, or folders that hold nothing but `names`."""
-    if not _LOCKS or not place.is_dir():
+def _sweep(place: Path, name: str) -> None:
+    """Remove the temporary files and folders of `name` whose process has ended."""
+    if os.name != "posix" or not place.is_dir():  # elsewhere what is left behind stays
         return
-    for name in os.listdir(place):
-        found = place / name
-        if not pattern.fullmatch(name) or found.is_symlink() or found.is_dir() == (names is None):
+    pattern = re.compile(re.escape(_prefix(name, "PID")).replace("PID", "([0-9]+)") + "[a-z0-9_]+")
+    for found in os.listdir(place):
+        match = pattern.fullmatch(found)
+        if match is None or _lives(int(match[1])) or (place / found).is_symlink():
             continue
         with suppress(OSError):
-            # Another's folder may bear such a name: what is in it tells.
-            if names is not None and not all(map(_ours(names), os.listdir(found))):
-                continue
-            descriptor = os.open(found, os.O_RDONLY)
-            try:
-                if _lock(descriptor):
-                    remove: Callable[[Path], None] = os.unlink if names is None else shutil.rmtree
-                    remove(found)
-            finally:
-                os.close(descriptor)
+            if (place / found).is_dir():
+                shutil.rmtree(place / found)
+            else:
+                (place / found).unlink()
 
 
-def _ours(names: set[str]) -> Callable[[str], bool]:
-    temporary = re.compile(rf"\.(.+)\.{_RANDOM}({re.escape(_PART)})?")
-
-    def ours(name: str) -> bool:
-        part = temporary.fullmatch(name)
-        return (part.group(1) if part else name) in names
-
-    return ours
-
-
-def _lock(descriptor: int) -> bool:
-    """Lock a file or folder as long as the descriptor is open; False if another process has."""
-    if not _LOCKS:
-        return False
-    import fcntl
-
+def _lives(process: int) -> bool:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # held by another process, or a file system without locks
+        os.kill(process, 0)
+    except ProcessLookupError:
         return False
+    except (OSError, OverflowError):  # another user's
+        return True
     return True
 
 

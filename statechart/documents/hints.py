@@ -27,7 +27,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 # A key that is as like a known one as this is that one, misspelt.
-_NEARLY = 0.8
+_MISSPELT = 0.8
 
 _ARGUMENTS = {
     **dict.fromkeys(("dt", "h", "timestep", "time_step"), "step"),
@@ -73,7 +73,7 @@ def example(model: type[BaseModel], loc: Sequence[str | int], *, built: bool) ->
     The example of a whole has those of its parts.
     """
     shown: Any = None
-    for part, _, field in _followed(model, loc):
+    for part, _, field in _walk(model, loc):
         if field is not None:
             shown = field.examples[0] if field.examples else None
         elif isinstance(shown, Mapping) and not isinstance(part, int):  # else a list of one
@@ -89,14 +89,14 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
     """Return the keys that the mapping at `loc` may have, and what Python calls these fields."""
     return {
         field.alias or name: name
-        for member in _models(_reached(model, loc))
+        for member in _models(_annotations_at(model, loc))
         for name, field in member.model_fields.items()
     }
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     """Return what is written for a key that goes by another name at its place; empty for none."""
-    members = _models(_reached(model, loc[:-1]))
+    members = _models(_annotations_at(model, loc[:-1]))
     words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
     return next(filter(None, words), "")
 
@@ -107,11 +107,11 @@ def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collectio
     Those on the way to it come first. A key that is nearly a known one belongs here.
     """
     key = str(loc[-1])
-    if difflib.get_close_matches(key, known, cutoff=_NEARLY):
+    if difflib.get_close_matches(key, known, cutoff=_MISSPELT):
         return ""
-    here = tuple(part for part, _, field in _followed(model, loc[:-1]) if field is not None)
+    here = tuple(part for part, _, field in _walk(model, loc[:-1]) if field is not None)
     places = sorted(
-        {place for place in _keyed(model, key) if place and place != here},
+        {place for place in _places_of_key(model, key) if place and place != here},
         key=lambda place: (-sum(part in loc for part in place), len(place), place),
     )
     if not places:
@@ -120,7 +120,7 @@ def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collectio
     return f"{key!r} is a key of {shown}; known keys here: {', '.join(sorted(known))}"
 
 
-def _keyed(
+def _places_of_key(
     annotation: Any, key: str, place: tuple[str, ...] = (), above: tuple[Any, ...] = ()
 ) -> Iterator[tuple[str, ...]]:
     """Yield the places of the parts, and of the mappings of known keys, that have a key."""
@@ -132,16 +132,16 @@ def _keyed(
                 if (field.alias or name) == key:
                     yield place
                 below = (*place, field.alias or name)
-                yield from _keyed(field.annotation, key, below, (*above, member))
+                yield from _places_of_key(field.annotation, key, below, (*above, member))
         else:
             arguments = get_args(member)
             if arguments and key in get_args(arguments[0]):
                 yield place
             for argument in arguments:
-                yield from _keyed(argument, key, place, above)
+                yield from _places_of_key(argument, key, place, above)
 
 
-def _followed(
+def _walk(
     model: type[BaseModel], loc: Sequence[str | int]
 ) -> Iterator[tuple[str | int, list[Any], FieldInfo | None]]:
     """Yield every part of a place with what may stand there, and the field that it is."""
@@ -164,9 +164,9 @@ def _followed(
         yield part, annotations, found
 
 
-def _reached(model: type[BaseModel], loc: Sequence[str | int]) -> list[Any]:
+def _annotations_at(model: type[BaseModel], loc: Sequence[str | int]) -> list[Any]:
     """Return what may stand at `loc`."""
-    return [[model], *(annotations for _, annotations, _ in _followed(model, loc))][-1]
+    return [[model], *(annotations for _, annotations, _ in _walk(model, loc))][-1]
 
 
 def _is_model(annotation: Any) -> bool:

@@ -9,8 +9,9 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
 
-from statechart.documents.fields import FiniteText, Part, unit
+from statechart.documents.fields import FiniteText, Part, check_names, unit
 from statechart.errors import DeclarationProblem, close_matches
+from statechart.formulas.formula import parse
 
 _EVENT = re.compile(r"(?:([A-Za-z_]\w*)\.)?([A-Za-z_]\w*[+-]?)", re.ASCII)
 _NUMBER = re.compile(r"([0-9]{1,9})\s+")
@@ -143,7 +144,7 @@ class Integral(Part):
 
 
 class Count(Part):
-    """How often an event happened."""
+    """The number of times that an event happened."""
 
     count: EventText = Field(
         description="The event, or several joined by or.", examples=["tip.touchdown"]
@@ -197,6 +198,41 @@ Output = Annotated[
     ),
 ]
 """Quantity that a run reports under a name; its key says which of them it is."""
+
+
+def formula_of(output: Output) -> FiniteText | None:
+    """Return the formula of an output; a count has none."""
+    formula: FiniteText | None = getattr(output, type(output).__name__.lower())
+    return None if isinstance(output, Count) else formula
+
+
+def check_output(
+    output: Output,
+    names: Collection[str],
+    states: Mapping[str, Collection[str]],
+    causes: Mapping[str, Collection[str]],
+    *loc: str,
+) -> None:
+    """Check that the names, states and events of an output exist.
+
+    Raises `DeclarationProblem` at the first that does not.
+    """
+    if (formula := formula_of(output)) is not None:
+        check_names(parse(formula), names, *loc, type(output).__name__.lower())
+    if isinstance(output, Integral):
+        for region, state in output.during.items():
+            check_member("region", region, states, *loc, "during", region)
+            check_member("state", state, states[region], *loc, "during", region)
+    found: dict[str, tuple[Event, ...]] = {}
+    if isinstance(output, Value):
+        found = {"at": output.moment.events}
+    elif isinstance(output, Count):
+        found = {"count": output.events}
+    for key, events in found.items():
+        for event in events:
+            # Runs stop, not regions.
+            if event != Event(None, "stop"):
+                check_event(event, causes, states, *loc, key)
 
 
 def check_event(

@@ -25,7 +25,7 @@ from statechart.formulas.tree import (
     Number,
     Unary,
     children,
-    names_in,
+    is_constant,
     nodes,
 )
 
@@ -164,19 +164,19 @@ _ALIKE = frozenset({"abs", "min", "max", "hypot", "mod"})
 _OF_ANGLES = frozenset({"sin", "cos", "tan"})
 _ANGLES = frozenset({"asin", "acos", "atan", "atan2"})
 # Every pass tells one more name at least; chains of formulas are short.
-_PASSES = 20
+_MAX_PASSES = 20
 _COUNTS = range(1, 13)
 # Operations of a formula that is looked at; sums of thousands of terms tell nothing new.
-_LONGEST = 200
+_MAX_OPERATIONS = 200
 
 
 def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
     """Return what names measure."""
     found, short = _Known(known), [fact for fact in facts if _short(fact)]
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         before = dict(found)
         for left, right in short:
-            _alike(left, right, found)
+            _unify(left, right, found)
         if found == before:
             break
     return found
@@ -185,7 +185,9 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
 def _short(fact: Fact) -> bool:
     """Whether formulas are no longer than what people write for a quantity."""
     trees = [part for part in fact if not isinstance(part, Powers)]
-    return all(sum(1 for _ in islice(nodes(tree), _LONGEST)) < _LONGEST for tree in trees)
+    return all(
+        sum(1 for _ in islice(nodes(tree), _MAX_OPERATIONS)) < _MAX_OPERATIONS for tree in trees
+    )
 
 
 def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
@@ -213,13 +215,13 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
             base = measured(left, known)
             return None if base is None else Powers().times(base, Fraction(value))
         case Binary(operator="+" | "-", left=left, right=right):
-            return _first((left, right), known)
+            return _common((left, right), known)
         case Call(function="sqrt", arguments=(of,)):
             base = measured(of, known)
             return None if base is None else Powers().times(base, Fraction(1, 2))
         case Call(function=function, arguments=arguments):
             if function in _ALIKE:
-                return _first(arguments, known)
+                return _common(arguments, known)
             return POWERS["angle"] if function in _ANGLES else Powers()
     return None
 
@@ -236,16 +238,11 @@ def _of_turn(node: Node) -> bool:
     return False
 
 
-def _first(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
+def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
     """Return what parts measure that are of one kind: numbers among them say nothing."""
     several = tuple(parts)
-    speaking = [part for part in several if not _number(part)] or several
+    speaking = [part for part in several if not is_constant(part)] or several
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)
-
-
-def _number(node: Node) -> bool:
-    """Whether a formula has no names: of its own it measures nothing that could be told."""
-    return next(names_in(node), None) is None
 
 
 class _Known(Known):
@@ -262,32 +259,32 @@ class _Known(Known):
             self[name] = powers
 
 
-def _alike(left: Node, right: Node | Powers, known: _Known) -> None:
+def _unify(left: Node, right: Node | Powers, known: _Known) -> None:
     """Note what follows from two formulas that measure the same."""
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Powers):
             continue
-        _inside(one, known)
+        _unify_parts(one, known)
         powers = other if isinstance(other, Powers) else None
-        if not isinstance(other, Powers) and not _number(other):
+        if not isinstance(other, Powers) and not is_constant(other):
             powers = measured(other, known)
         if powers is not None:
-            _expect(one, powers, known)
+            _infer_names(one, powers, known)
 
 
-def _inside(node: Node, known: _Known) -> None:
+def _unify_parts(node: Node, known: _Known) -> None:
     """Note what sums and sines in a formula tell."""
     for part in nodes(node):
         match part:
             case Call(function=function, arguments=(of,)) if function in _OF_ANGLES:
-                _expect(of, POWERS["angle"], known)
+                _infer_names(of, POWERS["angle"], known)
             case Binary(operator="+" | "-"):
                 whole = measured(part, known)
                 if whole is not None:
-                    _expect(part, whole, known)
+                    _infer_names(part, whole, known)
 
 
-def _expect(node: Node, powers: Powers, known: _Known) -> None:
+def _infer_names(node: Node, powers: Powers, known: _Known) -> None:
     """Note what names in a formula measure, which as a whole is measured so."""
     match node:
         case Name():
@@ -295,7 +292,7 @@ def _expect(node: Node, powers: Powers, known: _Known) -> None:
                 known.note(node.name, powers)
         case Unary() | Binary(operator="+" | "-"):
             for part in children(node):
-                _expect(part, powers, known)
+                _infer_names(part, powers, known)
         case Binary(operator="*" | "/", left=left, right=right):
             first, second = measured(left, known), measured(right, known)
             sign = 1 if node.operator == "*" else -1
@@ -303,20 +300,20 @@ def _expect(node: Node, powers: Powers, known: _Known) -> None:
                 # How many turns, not the angle that they are.
                 powers = powers._replace(angle=False)
             if first is None and second is not None:
-                _expect(left, powers.times(second, -sign), known)
+                _infer_names(left, powers.times(second, -sign), known)
             elif first is not None and second is None:
                 rest = powers.times(first, -1)
                 # What an angle is divided by is a number of parts.
                 below = Powers().times(rest, -1)._replace(angle=False)
-                _expect(right, rest if sign == 1 else below, known)
+                _infer_names(right, rest if sign == 1 else below, known)
         case Binary(operator="**", left=left, right=Number(value=value)) if value:
-            _expect(left, Powers().times(powers, 1 / Fraction(value)), known)
+            _infer_names(left, Powers().times(powers, 1 / Fraction(value)), known)
         case Call(function=function, arguments=arguments):
             if function in _ALIKE:
                 for part in arguments:
-                    _expect(part, powers, known)
+                    _infer_names(part, powers, known)
             elif function == "sqrt":
-                _expect(arguments[0], Powers().times(powers, 2), known)
+                _infer_names(arguments[0], Powers().times(powers, 2), known)
 
 
 def fields_of(part: BaseModel) -> Iterator[Fact]:
@@ -332,9 +329,9 @@ def fields_of(part: BaseModel) -> Iterator[Fact]:
             for key, text in value.items():
                 if isinstance(text, str | int | float):
                     yield parse(text).root, rate_of(key) if "per time" in words else Name(key)
-                yield from _held(text, None)
+                yield from _facts_in(text, None)
         else:
-            yield from _held(value, _powers(words))
+            yield from _facts_in(value, _powers(words))
 
 
 def rate_of(name: str) -> Node:
@@ -342,16 +339,16 @@ def rate_of(name: str) -> Node:
     return Binary("/", Name(name), Name("time"))
 
 
-def _held(value: Any, powers: Powers | None) -> Iterator[Fact]:
+def _facts_in(value: Any, powers: Powers | None) -> Iterator[Fact]:
     match value:
         case BaseModel():
             yield from fields_of(value)
         case Mapping():
             for item in value.values():
-                yield from _held(item, powers)
+                yield from _facts_in(item, powers)
         case list() | tuple():
             for item in value:
-                yield from _held(item, powers)
+                yield from _facts_in(item, powers)
         case str() if powers is not None:
             yield parse(value).root, powers
 

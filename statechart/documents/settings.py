@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, StrictInt, model_validator
+from pydantic import BeforeValidator, Field, StrictInt, model_validator
 
-from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, unit
+from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, problem, unit
 from statechart.documents.setting import Setting
+from statechart.errors import FormulaError
+from statechart.formulas.formula import parse
+
+
+def _number(value: Any) -> Any:
+    """Return the value of a formula without names, such as 1/60."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return parse(value).value({})
+    except FormulaError as error:
+        raise problem(error) from None
+
+
+Written = Annotated[Real, BeforeValidator(_number, json_schema_input_type=float | str)]
+"""A number, or a formula of numbers."""
 
 
 class Stop(Part):
-    """When a run ends: at a time, or when a condition becomes true."""
+    """End of a run: at a time, or when a condition becomes true."""
 
     OTHER_WORDS: ClassVar = {
         "duration": "time",
@@ -34,7 +50,7 @@ class Stop(Part):
 
 
 class Settings(Part):
-    """How a run is computed; everything has a sensible default."""
+    """Computation of a run; everything has a sensible default."""
 
     OTHER_WORDS: ClassVar = {
         "dt": "step",
@@ -64,14 +80,14 @@ class Settings(Part):
         examples=[1e-6],
         json_schema_extra=unit("1"),
     )
-    step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+    step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="Length of every step in time, of the engine impulse; of the longest where an "
         "accuracy is asked for.",
         examples=[0.001],
         json_schema_extra=unit("time"),
     )
-    max_step: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
+    max_step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="Length of the longest step in time, of an engine that chooses its own.",
         examples=[0.01],

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.document import Built, Document, Loc, relations
 from statechart.documents.hints import elsewhere, example, known_keys, other_word
 from statechart.documents.yaml_text import flow
-from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, close_matches
+from statechart.errors import (
+    DeclarationError,
+    DeclarationProblem,
+    FormulaError,
+    Loc,
+    Position,
+    close_matches,
+)
 from statechart.formulas.hints import no_name
 from statechart.formulas.relation import conjunction, place_in
 from statechart.formulas.syntax import NAME
@@ -20,7 +28,6 @@ from statechart.tabular import several
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
-
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -53,16 +60,16 @@ def declaration_error(
     found = [
         one
         for details in errors
-        if not _implied(details, errors) and not _follows(details, empty, document)
-        for one in _all(details, document, model)
+        if not _implied(details, errors) and not _follows_from_empty(details, empty, document)
+        for one in _errors_of(details, document, model)
     ]
     if isinstance(document, Document):
         unknown = {_key(details) for details in errors}
         found += _empty(document, model, unknown)
-    return _together(found)
+    return _combined(found)
 
 
-def _together(found: list[DeclarationError]) -> DeclarationError:
+def _combined(found: list[DeclarationError]) -> DeclarationError:
     """Return errors as one, in the order of their places."""
     found.sort(key=lambda one: (one.line or 0, one.column or 0))
     found[0].others = tuple(found[1:])
@@ -71,9 +78,11 @@ def _together(found: list[DeclarationError]) -> DeclarationError:
 
 def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     """Whether an error is no news beside the others."""
-    if _short(details):
+    if _lacks_items(details):
         # A list without two of its items is told so once.
-        return any(_short(other) and other["loc"] == _next(details["loc"]) for other in errors)
+        return any(
+            _lacks_items(other) and other["loc"] == _next_item(details["loc"]) for other in errors
+        )
     if details["type"] == "too_short":
         # Items that are wrong are none to pydantic.
         at = details["loc"]
@@ -108,7 +117,9 @@ def _empty(
         )
 
 
-def _follows(details: ErrorDetails, empty: Collection[Loc], document: Document | Built) -> bool:
+def _follows_from_empty(
+    details: ErrorDetails, empty: Collection[Loc], document: Document | Built
+) -> bool:
     """Whether what is wrong may come of a key with nothing behind it: there, above or beside."""
     if _key(details) is not None:
         return False
@@ -123,7 +134,7 @@ def _follows(details: ErrorDetails, empty: Collection[Loc], document: Document |
     )
 
 
-def _next(loc: Loc) -> Loc:
+def _next_item(loc: Loc) -> Loc:
     """Return the place of the item behind one."""
     return *loc[:-1], int(loc[-1]) + 1
 
@@ -136,31 +147,31 @@ def _key(details: ErrorDetails) -> str | int | None:
     return loc[-1] if details["type"] == "extra_forbidden" else None
 
 
-def _short(details: ErrorDetails) -> bool:
+def _lacks_items(details: ErrorDetails) -> bool:
     """Whether an item is missing at the end of a list."""
     return details["type"] == "missing" and isinstance(details["loc"][-1], int)
 
 
-def _all(
+def _errors_of(
     details: ErrorDetails, document: Document | Built, model: type[BaseModel]
 ) -> Iterator[DeclarationError]:
     """Yield what is wrong, and what a validator of ours found besides."""
     cause = details.get("ctx", {}).get("error")
-    yield _one(details, cause, document, model)
+    yield _to_error(details, cause, document, model)
     if isinstance(cause, DeclarationProblem):
         for other in cause.others:
-            yield _one(details, other, document, model)
+            yield _to_error(details, other, document, model)
 
 
-def _one(
+def _to_error(
     details: ErrorDetails, cause: object, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
     loc, kind = details["loc"], details["type"]
-    if _short(details):
+    if _lacks_items(details):
         kind, loc = "too_short", loc[:-1]
     key, offset = kind == "extra_forbidden" or loc[-1:] == ("[key]",), 0
     if isinstance(cause, DeclarationProblem):
-        cause = _of_item(document, cause, loc)
+        cause = _in_list(document, cause, loc)
         loc = (*loc, *cause.loc)
         key, offset = key or cause.key, cause.offset
         message, advice = _message(document, cause), cause.advice
@@ -168,10 +179,10 @@ def _one(
         names = known_keys(model, loc[:-1])
         built = isinstance(document, Built)
         shown = example(model, loc, built=built)
-        if built and not _short(details):  # in Python a field goes by its own name
+        if built and not _lacks_items(details):  # in Python a field goes by its own name
             details = {**details, "loc": (*loc[:-1], names.get(str(loc[-1]), loc[-1]))}
         known = names.values() if built else names
-        message, advice = _words(details, list(known), built=built)
+        message, advice = _message_and_advice(details, list(known), built=built)
         if kind == "extra_forbidden":
             advice = _of_key(details, model, known) or advice
         if kind == "missing" and isinstance(loc[-1], str) and shown:
@@ -207,7 +218,9 @@ def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str
     return elsewhere(model, loc, known)
 
 
-def _words(details: ErrorDetails, known: Sequence[str], *, built: bool) -> tuple[str, str]:
+def _message_and_advice(
+    details: ErrorDetails, known: Sequence[str], *, built: bool
+) -> tuple[str, str]:
     kind, last, given = details["type"], details["loc"][-1:], details["input"]
     context: Mapping[str, Any] = details.get("ctx", {})
     if kind == "extra_forbidden":
@@ -263,7 +276,7 @@ def validate(document: Document, model: type[Model]) -> Model:
     except ValidationError as error:
         raise declaration_error(error, document, model) from None
     if empty := list(_empty(document, model)):
-        raise _together(empty)
+        raise _combined(empty)
     return made
 
 
@@ -306,7 +319,7 @@ class located:  # noqa: N801 - used as a statement, and in every run: cheaper th
             raise _located(self._document, problem, {}) from None
 
 
-def _written(document: Document | None, loc: Loc) -> Iterator[str]:
+def _path_parts(document: Document | None, loc: Loc) -> Iterator[str]:
     """Yield the parts of a place: a file that writes one thing where a list may be counts none."""
     at: Loc = ()
     for part in loc:
@@ -326,7 +339,7 @@ def _message(document: Document | Built | None, problem: DeclarationProblem) -> 
     return problem.message.replace("{see}", path)
 
 
-def _of_item(
+def _in_list(
     document: Document | Built | None, problem: DeclarationProblem, above: Loc = ()
 ) -> DeclarationProblem:
     """Return a problem of the relation that a list stands for as one of its item."""
@@ -347,8 +360,8 @@ def _of_item(
 def _located(
     document: Document | None, problem: DeclarationProblem, overrides: Mapping[str, float]
 ) -> DeclarationError:
-    problem = _of_item(document, problem)
-    path = ".".join(_written(document, problem.loc))
+    problem = _in_list(document, problem)
+    path = ".".join(_path_parts(document, problem.loc))
     message = _message(document, problem)
     message = f"{path}: {message}" if path else message
     if overrides:
@@ -357,3 +370,96 @@ def _located(
         return DeclarationError(message, advice=problem.advice)
     at = document.position(problem.loc, key=problem.key).shifted(problem.offset)
     return at.error(message, problem.advice)
+
+
+def relations(value: object) -> bool:
+    """Return whether a value may be a list of relations."""
+    return (
+        isinstance(value, list | tuple)
+        and len(value) > 0
+        and all(isinstance(one, str) for one in value)
+    )
+
+
+@dataclass(frozen=True)
+class Document:
+    """A YAML document as plain data, with the place of everything in it."""
+
+    source: str  # the file's path, or a name in angle brackets
+    data: dict[str, Any]  # Mappings, lists, text, numbers, booleans and None
+    _values: Mapping[Loc, Position]
+    _keys: Mapping[Loc, Position]
+    empty: frozenset[Loc] = frozenset()  # where a key has nothing behind it, which reads as None
+
+    def position(self, loc: Loc, *, key: bool = False) -> Position:
+        """Return where the value at `loc` stands, or its nearest ancestor that exists.
+
+        Parts of `loc` that the data does not have on the way are skipped: pydantic puts the
+        names of the members of a union there.
+        """
+        at = self.existing(loc)
+        return self._keys.get(at, self._values[at]) if key else self._values[at]
+
+    def where(self, text: str) -> Loc:
+        """Return the place of the first value that is `text`, or a list that stands for it.
+
+        The top if none is.
+        """
+        for loc in self._values:
+            value = self.value(loc)
+            if value == text or (relations(value) and conjunction(value) == text):
+                return loc
+        return ()
+
+    def value(self, loc: Loc) -> Any:
+        """Return the value at `loc`, or at its nearest ancestor that exists."""
+        value: Any = self.data
+        for part in self.existing(loc):
+            value = value[part]
+        return value
+
+    def existing(self, loc: Loc) -> Loc:
+        """Return the parts of `loc` that lead down the data; of a list of one it may say none."""
+        at: Loc = ()
+        for part in loc:
+            alone = (*at, 0, part)
+            if (*at, part) in self._values:
+                at = (*at, part)
+            elif isinstance(part, str) and alone in self._values and (*at, 1) not in self._values:
+                at = alone
+        return at
+
+
+class Built:
+    """Keywords that a part is built of in Python: what a `Document` is to a part of a file."""
+
+    def __init__(self, model: type[BaseModel], data: Mapping[str, Any]) -> None:
+        name = data.get("name")
+        self.source = f"{model.__name__}({name!r})" if isinstance(name, str) else model.__name__
+        self._data = data
+
+    def existing(self, loc: Loc) -> Loc:
+        """Return the parts of `loc` that lead down the data, as Python names them."""
+        return self._followed(loc)[0]
+
+    def value(self, loc: Loc) -> Any:
+        """Return the value at `loc`, or at its nearest ancestor that exists."""
+        return self._followed(loc)[1]
+
+    def _followed(self, loc: Loc) -> tuple[Loc, Any]:
+        value: Any = self._data
+        found: list[str | int] = []
+        for part in loc:
+            if isinstance(value, tuple) and len(value) == 1 and isinstance(part, str):
+                value = value[0]
+            names: Sequence[str | int] = (part,)
+            if isinstance(value, BaseModel):
+                fields = type(value).model_fields.items()
+                names = [name for name, field in fields if part in (name, field.alias)]
+            for name in names:
+                with suppress(KeyError, IndexError, TypeError):
+                    value = (
+                        getattr(value, str(name)) if isinstance(value, BaseModel) else value[name]
+                    )
+                    found.append(name)
+        return tuple(found), value

@@ -14,28 +14,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentEndEvent,
-    DocumentStartEvent,
-    Event,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-    StreamEndEvent,
-    StreamStartEvent,
-)
 from ruamel.yaml.reader import ReaderError
 
-from statechart.documents.document import Document, Loc
 from statechart.documents.files import read_bounded
 from statechart.documents.hints import YAML_HINTS
+from statechart.documents.validation import Document
 from statechart.documents.yaml_text import resolve
-from statechart.errors import DeclarationError, Position
+from statechart.errors import DeclarationError, Loc, Position
 from statechart.formulas.hints import character
 
 # The YAML parser takes about 40 us a value and 3 us a character of text: these bounds keep the
@@ -101,8 +88,8 @@ class _Builder:
 
     def build(self, text: str) -> Document:
         try:
-            events = self._wanted(YAML(typ="safe", pure=True).parse(io.StringIO(text)))
-            data = self._document(events)
+            parsed = self._wanted(YAML(typ="safe", pure=True).parse(io.StringIO(text)))
+            data = self._document(parsed)
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             self._check_blanks(text, mark.line if mark else 0)
@@ -129,37 +116,37 @@ class _Builder:
                         f"not YAML: the blank U+{ord(one):04X}", character(one)
                     ) from None
 
-    def _document(self, events: Iterator[Event]) -> dict[str, Any]:
-        first = next(events, None)
+    def _document(self, parsed: Iterator[events.Event]) -> dict[str, Any]:
+        first = next(parsed, None)
         if first is None:
             raise self._at(0, 0).error(
                 "the file is empty", "`statechart new NAME` writes one to start from"
             )
-        if not isinstance(first, MappingStartEvent):
+        if not isinstance(first, events.MappingStartEvent):
             self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
-        data: dict[str, Any] = self._value(first, events, ())
-        for _ in events:
+        data: dict[str, Any] = self._value(first, parsed, ())
+        for _ in parsed:
             pass  # What follows must be judged too: it may be a second document.
         return data
 
-    def _wanted(self, events: Iterator[Event]) -> Iterator[Event]:
+    def _wanted(self, parsed: Iterator[events.Event]) -> Iterator[events.Event]:
         """Pass on the events of one document, and judge each before anything is built of it."""
         depth = documents = 0
-        for count, event in enumerate(events):
+        for count, event in enumerate(parsed):
             match event:
-                case DocumentStartEvent():
+                case events.DocumentStartEvent():
                     documents += 1
                     if documents > 1:
                         self._fail(event, "a second document", "one model a file")
                     if event.version or event.tags:
                         self._fail(event, "a YAML directive", "remove the line that begins with %")
-                case MappingStartEvent() | SequenceStartEvent():
+                case events.MappingStartEvent() | events.SequenceStartEvent():
                     depth += 1
                     if depth > MAX_DEPTH:
                         self._fail(event, f"nested deeper than {MAX_DEPTH} levels")
-                case MappingEndEvent() | SequenceEndEvent():
+                case events.MappingEndEvent() | events.SequenceEndEvent():
                     depth -= 1
-                case AliasEvent():
+                case events.AliasEvent():
                     self._fail(event, "an alias (*)", "write the value out")
             if getattr(event, "anchor", None):
                 self._fail(event, "an anchor (&)", "write the value out where it is needed")
@@ -168,13 +155,17 @@ class _Builder:
             if count > MAX_VALUES:
                 self._fail(event, f"more than {MAX_VALUES} values")
             if not isinstance(
-                event, StreamStartEvent | StreamEndEvent | DocumentStartEvent | DocumentEndEvent
+                event,
+                events.StreamStartEvent
+                | events.StreamEndEvent
+                | events.DocumentStartEvent
+                | events.DocumentEndEvent,
             ):
                 yield event
 
-    def _value(self, event: Event, events: Iterator[Event], loc: Loc) -> Any:
+    def _value(self, event: events.Event, parsed: Iterator[events.Event], loc: Loc) -> Any:
         self._values[loc] = self._position(event)
-        if isinstance(event, ScalarEvent):
+        if isinstance(event, events.ScalarEvent):
             if event.style in ("'", '"'):
                 self._values[loc] = self._position(event).shifted(1)
             elif not event.value and loc in self._keys:
@@ -182,15 +173,15 @@ class _Builder:
                 self._values[loc] = self._keys[loc]
                 self._empty.add(loc)
             return event.value if event.style else self._plain(event)
-        if isinstance(event, SequenceStartEvent):
+        if isinstance(event, events.SequenceStartEvent):
             items: list[Any] = []
-            while not isinstance(item := next(events), SequenceEndEvent):
+            while not isinstance(item := next(parsed), events.SequenceEndEvent):
                 self._check_cut(items[-1:], item)
-                items.append(self._value(item, events, (*loc, len(items))))
+                items.append(self._value(item, parsed, (*loc, len(items))))
             return items
         mapping: dict[str, Any] = {}
-        while not isinstance(key := next(events), MappingEndEvent):
-            if not isinstance(key, ScalarEvent):
+        while not isinstance(key := next(parsed), events.MappingEndEvent):
+            if not isinstance(key, events.ScalarEvent):
                 self._fail(key, "a key must be a word")
             name = key.value
             self._check_cut([*mapping.values()][-1:], key)
@@ -202,12 +193,12 @@ class _Builder:
                     key, f"duplicate key {name!r}", f"the first is on line {self._keys[at].line}"
                 )
             self._keys[at] = self._position(key)
-            mapping[name] = self._value(next(events), events, at)
+            mapping[name] = self._value(next(parsed), parsed, at)
         return mapping
 
-    def _check_cut(self, before: list[Any], event: Event) -> None:
+    def _check_cut(self, before: list[Any], event: events.Event) -> None:
         """Refuse what goes on with a formula that YAML has cut at its comma."""
-        if not (before and isinstance(before[0], str) and isinstance(event, ScalarEvent)):
+        if not (before and isinstance(before[0], str) and isinstance(event, events.ScalarEvent)):
             return
         first, second = (text.count("(") - text.count(")") for text in (before[0], event.value))
         if not event.style and first > 0 and second != 0:
@@ -217,18 +208,18 @@ class _Builder:
                 f'put the whole formula in quotes: "{before[0]}, ..."',
             )
 
-    def _plain(self, event: ScalarEvent) -> Any:
+    def _plain(self, event: events.ScalarEvent) -> Any:
         try:
             return resolve(event.value)
         except ValueError:
             self._fail(event, "a number of too many digits, or too large for a float")
 
-    def _position(self, event: Event) -> Position:
+    def _position(self, event: events.Event) -> Position:
         return self._at(event.start_mark.line, event.start_mark.column)
 
     def _at(self, line: int, column: int) -> Position:
         """Return the place of a line and a column that count from 0."""
         return Position(self._source, line + 1, column + 1)
 
-    def _fail(self, event: Event, message: str, advice: str = "") -> NoReturn:
+    def _fail(self, event: events.Event, message: str, advice: str = "") -> NoReturn:
         raise self._position(event).error(message, advice)

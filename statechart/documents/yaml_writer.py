@@ -7,19 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
-from ruamel.yaml import YAML
-from ruamel.yaml.events import (
-    DocumentEndEvent,
-    DocumentStartEvent,
-    Event,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    SequenceStartEvent,
-    StreamEndEvent,
-    StreamStartEvent,
-)
+from ruamel.yaml import YAML, events
 
 from statechart.documents.yaml_text import resolve, scalar
 
@@ -42,34 +30,36 @@ def dump(model: BaseModel) -> str:
     return stream.getvalue()
 
 
-def _document(data: Any) -> Iterator[Event]:
-    yield StreamStartEvent()
-    yield DocumentStartEvent(explicit=False)
+def _document(data: Any) -> Iterator[events.Event]:
+    yield events.StreamStartEvent()
+    yield events.DocumentStartEvent(explicit=False)
     yield from _events(data, block=True)
-    yield DocumentEndEvent(explicit=False)
-    yield StreamEndEvent()
+    yield events.DocumentEndEvent(explicit=False)
+    yield events.StreamEndEvent()
 
 
-def _events(value: Any, *, block: bool) -> Iterator[Event]:
+def _events(value: Any, *, block: bool) -> Iterator[events.Event]:
     # What is short stands on one line, in braces; the rest is indented.
     if isinstance(value, Mapping):
         flow = not block or _is_short(value)
-        yield MappingStartEvent(None, None, implicit=True, flow_style=flow)
+        yield events.MappingStartEvent(None, None, implicit=True, flow_style=flow)
         for key, item in value.items():
             # Every key is read as text, whatever it looks like.
-            yield ScalarEvent(None, None, (True, True), str(key))
+            yield events.ScalarEvent(None, None, (True, True), str(key))
             yield from _events(item, block=not flow)
-        yield MappingEndEvent()
+        yield events.MappingEndEvent()
     elif isinstance(value, list | tuple):
         flow = not block or _is_short(value)
-        yield SequenceStartEvent(None, None, implicit=True, flow_style=flow)
+        yield events.SequenceStartEvent(None, None, implicit=True, flow_style=flow)
         for item in value:
             yield from _events(item, block=not flow)
-        yield SequenceEndEvent()
+        yield events.SequenceEndEvent()
     else:
         text = scalar(value)
         quoted = isinstance(value, str) and not _reads_as_text(text)
-        yield ScalarEvent(None, None, (not quoted, True), text, style='"' if quoted else None)
+        yield events.ScalarEvent(
+            None, None, (not quoted, True), text, style='"' if quoted else None
+        )
 
 
 def _reads_as_text(text: str) -> bool:

@@ -9,7 +9,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import working_time
-from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
+from statechart.engines.engine import Begin, Engine, FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import OutOfBudget
 from statechart.formulas.tape import Tape
@@ -87,7 +87,7 @@ class Limited(Engine):
         count: int,
         begin: Begin,
         end: Array,
-    ) -> Steps:
+    ) -> bool:
         """Take steps, unless the time is over (see `Engine`)."""
         self._allowance.check(watch.start + path.times.item(path.count))
         self._engine.sizes = self.sizes

@@ -9,9 +9,8 @@ from typing import NamedTuple
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.constraints import Constraints
-from statechart.automaton.coordinate_reconstruction import Reconstruction
+from statechart.automaton.modes import Reconstruction
 from statechart.automaton.regions import Mode
-from statechart.engines.event_location import Search
 from statechart.engines.path import Path
 from statechart.formulas.tape import Tape
 
@@ -44,20 +43,6 @@ class FlowWatch(NamedTuple):
     parameters: Array  # (p,): values of the automaton's parameters.
     start: float  # When the flow begins.
     reconstruction: Reconstruction  # What follows from other variables in every state.
-
-
-class Steps(NamedTuple):
-    """Result of a call for steps; the steps stand in the path."""
-
-    finished: bool  # Whether the last one ends where they had to.
-    # Where the last chunk of steps begins; in those before is no event, and they end on the flow's
-    # constraints.
-    first: int
-    begun: Array  # (n,): the state there.
-    boxes: int = 0  # Looked at in the search for events.
-    # What the search of the last chunk found; None where it was not searched, as that depends on
-    # whether its end is on the constraints.
-    found: Search | None = None
 
 
 class Pace(NamedTuple):
@@ -131,11 +116,8 @@ class Engine(ABC):
         count: int,
         begin: Begin,
         end: Array,
-    ) -> Steps:
-        """Take up to `count` steps, and append them to `path`.
-
-        An engine that can look for events itself may go on by further chunks of steps, as long as
-        there is nothing to be seen in those before.
+    ) -> bool:
+        """Take up to `count` steps, and append them to `path`; whether the last ends at `until`.
 
         Parameters
         ----------
@@ -150,15 +132,11 @@ class Engine(ABC):
         until : float
             Do not step beyond this time of the flow; the last step ends there exactly.
         count : int
-            At most so many steps at first.
+            At most so many steps.
         begin : Begin
             How `state` follows from the last call with this stepper.
         end : (n,) array
             Takes the state at the end of the last step.
-
-        Returns
-        -------
-        Steps
 
         Raises
         ------

@@ -112,28 +112,21 @@ def search(
     budget : int
         Greatest number of boxes.
     """
-    return as_search(
-        kernel(
-            tape.code,
-            tape.constants,
-            tape.outputs,
-            tape.reads,
-            tape.n_fixed,
-            tolerances,
-            path.times,
-            path.coefficients,
-            parameters,
-            start,
-            first,
-            last,
-            budget,
-        )
+    code, guard, step, s, time, crossed, boxes = kernel(
+        tape.code,
+        tape.constants,
+        tape.outputs,
+        tape.reads,
+        tape.n_fixed,
+        tolerances,
+        path.times,
+        path.coefficients,
+        parameters,
+        start,
+        first,
+        last,
+        budget,
     )
-
-
-def as_search(found: tuple[int, int, int, float, float, float, int]) -> Search:
-    """Return what the kernel found as a `Search`."""
-    code, guard, step, s, time, crossed, boxes = found
     if code == NONE:
         return Search(Verdict.NONE, None, boxes)
     place = Crossing(guard, step, s, time, crossed)

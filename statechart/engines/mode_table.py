@@ -1,4 +1,4 @@
-"""The modes of an automaton as a table for compiled loops, and the memory of their flows."""
+"""Modes as a table for compiled loops: tapes, kinds and tolerances of margins, memory of flows."""
 
 from __future__ import annotations
 
@@ -11,6 +11,15 @@ from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.jit import part
 from statechart.kernels.search_memory import Memory, room
 from statechart.kernels.tapes import tape_values
+
+PLAIN, GAP, SPEED, FORCE = range(4)
+KINDS = ("plain", "gap", "speed", "force")
+"""Kinds of margins: their numbers, and their names in that order."""
+
+EVALUATED = 8.0 * float(np.finfo(float).eps)
+"""Round-off of an instant, and of a formula in parts of its terms."""
+JUMP = 1e-9
+"""A margin that jumps below zero is above this part of its first value just before."""
 
 # A part of a variable that is more than it is off by.
 _SMALL = 1e-9
@@ -56,6 +65,20 @@ def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, In
         ints[row[6] : row[6] + row[7]],
         row[8],
     )
+
+
+@part
+def evaluate(
+    program: Program,
+    row: NDArray[np.int64],
+    state: Array,
+    parameters: Array,
+    time: float,
+    result: Array,
+) -> None:
+    """Write the first outputs of a tape, as many as there is room for."""
+    code, constants, outputs, _, _ = tape_of(program, row)
+    tape_values(code, constants, outputs[: result.shape[0]], state, parameters, time, result)
 
 
 @part
@@ -136,3 +159,53 @@ def scratch(
         Memory(*room(registers, operations, outputs, variables)),
         np.empty((registers, 6)),
     )
+
+
+class Watch(NamedTuple):
+    """Numbers that the search of a flow needs, beside its margins."""
+
+    parameters: Array  # shape (p,)
+    kinds: Array  # (4,): tolerance of each kind of margin.
+    bands: Array  # (b,): tolerances of single margins; -1 where that of the kind is the one.
+    floors: Array  # (n,): what is smaller counts as so large.
+    off: NDArray[np.int64]  # (9,): tape of the constraints.
+    # (k,): of the constraints.
+    targets: Array
+    weights: Array
+    room: float  # How far what is to stay above zero may fall.
+
+
+@part
+def usual_tolerances(
+    program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array
+) -> None:
+    """Write the tolerance of every margin: its own, or that of its kind."""
+    for i in range(row[MARGINS]):
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
+
+
+@part
+def first_tolerances(
+    program: Program,
+    row: NDArray[np.int64],
+    watch: Watch,
+    initial: Array,
+    start: float,
+    usual: Array,
+    margins: Array,
+    tolerances: Array,
+) -> None:
+    """Write the tolerances to search with first: see `statechart.execution.finding`.
+
+    Also writes the margins at the start if one of them is plain.
+    """
+    plain = False
+    for i in range(row[MARGINS]):
+        tolerances[i] = usual[i]
+        plain = plain or program.ints[row[MARGINS_AT] + 2 * i] == PLAIN
+    if plain:
+        evaluate(program, row[WATCHED : WATCHED + TAPE], initial, watch.parameters, start, margins)
+        for i in range(row[MARGINS]):
+            if program.ints[row[MARGINS_AT] + 2 * i] == PLAIN and margins[i] > usual[i]:
+                tolerances[i] = 0.0

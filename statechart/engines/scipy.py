@@ -12,7 +12,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, FlowWatch, Steps
+from statechart.engines.engine import Begin, Engine, FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
@@ -63,7 +63,7 @@ class SciPy(Engine):
         count: int,
         begin: Begin,
         end: Array,
-    ) -> Steps:
+    ) -> bool:
         """Take one step: they are dear, and the constraints are projected after each."""
         assert isinstance(stepper, _Stepper)
         reached = path.times.item(path.count)
@@ -85,7 +85,9 @@ class SciPy(Engine):
             end[:] = moved
             if self.method != "LSODA":  # Its state is part of its history, and is near enough.
                 solver.y[:] = moved
-        return Steps(solver.status == "finished", path.count - 1, state)
+        if finished := bool(solver.status == "finished"):
+            path.times[path.count] = until
+        return finished
 
     def _step(
         self,

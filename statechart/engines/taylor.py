@@ -11,27 +11,16 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import whole
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import (
-    LONGEST_CHUNK,
-    NEAR,
-    Begin,
-    Engine,
-    Entry,
-    FlowWatch,
-    Pace,
-    Steps,
-)
-from statechart.engines.event_location import BOXES, Verdict, as_search
+from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace
 from statechart.engines.heyoka_step import Step
 from statechart.engines.path import Path
-from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, OFF, STRAY, taylor_flow
+from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, taylor_steps
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
@@ -42,8 +31,6 @@ from statechart.tabular import several
 _COMPACT, _FEW = 240, 100
 # What compiling takes at least, and for each operation: somewhat more than the shipped models need.
 _BEGIN, _EACH = 0.01, 2e-4
-# Steps in one call: in between, progress is shown and an interruption heard.
-_MOST = 512
 # To the power -20, the order of the method, and some more for the derivatives of a surface, this is
 # near the largest float. Asked for only where a step fails.
 _LEAST_BASE = 1e-12
@@ -70,21 +57,31 @@ def has_long_double() -> bool:
 @dataclass(eq=False)
 class _Stepper:
     integrator: Any
-    # Views into the integrator's own memory; it alone writes the last.
-    state: NDArray[Any]
-    pars: NDArray[Any]
-    series: NDArray[Any]
-    fixed: Tape  # what the integrator takes as its parameters, behind the time
-    parametric: bool
     compiled: Step | None
-    # Of the compiled loop.
-    memory: tuple[int, Array, Array, tuple[Ints32, Array, Ints32], Array, Array]
-    shape: tuple[int, int]  # of the series
-    durations: Array
-    begun: Array  # scratch
-    powers: tuple[str, ...]  # without a series where their base is zero
+    fixed: Tape  # What the integrator takes as its parameters, behind the time.
+    powers: tuple[str, ...]  # Without a series where their base is zero.
     bases: Tape
     rates: Tape
+
+    def __post_init__(self) -> None:
+        # Views into the integrator's own memory; it alone writes the last.
+        self.state, self.pars = self.integrator.state, self.integrator.pars
+        self.series, self.shape = self.integrator.tc, self.integrator.tc.shape
+        # Of the compiled steps: address, state, parameters, clock, series.
+        address, self._clock = 0 if self.compiled is None else self.compiled.address, np.zeros(2)
+        series = np.empty(self.shape)
+        self.integrator_memory = address, self.state, self.pars, self._clock, series
+        self.durations: Array = np.empty(0)
+
+    def enter(self, state: Array, watch: FlowWatch, time: float) -> None:
+        """Begin in a state at a time."""
+        self._clock[:] = 0.0
+        if self.compiled is None:
+            self.integrator.time = self.state.dtype.type(0.0)
+        self.state[:] = state
+        if len(self.pars):
+            self.pars[0] = time
+            self.pars[1:] = self.fixed.at(state, watch.parameters, watch.start)
 
 
 class Taylor(Engine):
@@ -135,23 +132,13 @@ class Taylor(Engine):
         # heyoka keeps as many parameters as it needs after its own simplifications (a mass may
         # cancel); the first is the start of the arc.
         fixed = automaton.tape(convert.constants[: max(len(integrator.pars) - 1, 0)], mode)
-        state, pars, series = integrator.state, integrator.pars, integrator.tc
-        address = 0 if compiled is None else compiled.address
         symbols = (*automaton.variables, *automaton.parameters)
         words = (*automaton.names, *automaton.parameter_names)
         names = dict(zip(symbols, map(sp.Symbol, words), strict=True))
         return _Stepper(
             integrator,
-            state,
-            pars,
-            series,
-            fixed,
-            len(pars) > 0,
             compiled,
-            (address, state, pars, fixed.program, np.zeros(2), np.empty(series.shape)),
-            series.shape,
-            np.empty(0),
-            np.empty(len(states)),
+            fixed,
             tuple(
                 # The root of a square would become an absolute value again.
                 sp.sstr(sp.Pow(base.xreplace(names), exponent, evaluate=False))[:_SHOWN]
@@ -194,28 +181,27 @@ class Taylor(Engine):
         count: int,
         begin: Begin,
         end: Array,
-    ) -> Steps:
-        """Take up to `count` steps, or several chunks of them (see `Engine`)."""
+    ) -> bool:
+        """Take up to `count` steps (see `Engine`)."""
         assert isinstance(stepper, _Stepper)
         first = path.count
         reached = path.times.item(first)
         path.room(count, *stepper.shape)
-        moved = begin is not Begin.ON
-        if stepper.compiled is None:
-            if moved:
-                stepper.integrator.time = self._number(0.0)
-                stepper.state[:] = state
-                if stepper.parametric:
-                    stepper.pars[0] = watch.start + reached
-                    stepper.pars[1:] = stepper.fixed.at(state, watch.parameters, watch.start)
-            taken, finite, h, left = _one_by_one(
-                stepper, path, self._number(until - reached), self.max_step, count, end
-            )
-            made = Steps(finite == taken and h == left, first, state)
-            last = first + finite
-        else:
-            made, last, h, left = self._loop(stepper, path, watch, state, until, count, moved, end)
         start = watch.start + reached
+        if begin is not Begin.ON:
+            stepper.enter(state, watch, start)
+        if stepper.compiled is None:
+            left = self._number(until - reached)
+            taken, finite, h, left = _one_by_one(
+                stepper, path, watch, left, self.max_step, count, end
+            )
+        else:
+            taken, finite, h, left = taylor_steps(
+                (*stepper.integrator_memory, self.tolerance, self.max_step),
+                until - reached, count, first, path.times, path.coefficients, end,
+                watch.reconstruction.program, watch.start,
+            )  # fmt: skip
+        last = first + finite
         if last == first:
             self.check(stepper, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
@@ -224,7 +210,7 @@ class Taylor(Engine):
                     "they do not; use engine: scipy"
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
-        if h == 0.0 and left > 0.0 and (made.found is None or made.found.verdict is Verdict.NONE):
+        if h == 0.0 and left > 0.0:
             # What came before the step that underflowed stands, and may hold an event.
             if path.times.item(last) == path.times.item(last - 1):
                 last -= 1
@@ -232,82 +218,49 @@ class Taylor(Engine):
                 self.check(stepper, state, watch.parameters, start)
                 raise StepFailure(f"the step near t = {start:.6g} underflowed")
         path.count = last
-        return made
-
-    def _loop(
-        self,
-        stepper: _Stepper,
-        path: Path,
-        watch: FlowWatch,
-        state: Array,
-        until: float,
-        count: int,
-        moved: bool,
-        end: Array,
-    ) -> tuple[Steps, int, float, float]:
-        """Run the compiled loop; return what it made, its last step, its length, what was left."""
-        guards, constraints, begun = watch.guards, watch.constraints, stepper.begun
-        begins, last, finished, h, left, boxes, found = taylor_flow(
-            moved,
-            state,
-            *stepper.memory,
-            watch.reconstruction.program,
-            self.tolerance,
-            self.max_step,
-            until,
-            count,
-            LONGEST_CHUNK,
-            path.count,
-            min(path.count + _MOST, len(path.coefficients)),
-            path.times,
-            path.coefficients,
-            begun,
-            end,
-            NEAR,
-            *constraints.tape.program,
-            constraints.targets,
-            constraints.weights,
-            *guards.program,
-            guards.reads,
-            guards.n_fixed,
-            watch.tolerances,
-            watch.parameters,
-            watch.start,
-            BOXES,
-        )
-        search = None if found[0] == OFF else as_search(found)
-        return Steps(finished, begins, begun, boxes, search), last, h, left
+        if finished := bool(finite == taken and h == left):
+            path.times[last] = until
+        end[:] = watch.reconstruction.onto(end, watch.start + path.times.item(last))
+        return finished
 
 
 def _one_by_one(
-    stepper: _Stepper, path: Path, duration: Any, max_step: float, count: int, end: Array
+    stepper: _Stepper,
+    path: Path,
+    watch: FlowWatch,
+    duration: Any,
+    max_step: float,
+    count: int,
+    end: Array,
 ) -> tuple[int, int, float, float]:
-    """Do what the compiled loop does with heyoka's own calls, in the precision of `duration`."""
+    """Do what the compiled steps do with heyoka's own calls, in the precision of `duration`."""
     if count > len(stepper.durations):
         stepper.durations = np.empty(count)
     step, durations = stepper.integrator.step, stepper.durations
     series, now = path.coefficients, stepper.series
     first, left, h = path.count, duration, duration
+    time = watch.start + path.times.item(first)
     taken = 0
-    order = np.arange(1, now.shape[1])
+    order = np.arange(now.shape[1])
     while taken < count:
         begun, began = stepper.state.copy(), stepper.integrator.time
         longest = min(left, type(left)(max_step))
         for _ in range(HALVINGS):
             stepper.state[:], stepper.integrator.time = begun, began
             h = step(longest, True)[1]
-            terms = now.copy()
-            step(type(h)(0), True)
-            slopes = h * order * terms[:, 1:] * h ** (order - 1)
-            off = np.abs(slopes.sum(axis=1) - h * now[:, 1]).max()
+            slopes = now * (order * h**order)
+            ends = stepper.state.astype(float)
+            rates = stepper.rates.values(ends, watch.parameters, time + float(h))
+            off = np.abs(slopes.sum(axis=1) - h * rates).max()
             if not off > STRAY * max(
                 LEAST_MOTION, np.abs(begun).max(), np.abs(slopes).sum(axis=1).max()
             ):
                 break
             longest = h / 2
         with np.errstate(over="ignore"):  # of what no double can hold, the step is not finite
-            series[first + taken] = terms
+            series[first + taken] = now
         durations[taken] = h
+        time += float(h)
         taken += 1
         # The step is cut to end at the duration exactly, and then its length is what was left.
         if h == left or not h > 0.0:

@@ -6,18 +6,12 @@ import math
 
 import numpy as np
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array
 from statechart.engines.heyoka_step import call_step
-from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
 from statechart.kernels.jit import part, seldom
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
-from statechart.kernels.search import NONE, search
-from statechart.kernels.tapes import tape_values
-
-OFF = -1
-"""Verdict on a chunk that ends off its constraints, and was not searched therefore."""
 
 # So far off the rate may the slope at the end of a step be, in parts of the motion in it and for
 # orders that do better: stiff springs at rest are by less in rounding.
@@ -94,8 +88,8 @@ def let_pass(clock: Array, h: float) -> None:
     clock[0] = later
 
 
-@part
-def _taylor_steps(
+@seldom
+def taylor_steps(
     integrator: Integrator,
     duration: float,
     count: int,
@@ -178,138 +172,3 @@ def _taylor_steps(
         done = taken == count or h == left
         if not done:
             left -= h
-
-
-@seldom
-def taylor_flow(
-    moved: bool,
-    initial: Array,
-    address: int,
-    state: Array,
-    heyokas: Array,
-    fixed: tuple[Ints32, Array, Ints32],
-    clock: Array,
-    series: Array,
-    follows: Program,
-    tolerance: float,
-    max_step: float,
-    until: float,
-    count: int,
-    longest: int,
-    first: int,
-    most: int,
-    times: Array,
-    coeffs: Array,
-    begun: Array,
-    end: Array,
-    near: float,
-    off_code: Ints32,
-    off_constants: Array,
-    off_outputs: Ints32,
-    targets: Array,
-    weights: Array,
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    tolerances: Array,
-    parameters: Array,
-    start: float,
-    budget: int,
-) -> tuple[int, int, bool, float, float, int, tuple[int, int, int, float, float, float, int]]:
-    """Take chunks of steps until there is something to be seen in the last of them.
-
-    Parameters
-    ----------
-    moved : bool
-        Whether to start from `initial` instead of where the last call ended.
-    address, state, heyokas, fixed, clock, series, tolerance, max_step
-        An `Integrator`; its parameters `heyokas` are a time and what a tape, `fixed`, makes of
-        `parameters`.
-    follows : Program
-        What follows from other variables in the flow, see `statechart.kernels.reconstruction`.
-    until : float
-        Longest time since the flow began.
-    count, longest : int
-        Number of steps in the first chunk; later ones grow by half, up to `longest`.
-    first, most : int
-        Steps that stand in the arrays, and how many may.
-    times, coeffs, end
-        As in `_taylor_steps`.
-    begun : (n,) array
-        Takes the state at the start of the last chunk.
-    near : float
-        A chunk may end so far off the constraints.
-    off_code, off_constants, off_outputs, targets, weights
-        Of the constraints, see `statechart.kernels.constraints`.
-    code, constants, outputs, reads, n_fixed, tolerances, parameters, start, budget
-        Of the guards, see `statechart.kernels.search`.
-
-    Returns
-    -------
-    first, last : int
-        Where the last chunk begins and ends.
-    finished : bool
-        Whether it ends at `until`.
-    h, left : float
-        Length of the last step, and what was left before it.
-    boxes : int
-        That were looked at.
-    found : tuple
-        What `search` returns for the last chunk, or `OFF` in the place of its verdict.
-    """
-    integrator, boxes = (address, state, heyokas, clock, series, tolerance, max_step), 0
-    if moved:
-        clock[0] = clock[1] = 0.0
-        put(initial, state)
-        if heyokas.shape[0] > 0:
-            heyokas[0] = start + times[first]
-            tape_values(*fixed, initial, parameters, start, heyokas[1:])
-    while True:
-        put(state, begun)
-        taken, finite, h, left = _taylor_steps(
-            integrator,
-            until - times[first],
-            min(count, most - first),
-            first,
-            times,
-            coeffs,
-            end,
-            follows,
-            start,
-        )
-        last = first + finite
-        finished = finite == taken and h == left
-        if finished:
-            times[last] = until
-        reconstruct_any(follows, end, start + times[last])
-        found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
-        local = start + times[last]
-        if (
-            off_by(off_code, off_constants, off_outputs, targets, weights, end, parameters, local)
-            > near
-        ):
-            found = (OFF, -1, 0, 0.0, 0.0, 0.0, 0)
-        elif finite > 0:
-            found = search(
-                code,
-                constants,
-                outputs,
-                reads,
-                n_fixed,
-                tolerances,
-                times,
-                coeffs,
-                parameters,
-                start,
-                first,
-                last,
-                budget,
-            )
-            boxes += found[6]
-        going_on = finite == taken and h > 0.0 and last < most
-        if found[0] != NONE or finished or not going_on:
-            return first, last, finished, h, left, boxes, found
-        first = last
-        count = min(count + count // 2, longest)

@@ -13,32 +13,31 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
 from statechart.engines.event_location import BOXES
-from statechart.engines.flow_watch import (
-    EVALUATED,
-    FORCE,
-    JUMP,
-    PLAIN,
-    Watch,
-    first_tolerances,
-    usual_tolerances,
-)
 from statechart.engines.heyoka_step import call_step
 from statechart.engines.mode_table import (
     ADDRESS,
     ANCHORS,
+    EVALUATED,
     FIXED,
+    FORCE,
+    JUMP,
     LIFT,
     MARGINS,
     MARGINS_AT,
     PARS,
     PLACES_AT,
+    PLAIN,
     RATES,
     TAPE,
     WATCHED,
     WITHIN,
     Program,
     Scratch,
+    Watch,
+    evaluate,
+    first_tolerances,
     tape_of,
+    usual_tolerances,
 )
 from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
 from statechart.kernels.boxes import Along
@@ -59,9 +58,8 @@ from statechart.kernels.search import (
     search_step,
 )
 from statechart.kernels.search_memory import Ready, ready_along
-from statechart.kernels.tapes import tape_values
 
-ENDED, EVENT, UNUSUAL = range(3)
+WHOLE, AT_EVENT, IN_VAIN = range(3)
 """How a flow ends: at the end of its duration, at an event, or not in this way."""
 
 
@@ -79,8 +77,8 @@ def _enter(
     put(state, memory.state)
     if row[PARS] > 0:
         memory.pars[0] = now
-        code, constants, outputs, _, _ = tape_of(program, row[FIXED : FIXED + TAPE])
-        tape_values(code, constants, outputs, state, watch.parameters, now, memory.pars[1:])
+        fixed = row[FIXED : FIXED + TAPE]
+        evaluate(program, fixed, state, watch.parameters, now, memory.pars[1 : row[PARS]])
 
 
 @part
@@ -88,9 +86,9 @@ def _following(
     program: Program, row: NDArray[np.int64], watch: Watch, state: Array, start: float
 ) -> Following:
     """Return what follows from other variables in a flow that begins in a state."""
-    code, constants, outputs, _, _ = tape_of(program, row[ANCHORS : ANCHORS + TAPE])
-    anchors = np.empty(outputs.shape[0])
-    tape_values(code, constants, outputs, state, watch.parameters, start, anchors)
+    anchored = row[ANCHORS : ANCHORS + TAPE]
+    anchors = np.empty(anchored[5])
+    evaluate(program, anchored, state, watch.parameters, start, anchors)
     code, constants, outputs, _, _ = tape_of(program, row[LIFT : LIFT + TAPE])
     places = program.ints[row[PLACES_AT] : row[PLACES_AT] + outputs.shape[0]]
     return reconstruction_program(
@@ -179,12 +177,12 @@ def flow_to_event(
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
-            return UNUSUAL, -1, 0, boxes
+            return IN_VAIN, -1, 0, boxes
         h[0] = min(left, pace.max_step)
         reconstruct_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
         if pending and _strays(ready[0], rates, watch, pace, memory, made - 1, length):
-            return UNUSUAL, -1, 0, boxes
+            return IN_VAIN, -1, 0, boxes
         length = h[0]
         expand(series, length, coeffs[made], powers)
         let_pass(clock, length)
@@ -193,14 +191,14 @@ def flow_to_event(
         last = length == left
         times[made] = end if last else base + total
         if not times[made] > times[made - 1]:
-            return UNUSUAL, -1, 0, boxes
+            return IN_VAIN, -1, 0, boxes
         left = 0.0 if last else left - length
         if last or made == chunk_end:
             for v in range(n):
                 ended[v] = horner(coeffs, made - 1, v, 1.0)
             reconstruct_any(follows, ended, start + times[made])
             if _off(program, watch, ended, start + times[made]):
-                return UNUSUAL, -1, 0, boxes
+                return IN_VAIN, -1, 0, boxes
         if clear_whole(ready, guards, tolerances, made - 1, jets):
             boxes += 1
         else:
@@ -210,7 +208,7 @@ def flow_to_event(
             # No step follows whose series would begin with the rates.
             _rates_at_end(ready, rates, made - 1, series)
             if _strays(ready[0], rates, watch, pace, memory, made - 1, length):
-                return UNUSUAL, -1, 0, boxes
+                return IN_VAIN, -1, 0, boxes
             if found[0] != NONE or end == duration:
                 break
             horizon *= GROWTH
@@ -228,10 +226,10 @@ def flow_to_event(
         program, row, pace, watch, times, coeffs, start,
         memory.doubtful[: made if verdict == NONE else step + 1],
     ):  # fmt: skip
-        return UNUSUAL, -1, 0, boxes
+        return IN_VAIN, -1, 0, boxes
     if verdict == NONE:
         put(ended, initial)
-        return ENDED, -1, made, boxes
+        return WHOLE, -1, made, boxes
     kind = program.ints[row[MARGINS_AT] + 2 * guard]
     if kind == PLAIN:
         # It begins at zero, and may not have fallen since.
@@ -244,11 +242,11 @@ def flow_to_event(
         verdict, first, _, _, at, crossed, _ = search_step(ready, guards, usual, made - 1, BOXES)
         far = verdict == CROSSING and first == guard and at <= latest
         if at_zero or jumps or not far:
-            return UNUSUAL, -1, 0, boxes
+            return IN_VAIN, -1, 0, boxes
     cut = crossed if kind == FORCE else at
     count = cut_steps(times, coeffs, made, cut, initial)
     reconstruct_any(follows, initial, start + times[count])
-    return EVENT, guard, count, boxes
+    return AT_EVENT, guard, count, boxes
 
 
 @part

@@ -1,7 +1,8 @@
-"""The compiled loop: modes of a run as arrays, and calls of the loop that the laws have over them.
+"""The compiled loop over an array of runs: their modes as a table, its calls, what comes of them.
 
 The loop is that of the laws (`statechart.automaton.laws.CompiledLaws`), which know which instants
-are unambiguous. It returns why it ended, and the execution alone acts on that.
+are unambiguous. A run is values of parameters, or one that has come somewhere already. The loop
+returns why it left a run, and the execution alone acts on that.
 """
 
 from __future__ import annotations
@@ -15,12 +16,18 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import CompiledLaws, Flow, Setup, roles_in
-from statechart.automaton.trace import Jump, Key, Roles
+from statechart.automaton.trace import Jump, Key, Outcome, Roles
 from statechart.automaton.trace_store import Kind, RecordedEvent, TraceBuffer
 from statechart.engines.engine import Engine, Entry, Pace
-from statechart.engines.flow_watch import KINDS
-from statechart.engines.mode_table import COLUMNS, LAWS_AT, TAPE, Program, Scratch, scratch
-from statechart.execution.batch import BatchInputs, BatchResult
+from statechart.engines.mode_table import (
+    COLUMNS,
+    KINDS,
+    LAWS_AT,
+    TAPE,
+    Program,
+    Scratch,
+    scratch,
+)
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 
@@ -40,26 +47,83 @@ LOOK_AHEAD = 16.0
 """How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
 
 
-class LoopResult(NamedTuple):
-    """Result of a compiled loop."""
+UNUSUAL, OTHER, ENDED, CLOSING, STOPPED, HANDED = range(6)
+"""How a run of a batch ends: it is left to an execution of its own; other parameters of it are zero
+than those that the modes were solved for; at the end of the run; there, where it is to be judged
+whether something just happens; at a stop; where an execution goes on from here."""
 
+HOW, REASON, MARGIN, FIRST_MODE = range(4)
+"""Columns of `BatchResult.ends`."""
+ARCS, ARCS_END, EVENTS, EVENTS_END = range(4)
+"""Columns of `BatchResult.spans`."""
+
+
+class BatchInputs(NamedTuple):
+    """Runs for a compiled call."""
+
+    # Program of the tape that the numbers of a run follow from, and what it takes (m, i).
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    inputs: Array
+    until: Array  # (m,): when each ends; not a number where that is refused.
+    zeros: Bools  # (p,): which parameters are exactly zero.
+    most_jumps: int
+    floor: float  # What is smaller counts as so large.
+    alone: bool  # Whether a run is handed over as far as it has come.
+    begun: bool  # Whether the one run goes on from where it is, with numbers that are known.
+
+
+class BatchResult(NamedTuple):
+    """Results of a batch besides arcs and events, which stand in a block."""
+
+    # (m, 4): how it ended, why the loop did, the margin that fell or the series that accumulates,
+    # the kind of the first mode.
+    ends: Ints
+    spans: Ints  # (m, 4): where its arcs and its events begin and end.
+    # (m, 6): where it has come, see `T_HIGH` and `N_MODE`.
+    now: Array
+    place: Ints
+    # Its parameters, first and last state.
+    values: Array  # shape (m, p)
+    initial: Array  # shape (m, n)
+    final: Array  # shape (m, n)
+    entered: Bools  # (m, k): the kinds of modes that it has been in.
+
+    @classmethod
+    def empty(cls, m: int, p: int, n: int, kinds: int) -> BatchResult:
+        """Return the memory for m runs."""
+        return cls(
+            np.zeros((m, 4), np.int64), np.zeros((m, 4), np.int64), np.zeros((m, 6)),
+            np.zeros((m, 6), np.int64), np.empty((m, p)), np.empty((m, n)), np.empty((m, n)),
+            np.zeros((m, kinds), np.bool_),
+        )  # fmt: skip
+
+
+class Batch(NamedTuple):
+    """Runs that have gone through a loop; valid until the next ones do."""
+
+    rows: NDArray[np.intp]  # (m,): which they are.
+    found: BatchResult  # Of them alone.
+    block: TraceBuffer  # Holds their arcs and events, and others.
     kinds: tuple[Kind, ...]  # Of the modes.
-    # Why it ended, and the margin that fell, or the series that accumulates.
-    reason: int
-    margin: int
-    # Where it has come.
-    now: Array  # shape (6,)
-    place: Ints  # shape (6,)
-    state: Array  # shape (n,)
-    entered: Bools  # (k,): the kinds that the run has been in.
+    modes: LoopModes
+    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
+    series: Array  # (s, ..): of the jumps of the last run, see `statechart.execution.zeno`.
 
+    @property
+    def stopped(self) -> Bools:
+        """Which runs (m,) a stop has ended."""
+        return np.asarray(self.found.ends[:, HOW] == STOPPED)
 
-class LoopStart(NamedTuple):
-    """Start of a run by the compiled loop."""
+    def outcome(self, row: int) -> Outcome:
+        """Return why a run ended."""
+        return Outcome.STOPPED if self.found.ends[row, HOW] == STOPPED else Outcome.HORIZON
 
-    kind: Kind  # (Key, Roles): of the first mode.
-    made: LoopResult
-    series: Array  # (s, ..): of jumps, see `statechart.execution.zeno`.
+    def entered(self) -> list[tuple[Kind, CompiledMode]]:
+        """Return the modes that the one run has been in."""
+        been = zip(self.kinds, self.found.entered[0].tolist(), strict=True)
+        return [(kind, self.modes.compiled(kind)) for kind, entered in been if entered]
 
 
 # Loops that are not compiled yet are, once so many flows could have been theirs: about two seconds.
@@ -93,19 +157,20 @@ class LoopModes:
     ----------
     kinds : list of (Key, Roles)
         Of every row; those of other flows of the runs stand between them.
+    jumps : tuple of (str, str)
+        Regions and causes of the jumps that loops make.
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
+        self.jumps = laws.series
         self._laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
-        self._loop: Loop | None = None
-        self._worth = _Worth(laws.compiled)
-        self._calls: dict[tuple[str, ...], BatchCall | None] = {}
-        self._batch_worth = _Worth(laws.batch_compiled)
+        self._call: LoopCall | None = None
+        self._worth, self._batch_worth = _Worth(laws.ready), _Worth(laws.compiled)
 
     def compiled(self, kind: Kind) -> CompiledMode:
         """Return a mode that was added."""
@@ -133,21 +198,14 @@ class LoopModes:
         entry = self._engine.entry(compiled.stepper)
         if entry is not None:
             self._compiled[kind], self._entries[kind] = compiled, entry
-            self._loop = None
-            self._calls.clear()
+            self._call = None
 
-    def batch(self, names: tuple[str, ...], count: int) -> BatchCall | None:
-        """Return the call for so many runs with values of some parameters; None where none is.
-
-        As a loop it is compiled once it is worth that.
-        """
+    def batch(self, count: int) -> LoopCall | None:
+        """Return what starts so many runs; None where nothing can, or it is not worth compiling."""
         if not self._batch_worth.asked(count) or not self._compiled:
             return None
-        if names not in self._calls:
-            if self._loop is None:
-                self._loop = self._made()
-            self._calls[names] = self._laws.batch(self._loop, names, self._engine.tolerance)
-        return self._calls[names]
+        call = self._made()
+        return call if call.starts else None
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
         """Whether rows of runs have the numbers that this gives for one."""
@@ -161,17 +219,49 @@ class LoopModes:
         tolerances = self._laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
 
-    def loop(self, mode: Key, roles: Roles) -> Loop | None:
-        """Return what loops run through from a flow on; None where they cannot enter it."""
-        if (mode, roles) not in self._compiled:
-            return None
-        if not self._worth.asked():
-            return None
-        if self._loop is None:
-            self._loop = self._made()
-        return self._loop
+    def resume(
+        self, setup: Setup, flow: Flow, now: Array, counts: tuple[int, int], state: Array,
+        buffer: TraceBuffer, series: Array, zeros: frozenset[int],
+    ) -> Batch | None:  # fmt: skip
+        """Let the loop take a run on from a flow; None where it cannot.
 
-    def _made(self) -> Loop:
+        Parameters
+        ----------
+        setup : Setup
+            The numbers of the run.
+        now : (6,) array
+            See `T_HIGH`.
+        counts : (int, int)
+            Of jumps so far, and the most of them.
+        state : (n,) array
+        buffer : TraceBuffer
+            Takes arcs and events.
+        series : (s, ..) array
+            Of jumps; brought up to date.
+        zeros : frozenset of int
+            Parameters that are exactly zero.
+        """
+        kind, floor = (flow.mode, flow.roles), self._engine.floor
+        if not self._laws.takes(setup, flow, state, now.item(T_HIGH)):
+            return None
+        if kind not in self._compiled or not self._worth.asked():
+            return None
+        assert isinstance(floor, float)
+        call = self._made()
+        kinds = call.loop.kinds
+        found = BatchResult.empty(1, 0, len(state), len(kinds))
+        found.now[0], found.final[0] = now, state
+        found.place[0, :N_STEPS] = kinds.index(kind), *counts
+        call.resume(setup, floor, buffer, found, series)
+        return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)
+
+    def _made(self) -> LoopCall:
+        """Return the calls of a loop over all modes known."""
+        if self._call is None:
+            self._call = self._laws.call(self._loop(), self._engine.tolerance)
+        return self._call
+
+    def _loop(self) -> Loop:
         packed = Packed()
         known = set(self.kinds)
         self.kinds += [kind for kind in self._compiled if kind not in known]
@@ -222,25 +312,36 @@ class LoopModes:
         return found
 
 
-class BatchCall(Protocol):
-    """Runs rows of values of some parameters in one call."""
+class LoopCall(Protocol):
+    """Calls of a compiled loop."""
 
     @property
     def loop(self) -> Loop:
-        """What they go through."""
+        """What runs go through."""
+        ...
+
+    @property
+    def starts(self) -> bool:
+        """Whether runs can be started by values of their parameters."""
         ...
 
     @property
     def series(self) -> Array:
-        """The series of the jumps of the last row."""
+        """The series of the jumps of the last run that was started."""
         ...
 
-    def inputs(self, table: Array) -> Array:
-        """Return what the numbers of runs are computed from (m, i), of rows (m, p) of values."""
+    def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
+        """Return the first four of `BatchInputs` for runs with values (m, p) of parameters."""
         ...
 
-    def run(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
+    def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
         """Make runs; return how many of them before the block was full."""
+        ...
+
+    def resume(
+        self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
+    ) -> None:
+        """Take a run on that has come somewhere."""
         ...
 
 
@@ -297,66 +398,3 @@ class Packed:
         """Return whole numbers and floats, one behind the other."""
         ints, floats = [np.zeros(0, np.int32), *self._ints], [np.zeros(0), *self._floats]
         return np.concatenate(ints), np.concatenate(floats)
-
-
-class CompiledLoop:
-    """Calls of the compiled loop for one run.
-
-    Parameters
-    ----------
-    laws : CompiledLaws
-    modes : LoopModes
-        What loops run through.
-    setup : Setup
-        The numbers of the run.
-    floors : (n,) array
-        What is smaller of a variable counts as so large.
-
-    Attributes
-    ----------
-    jumps : tuple of (str, str)
-        Regions and causes of the jumps that it makes.
-    """
-
-    def __init__(self, laws: CompiledLaws, modes: LoopModes, setup: Setup, floors: Array) -> None:
-        self.modes, self._laws, self._setup, self._floors = modes, laws, setup, floors
-        self.jumps = laws.series
-        self._loop: Loop | None = None
-        self._call: Callable[..., tuple[int, int, float]] | None = None
-        self._entered: Bools = np.zeros(0, np.bool_)
-
-    def advance(
-        self, flow: Flow, now: Array, counts: tuple[int, int], state: Array, buffer: TraceBuffer,
-        series: Array,
-    ) -> LoopResult | None:  # fmt: skip
-        """Go on from a flow; None where the loop cannot.
-
-        Parameters
-        ----------
-        now : (6,) array
-            See `T_HIGH`; brought up to date.
-        counts : (int, int)
-            Of jumps so far, and the most of them.
-        state : (n,) array
-            Brought up to date.
-        buffer : TraceBuffer
-            Takes arcs and events.
-        series : (s, ..) array
-            Of jumps, see `statechart.execution.zeno`.
-        """
-        if not self._laws.takes(self._setup, flow, state, now.item(T_HIGH)):
-            return None
-        loop = self.modes.loop(flow.mode, flow.roles)
-        if loop is None:
-            return None
-        if loop is not self._loop or self._call is None:
-            self._loop = loop
-            self._call = self._laws.ready(self._setup, loop, self._floors)
-            self._entered = np.zeros(len(loop.kinds), np.bool_)
-        place = np.array([loop.kinds.index((flow.mode, flow.roles)), *counts, 0, 0, 0])
-        reason, margin, now[T_REST] = self._call(buffer, now, place, state, series, self._entered)
-        return LoopResult(loop.kinds, reason, margin, now, place, state, self._entered)
-
-    def flow(self, kind: Kind, state: Array, time: float, *, settled: bool = True) -> Flow:
-        """Return an unambiguous flow in a mode, from a state."""
-        return self.modes.flow(self._setup, kind, state, time)._replace(settled=settled)

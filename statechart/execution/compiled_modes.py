@@ -11,9 +11,8 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.coordinate_reconstruction import ModeReconstruction, mode_reconstruction
 from statechart.automaton.laws import HELD, moving_mode, uncaptured
-from statechart.automaton.modes import build_mode, captured
+from statechart.automaton.modes import ModeReconstruction, build_mode, captured, mode_reconstruction
 from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
@@ -22,17 +21,24 @@ from statechart.formulas.tape import Tape
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledMode:
-    """A mode with its guards on tape, and what an engine made of its rates."""
+class TapedMode:
+    """A mode with its guards and its rates on tape, whatever integrates it."""
 
     mode: Mode  # Equations and margins.
     guards: Tape  # Outputs: the margins, in order.
     rates: Tape  # Outputs: the rates of all variables.
     reconstruction: ModeReconstruction  # What follows from other variables.
-    watched: tuple[tuple[str, str], ...]  # Name and kind of every margin.
-    names: tuple[str, ...]  # The names.
-    stepper: object  # The engine's own.
     wholes: Tape  # Outputs: the margins of whole relations; see `whole_margins`.
+
+    @cached_property
+    def watched(self) -> tuple[tuple[str, str], ...]:
+        """Name and kind of every margin."""
+        return tuple([(margin.name, margin.kind) for margin in self.mode.margins])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the margins."""
+        return tuple([margin.name for margin in self.mode.margins])
 
     @cached_property
     def plain(self) -> Bools:
@@ -45,14 +51,10 @@ class CompiledMode:
 
 
 @dataclass(frozen=True, eq=False)
-class TapedMode:
-    """A mode with its guards and its rates on tape, whatever integrates it."""
+class CompiledMode(TapedMode):
+    """A mode on tape, and what an engine made of its rates."""
 
-    mode: Mode
-    guards: Tape
-    rates: Tape
-    reconstruction: ModeReconstruction
-    wholes: Tape
+    stepper: object  # The engine's own.
 
 
 class SolvedModes:
@@ -162,22 +164,13 @@ class CompiledModes:
 
     def _compile(self, taped: TapedMode, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Let the engine compile the rates, unless they are those of another mode."""
-        mode, bare = taped.mode, uncaptured(roles)
-        watched = tuple((margin.name, margin.kind) for margin in mode.margins)
-        names = tuple(margin.name for margin in mode.margins)
+        bare = uncaptured(roles)
         if bare == roles:
-            stepper = self.engine.compile(self.automaton, mode, taped.rates)
+            stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:
             stepper = self.compiled(bare, zeros).stepper
         return CompiledMode(
-            mode,
-            taped.guards,
-            taped.rates,
-            taped.reconstruction,
-            watched,
-            names,
-            stepper,
-            taped.wholes,
+            taped.mode, taped.guards, taped.rates, taped.reconstruction, taped.wholes, stepper
         )
 
     @property

@@ -18,27 +18,8 @@ from statechart.automaton.trace_store import TraceRecorder
 from statechart.engines.engine import FlowWatch
 from statechart.engines.path import Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
-from statechart.execution.compiled_loop import (
-    ACCUMULATES,
-    COUNTED,
-    FELL,
-    FLOW,
-    FULL,
-    LOOK_AHEAD,
-    N_ASKED,
-    N_BOXES,
-    N_JUMPS,
-    N_MODE,
-    N_STEPS,
-    OVER,
-    PAUSED,
-    T_HORIZON,
-    T_LOW,
-    T_REST,
-    CompiledLoop,
-    LoopResult,
-    LoopStart,
-)
+from statechart.execution import compiled_loop as runs
+from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
@@ -73,10 +54,10 @@ class Execution:
     max_jumps: int  # End after so many jumps.
     progress: bool  # Whether to report to stderr.
     # Takes the run through unambiguous instants in compiled code, where that can be.
-    loop: CompiledLoop | None = None
+    loop: LoopModes | None = None
     # Takes all flows and jumps, where the run is made again to prove its motion.
     certificate: Certificate | None = None
-    begun: LoopStart | None = None  # How far a loop has taken the run from its start.
+    begun: Batch | None = None  # How far a loop has taken the run from its start.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -99,9 +80,8 @@ class Execution:
         self._progress = Progress(self.until)
         self.accumulation = Accumulation(() if self.loop is None else self.loop.jumps)
         if self.begun is not None:
-            self.accumulation.series = self.begun.series
+            self.accumulation.series = self.begun.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
-        self._made = None if self.begun is None else self.begun.made
 
     def run(self) -> Trace:
         """Run to an end; return what was made, also where the run could not go on."""
@@ -132,7 +112,8 @@ class Execution:
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
         if self.begun and self.loop:
-            self.flow = self.loop.flow(self.begun.kind, self.state, 0.0)
+            kind = self.begun.kinds[self.begun.found.ends.item(runs.FIRST_MODE)]
+            self.flow = self.loop.flow(self.setup, kind, self.state, 0.0)
         else:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
@@ -152,64 +133,66 @@ class Execution:
             self.message = f"reached t = {self.clock.high:.6g}"
         return True
 
-    def _run_compiled(self, loop: CompiledLoop) -> tuple[str, ...] | None:
+    def _run_compiled(self, loop: LoopModes) -> tuple[str, ...] | None:
         """Let the compiled loop go on; return what fired, or nothing at the end of the run.
 
         None where the flow that the run has come to is to be made step by step.
         """
         while True:
-            made, self._made = self._made, None
+            made, self.begun = self.begun, None
             jumps, arcs = 0, 0
             if made is None:
                 jumps, arcs = len(self.record.jumps), len(self.record.arcs)
                 since = self.record.jumps[-1].t if self.record.jumps else 0.0
                 now = np.array([*self.clock, self.until, self.horizon, since, 0.0])
-                made = loop.advance(
-                    self.flow, now, (jumps, self.max_jumps), self.state.copy(),
-                    self.record.buffer, self.accumulation.series,
+                made = loop.resume(
+                    self.setup, self.flow, now, (jumps, self.max_jumps), self.state,
+                    self.record.buffer, self.accumulation.series, self.zeros,
                 )  # fmt: skip
                 if made is None:
                     return None
             self._reached(loop, made, jumps, arcs)
-            if made.reason in (FULL, PAUSED):
+            reason, margin = made.found.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
+            if reason in (runs.FULL, runs.PAUSED):
                 continue
-            if made.reason == OVER:
+            if reason == runs.OVER:
                 return ()
-            if made.reason == FLOW:
+            if reason == runs.FLOW:
                 return None
-            if made.reason == FELL and made.margin >= 0:
-                mode = loop.modes.compiled((self.flow.mode, self.flow.roles))
-                return self.fell(mode, made.margin)
-            if made.reason == ACCUMULATES:
+            if reason == runs.FELL and margin >= 0:
+                return self.fell(loop.compiled((self.flow.mode, self.flow.roles)), margin)
+            if reason == runs.ACCUMULATES:
                 # The loop has seen that jumps accumulate, see `Accumulation.found`.
-                self._skip_by(self.accumulation.found(made.margin, made.now.item(T_REST)))
-            if made.reason in (ACCUMULATES, COUNTED) and self.counted():
+                self._skip_by(self.accumulation.found(margin, made.found.now.item(0, runs.T_REST)))
+            if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
                 return ()
             if not self.flow.settled and self.settle():
                 return ()
 
-    def _reached(self, loop: CompiledLoop, made: LoopResult, jumps: int, arcs: int) -> None:
+    def _reached(self, loop: LoopModes, made: Batch, jumps: int, arcs: int) -> None:
         """Go to where the loop has come, from where there were so many jumps and arcs."""
-        record, now, place, flow = self.record, made.now, made.place, self.flow
-        for kind, been in zip(made.kinds, made.entered.tolist(), strict=True):
-            if been and kind[1] not in self.entered:
-                self.entered[kind[1]] = loop.modes.compiled(kind)
-        if made.reason == FULL:
+        record, flow = self.record, self.flow
+        now, place, ends = made.found.now[0], made.found.place[0], made.found.ends[0]
+        for (_, roles), compiled in made.entered():
+            self.entered.setdefault(roles, compiled)
+        if ends[runs.REASON] == runs.FULL:
             record.seal()
-        self.clock, self.state = Clock(*now[: T_LOW + 1].tolist()), made.state
-        self.horizon = now.item(T_HORIZON)
-        self.steps += place.item(N_STEPS)
-        self.boxes += place.item(N_BOXES)
+        self.clock, self.state = Clock(*now[: runs.T_LOW + 1].tolist()), made.found.final[0]
+        self.horizon = now.item(runs.T_HORIZON)
+        self.steps += place.item(runs.N_STEPS)
+        self.boxes += place.item(runs.N_BOXES)
         self.show()
         interrupts.check()
-        jumped, flew = place.item(N_JUMPS) > jumps, len(record.arcs) > arcs
+        jumped, flew = place[runs.N_JUMPS] > jumps, len(record.arcs) > arcs
         if jumped:
-            settled = place.item(N_ASKED) == 0
-            kind = made.kinds[place.item(N_MODE)]
-            flow = loop.flow(kind, self.state, self.clock.high, settled=settled)
-        if made.reason == OVER or (made.reason == FELL and made.margin >= 0):
+            kind = made.kinds[place[runs.N_MODE]]
+            flow = loop.flow(self.setup, kind, self.state, self.clock.high)
+            flow = flow._replace(settled=bool(place[runs.N_ASKED] == 0))
+        if ends[runs.REASON] == runs.OVER or (
+            ends[runs.REASON] == runs.FELL and ends[runs.MARGIN] >= 0
+        ):
             terms = flow.terms
-            if flew and record.arcs[-1].j == place.item(N_JUMPS):
+            if flew and record.arcs[-1].j == place[runs.N_JUMPS]:
                 arc = record.arcs[-1]
                 terms = summands(arc.times, arc.coefficients)
             flow = flow._replace(settled=False, terms=terms, warning="", notes=(), start=None)
@@ -227,7 +210,7 @@ class Execution:
             return ("zeno",) if remaining <= 0.0 else ()
         compiled = self._enter(flow.roles)
         if self.loop is not None:
-            self.loop.modes.add(flow.mode, flow.roles, compiled)
+            self.loop.add(flow.mode, flow.roles, compiled)
         if flow.doubted:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)

@@ -24,10 +24,11 @@ from statechart.engines.event_location import Crossing, Search, Verdict, search
 from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.finding import decided, noise
-from statechart.execution.shallow_falls import (
+from statechart.execution.finding import (
+    decided,
     first_tolerances,
     judge,
+    noise,
     path_sizes,
     relative_error,
 )
@@ -145,10 +146,10 @@ class Advance:
         watch, path, first = self.watch, self.path, self._kept
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
-        made = self.engine.steps(
+        finished = self.engine.steps(
             self.compiled.stepper,
             path,
-            watch._replace(tolerances=tolerances),
+            watch,
             self.state,
             self._end,
             self._count,
@@ -156,41 +157,25 @@ class Advance:
             ended,
         )
         last = path.count
-        if made.finished:
-            path.times[last] = self._end
-        self.boxes += made.boxes
-        self.steps += last - first
-        if made.first > first:
-            self._kept, self._reached = made.first, path.times.item(made.first)
-            self.state = made.begun.copy()
-        taken, local = last - self._kept, path.times.item(last)
+        taken, local = last - first, path.times.item(last)
+        self.steps += taken
         self._count = max(self._count, taken)
-        found, following, off = made.found, ended, 0.0
-        if found is None:
-            following, off = _constrained(watch, ended, local)
-            if off > _DRIFT and taken > 1:
-                # The chunk drifted off its constraints: again, in shorter ones.
-                self._count, self._begin = max(1, taken // 4), Begin.MOVED
-                return
-            found = search(
-                watch.guards,
-                tolerances,
-                path,
-                watch.parameters,
-                watch.start,
-                self._kept,
-                last,
-            )
-            self.boxes += found.boxes
+        following, off = _constrained(watch, ended, local)
+        if off > _DRIFT and taken > 1:
+            # The chunk drifted off its constraints: again, in shorter ones.
+            self._count, self._begin = max(1, taken // 4), Begin.MOVED
+            return
+        found = search(watch.guards, tolerances, path, watch.parameters, watch.start, first, last)
+        self.boxes += found.boxes
         if found.verdict is not Verdict.NONE:
             found = judge(found, self.engine, self.compiled, watch, path, tolerances, last)
         blind = _blind(watch, path, first, last, found) or self._unseen(first, last, found)
         if _BLIND < off <= _STAYS * self._seen and watch.constraints.within is not None:
-            blind, self._seen = (self._kept, local), off
+            blind, self._seen = (first, local), off
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
-            self._go_on(following, made.finished, moved=following is not ended)
+            self._go_on(following, finished, moved=following is not ended)
         elif not self._widened(found):
             self._arrive(found, ended)
 

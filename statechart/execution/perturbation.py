@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -34,25 +34,17 @@ def nudged(automaton: Automaton) -> Automaton:
     steps are cut elsewhere, which shows what their rounding comes to.
     """
 
-    def setup(overrides: Mapping[str, float], relative: float) -> Setup:
-        own = automaton.setup(overrides, relative)
-        initial = own.initial + np.sign(own.initial) * _sizes(own) * max(relative, _LEAST)
-        tolerances = _wider(own.tolerances, force=2.0, gap=_WIDER)
+    def changed(own: Setup, relative: float) -> Setup:
         horizon = _CUT * own.horizon if own.horizon < math.inf else 1.0
-        return replace(own, initial=initial, tolerances=tolerances, horizon=horizon)
+        moved = _moved(own, np.sign(own.initial) * max(relative, _LEAST), gap=_WIDER)
+        return replace(moved, horizon=horizon)
 
-    return replace(automaton, setup=setup)
+    return _with_setup(automaton, changed)
 
 
 def shifted(automaton: Automaton, part: float, signs: Array) -> Automaton:
     """Return the automaton with all initial values moved by a part of them, and `widened`."""
-
-    def setup(overrides: Mapping[str, float], _: float) -> Setup:
-        own = automaton.setup(overrides, part)
-        tolerances = _wider(own.tolerances, force=2.0)
-        return replace(own, initial=own.initial + signs * _sizes(own) * part, tolerances=tolerances)
-
-    return replace(automaton, setup=setup)
+    return _with_setup(automaton, lambda own, _: _moved(own, signs * part), part)
 
 
 def widened(automaton: Automaton) -> Automaton:
@@ -61,12 +53,7 @@ def widened(automaton: Automaton) -> Automaton:
     A mode is left where a force is below zero by its tolerance, whatever the engine and however
     tight: all runs are late by that, and only one with another tolerance shows by how much.
     """
-
-    def setup(overrides: Mapping[str, float], relative: float) -> Setup:
-        own = automaton.setup(overrides, relative)
-        return replace(own, tolerances=_wider(own.tolerances, force=2.0))
-
-    return replace(automaton, setup=setup)
+    return _with_setup(automaton, lambda own, _: _moved(own, np.zeros(len(own.initial))))
 
 
 def loosened(automaton: Automaton, relative: float) -> Automaton:
@@ -74,18 +61,30 @@ def loosened(automaton: Automaton, relative: float) -> Automaton:
 
     It is integrated as tightly as asked for; what counts as closed and as at rest is as there.
     """
+    return _with_setup(automaton, lambda own, _: own, relative)
 
-    def setup(overrides: Mapping[str, float], _: float) -> Setup:
-        return automaton.setup(overrides, relative)
+
+def _with_setup(
+    automaton: Automaton, changed: Callable[[Setup, float], Setup], fixed: float | None = None
+) -> Automaton:
+    """Return the automaton with changed numbers of its runs, those of a fixed tolerance if any."""
+
+    def setup(overrides: Mapping[str, float], relative: float) -> Setup:
+        return changed(automaton.setup(overrides, relative if fixed is None else fixed), relative)
 
     return replace(automaton, setup=setup)
+
+
+def _moved(own: Setup, parts: Array, gap: float = 1.0) -> Setup:
+    """Return numbers with the initial values moved by parts of their sizes, forces doubled."""
+    tolerances = {**own.tolerances}
+    for kind, factor in (("force", 2.0), ("gap", gap)):
+        if kind in tolerances:
+            tolerances[kind] *= factor
+    return replace(own, initial=own.initial + parts * _sizes(own), tolerances=tolerances)
 
 
 def _sizes(setup: Setup) -> Array:
     """Return what errors of initial values are relative to."""
     own = np.abs(setup.initial)
     return own if setup.sizes is None else np.maximum(own, _SMALL * setup.sizes)
-
-
-def _wider(tolerances: Mapping[str, float], **factors: float) -> dict[str, float]:
-    return {kind: size * factors.get(kind, 1.0) for kind, size in tolerances.items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from statechart.automaton.time_stepper import Sampling
 from statechart.automaton.trace import Arc, Jump, Outcome, Roles, Trace
 from statechart.automaton.trace_store import (
     Kind,
-    TraceBuffer,
     TraceRecorder,
     TraceStore,
     arc_polynomials,
@@ -30,39 +28,20 @@ from statechart.automaton.trace_store import (
 from statechart.engines.engine import Engine
 from statechart.engines.path import Path
 from statechart.errors import DeclarationProblem
-from statechart.execution.batch import (
+from statechart.execution import compiled_loop as runs
+from statechart.execution.compiled_loop import (
     ARCS,
     ARCS_END,
-    CLOSING,
-    ENDED,
     EVENTS,
-    FIRST_MODE,
-    HANDED,
-    HOW,
-    MARGIN,
-    OTHER,
-    REASON,
-    STOPPED,
-    UNUSUAL,
+    Batch,
     BatchInputs,
     BatchResult,
-)
-from statechart.execution.compiled_loop import (
-    N_BOXES,
-    N_JUMPS,
-    N_MODE,
-    N_STEPS,
-    T_HIGH,
-    CompiledLoop,
     LoopModes,
-    LoopResult,
-    LoopStart,
 )
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes, SolvedModes
 from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
-from statechart.execution.flow import floors
 from statechart.execution.outcome import error_of
 from statechart.execution.stream import streamed
 from statechart.kernels.polynomials import summands
@@ -144,7 +123,7 @@ class Simulator:
             rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
         batch = rows.alone(values, until, max_jumps)
-        if batch is None or batch.found.ends.item(HOW) == HANDED:
+        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
             return self._execution(self._setup(parameters), until, max_jumps, batch).run()
         return self._trace_of(batch, _Once(partial(self._setup, dict(parameters))))
 
@@ -152,13 +131,15 @@ class Simulator:
         """Return the trace of a run that a loop has made from its start to its end."""
         automaton, engine, found = self.automaton, self.engine, batch.found
         modes, kinds = batch.modes, batch.kinds
-        place, t_end, final = found.place[0].tolist(), found.now.item(T_HIGH), found.final[0]
-        first, last = kinds[found.ends.item(FIRST_MODE)][0], kinds[place[N_MODE]]
+        place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
+        first, last = kinds[found.ends.item(runs.FIRST_MODE)][0], kinds[place[runs.N_MODE]]
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
-            margin = automaton.stop_of[modes.compiled(last).names[found.ends.item(MARGIN)]].name
+            margin = automaton.stop_of[
+                modes.compiled(last).names[found.ends.item(runs.MARGIN)]
+            ].name
             message = f"{margin} at t = {t_end:.6g}"
-            key, count = last[0], place[N_JUMPS]
+            key, count = last[0], place[runs.N_JUMPS]
             stop = partial(Jump, t_end, count, "", "stop", key, key, final, final, (margin,))
         else:
             message = f"reached t = {t_end:.6g}"
@@ -181,15 +162,15 @@ class Simulator:
             outcome=outcome,
             message=message,
             certified="guards",
-            evidence=LazyMapping(partial(_evidence_of_row, batch)),
+            evidence=LazyMapping(lambda: evidence_of(mode.names for _, mode in batch.entered())),
             tolerances=LazyMapping(lambda: dict(setup().tolerances)),
             engine=engine.title,
             tolerance=engine.tolerance,
             warnings=(),
             counts={
-                "steps": place[N_STEPS],
+                "steps": place[runs.N_STEPS],
                 "evaluations": 0,
-                "boxes": place[N_BOXES],
+                "boxes": place[runs.N_BOXES],
                 "jumps": len(jumps),
                 "modes_built": self.modes_built,
                 "python_instants": 0,
@@ -288,15 +269,14 @@ class Simulator:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
         kinds: list[Kind] = []
-        loop, jump = self._loop(setup, zeros), None
+        loop, jump = self._loop(zeros), None
         if loop is not None:
-            kinds, jump = loop.modes.kinds, partial(loop.modes.jump, lambda: setup)
-        begun = None if batch is None else batch.begun()
+            kinds, jump = loop.kinds, partial(loop.jump, lambda: setup)
         variables = len(self.automaton.variables)
-        record = TraceRecorder(variables, kinds, self.buffer, jump, begun=begun is not None)
+        record = TraceRecorder(variables, kinds, self.buffer, jump, begun=batch is not None)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
-            begun=begun,
+            begun=batch,
         )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], LoopModes]]:
@@ -304,15 +284,12 @@ class Simulator:
         setup = self.automaton.setup
         return [(zeros, modes) for zeros, modes in self._loops.items() if modes.follows(setup)]
 
-    def _loop(self, setup: Setup, zeros: frozenset[int]) -> CompiledLoop | None:
+    def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
         """Return what runs unambiguous instants in compiled code; None where nothing can."""
         laws = None if self.automaton.laws is None else self.automaton.laws.compiled_laws
-        if laws is None:
-            return None
-        modes = self._loops.get(zeros)
-        if modes is None:
-            modes = self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
-        return CompiledLoop(laws, modes, setup, floors(self.engine, len(setup.initial)))
+        if laws is not None and zeros not in self._loops:
+            self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
+        return self._loops.get(zeros)
 
     def compiled(self, roles: Roles, zeros: frozenset[int]) -> CompiledMode:
         """Return the mode of `roles`, compiled for zero parameters at the places `zeros`."""
@@ -322,42 +299,6 @@ class Simulator:
     def modes_built(self) -> int:
         """Number of modes whose equations were built so far."""
         return self.modes.built
-
-
-class Batch(NamedTuple):
-    """Rows that have gone through; valid until the next of them are made."""
-
-    rows: NDArray[np.intp]  # (m,): which they are.
-    found: BatchResult  # Of them alone.
-    block: TraceBuffer  # Holds their arcs and events, and others.
-    kinds: tuple[Kind, ...]  # Of the modes.
-    modes: LoopModes
-    zeros: frozenset[int]  # Places of the parameters that are exactly zero.
-    series: Array  # (s, ..): of the jumps of the last row, see `statechart.execution.zeno`.
-
-    @property
-    def stopped(self) -> Bools:
-        """Which rows (m,) a stop has ended."""
-        return np.asarray(self.found.ends[:, HOW] == STOPPED)
-
-    def begun(self) -> LoopStart:
-        """Return how far a run has come that was made alone."""
-        found = self.found
-        reason, margin, first = found.ends[0, REASON:].tolist()
-        made = LoopResult(
-            self.kinds, reason, margin, found.now[0], found.place[0], found.final[0],
-            found.entered[0],
-        )  # fmt: skip
-        return LoopStart(self.kinds[first], made, self.series.copy())
-
-    def outcome(self, row: int) -> Outcome:
-        """Return why a row ended."""
-        return Outcome.STOPPED if self.found.ends[row, HOW] == STOPPED else Outcome.HORIZON
-
-
-def _evidence_of_row(batch: Batch) -> dict[str, str]:
-    been = zip(batch.kinds, batch.found.entered[0].tolist(), strict=True)
-    return evidence_of(batch.modes.compiled(kind).names for kind, entered in been if entered)
 
 
 class BatchRunner:
@@ -374,7 +315,7 @@ class BatchRunner:
 
     def ready(self, count: int) -> bool:
         """Whether so many rows can be run: the call for them is compiled, or worth that now."""
-        return any(modes.batch(self._names, count) for _, modes in self.simulator.known())
+        return any(modes.batch(count) for _, modes in self.simulator.known())
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
         """Run rows; yield those that have gone through, in batches."""
@@ -393,9 +334,9 @@ class BatchRunner:
                 if batch is None:
                     others.append(left[done:])
                     break
-                how = batch.found.ends[:, HOW]
+                how = batch.found.ends[:, runs.HOW]
                 done += len(how)
-                others.append(batch.rows[how == OTHER])
+                others.append(batch.rows[how == runs.OTHER])
                 kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
                 if kept.size:
                     found = BatchResult._make([array[kept] for array in batch.found])
@@ -409,9 +350,9 @@ class BatchRunner:
             batch = self._called(
                 modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
             )
-            how = OTHER if batch is None else batch.found.ends.item(HOW)
-            if how != OTHER:
-                return None if how == UNUSUAL else batch
+            how = runs.OTHER if batch is None else batch.found.ends.item(runs.HOW)
+            if how != runs.OTHER:
+                return None if how == runs.UNUSUAL else batch
         return None
 
     def _called(
@@ -428,38 +369,29 @@ class BatchRunner:
         """Make as many rows as there is room for; None where none can be made."""
         simulator = self.simulator
         automaton, engine = simulator.automaton, simulator.engine
-        call = modes.batch(self._names, len(rows))
+        call = modes.batch(len(rows))
         if call is None or not isinstance(engine.floor, float):
             return None
-        m, kinds = len(rows), call.loop.kinds
-        p, n = len(automaton.parameters), len(automaton.variables)
-        found = BatchResult(
-            np.zeros((m, 4), np.int64),
-            np.zeros((m, 4), np.int64),
-            np.zeros((m, 6)),
-            np.zeros((m, 6), np.int64),
-            np.empty((m, p)),
-            np.empty((m, n)),
-            np.empty((m, n)),
-            np.zeros((m, len(kinds)), np.bool_),
-        )
+        m, kinds, p = len(rows), call.loop.kinds, len(automaton.parameters)
+        found = BatchResult.empty(m, p, len(automaton.variables), len(kinds))
         gone = self._gone.get(zeros)
         if gone is None:
             gone = self._gone[zeros] = np.zeros(p, np.bool_)
             gone[list(zeros)] = True
-        asked = BatchInputs(call.inputs(table), until, gone, max_jumps, engine.floor, alone)
+        inputs = call.inputs(self._names, table)
+        asked = BatchInputs(*inputs, until, gone, max_jumps, engine.floor, alone, begun=False)
         block = simulator.buffer
         block.used[:] = 0
-        made = max(call.run(asked, block, found), 1)
+        made = max(call.start(asked, block, found), 1)
         if made < m:
             found = BatchResult._make([array[:made] for array in found])
         return Batch(rows[:made], found, block, kinds, modes, zeros, call.series)
 
     def _judged(self, batch: Batch, table: Array) -> Bools:
         """Return which rows (m,) have gone through: nothing just happens as they end."""
-        how = batch.found.ends[:, HOW]
-        kept = np.asarray((how == ENDED) | (how == STOPPED))
-        for row in np.flatnonzero(how == CLOSING).tolist():
+        how = batch.found.ends[:, runs.HOW]
+        kept = np.asarray((how == runs.ENDED) | (how == runs.STOPPED))
+        for row in np.flatnonzero(how == runs.CLOSING).tolist():
             kept[row] = not self._closing(batch, row, table[row])
         return kept
 
@@ -467,13 +399,13 @@ class BatchRunner:
         """Whether something may just be happening as a row ends (see `closing`)."""
         found, block, simulator = batch.found, batch.block, self.simulator
         setup = self.setup(values)
-        kind = batch.kinds[found.place[row, N_MODE]]
+        kind = batch.kinds[found.place[row, runs.N_MODE]]
         terms = None
         size = len(simulator.automaton.variables)
         arc = int(found.spans[row, ARCS_END]) - 1
-        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, N_JUMPS]:
+        if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, runs.N_JUMPS]:
             terms = summands(*arc_polynomials(block, arc, size))
-        final, time = found.final[row], float(found.now[row, T_HIGH])
+        final, time = found.final[row], float(found.now[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
         compiled = batch.modes.compiled(kind)
         happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)

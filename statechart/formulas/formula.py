@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import sympy as sp
 
 # So many texts are remembered with what was read: more than the largest of our scenes has.
-_REMEMBERED = 4096
+_MAX_CACHED = 4096
 # Above this an integer is no longer every integer's float, so exactness would be an illusion.
 _EXACT = 2**53
 
@@ -193,7 +193,7 @@ def parse(text: str | int | float) -> Formula:
     return _read(text if isinstance(text, str) else _number_text(text))
 
 
-@lru_cache(_REMEMBERED)
+@lru_cache(_MAX_CACHED)
 def _read(text: str) -> Formula:
     reader = Reader(Source(text))
     root = reader.sum()

@@ -20,14 +20,14 @@ Definition = tuple[sp.Symbol, sp.Expr]
 
 # Cramer's rule: Laplace expansion grows as n!, and is exact in structure; beyond this, Gaussian
 # elimination. One body with a pinned point makes a system of 5.
-CRAMER_LIMIT = 5
+MAX_CRAMER = 5
 
 # A force that follows from an acceleration is a difference: of weight and what moves, say, of which
 # little is left where it is small. By Cramer's rule it is not, where systems are as small as this.
-_TOGETHER = 3
+_MAX_PAIRED = 3
 # A pivot that is a number must not be small: the symbols beside it are of unknown size. The ones of
 # mechanics (a force in its own equation, an acceleration in a constraint) are 1.
-_SMALLEST = 0.5
+_MIN_PIVOT = 0.5
 
 
 Row = dict[sp.Symbol, sp.Expr]
@@ -98,9 +98,9 @@ def _solved(
     place = {unknown: i for i, unknown in enumerate(unknowns)}
     given: list[Equation] = [(*_row(e, place), i) for i, e in enumerate(equations)]
     first, rows, last = _reduced(given, unknowns, before, paired)
-    if paired and _largest(rows) > 2 * _TOGETHER:
+    if paired and _largest(rows) > 2 * _MAX_PAIRED:
         first, rows, last = _reduced(given, unknowns, before)
-    if paired and _largest(rows) > 2 * CRAMER_LIMIT:
+    if paired and _largest(rows) > 2 * MAX_CRAMER:
         mirrors = _mirrors(given, unknowns, paired)
         first, rows, last = _reduced(given, unknowns, before, mirrors=mirrors)
     block = _blocks(rows, place, (paired, len(unknowns)) if paired else ())
@@ -235,7 +235,7 @@ def _pivot(
                 continue
             if 0 < motions <= partner and (origin != partner or origin in wanted):
                 continue
-            if size(coefficient) >= max(_SMALLEST, 0.1 * largest):
+            if size(coefficient) >= max(_MIN_PIVOT, 0.1 * largest):
                 # Markowitz: the fill that the elimination can make.
                 fill = (len(row) - 1) * (count[unknown] - 1)
                 fill = -1 if origin == partner and origin in wanted else fill
@@ -285,12 +285,12 @@ def _blocks(
         unknowns = sorted((u for u in component if not isinstance(u, int)), key=str)
         if len(indices) != len(unknowns):
             raise Singular(unknowns)
-        if len(unknowns) > CRAMER_LIMIT and pairs:
+        if len(unknowns) > MAX_CRAMER and pairs:
             named, rest, later = _by_pairs([rows[i] for i in indices], unknowns, place, pairs[0])
             definitions += [*named, *_blocks(rest, place, pairs[1:]), *reversed(later)]
             continue
         component_rows = [rows[i] for i in indices]
-        if len(unknowns) > CRAMER_LIMIT:
+        if len(unknowns) > MAX_CRAMER:
             definitions += _by_elimination(component_rows, unknowns)
         else:
             definitions += _by_determinants(component_rows, unknowns)

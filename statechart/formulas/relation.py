@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MAX_TERMS = 60
 """Most comparisons, negations and parentheses of a relation."""
 
-_REMEMBERED = 4096
+_MAX_CACHED = 4096
 _ORDERED = {"==": ("<=", ">="), "!=": ("<", ">")}
 _EQUALITIES = tuple(_ORDERED)
 _COMPARISONS = (*RELATIONS, *_EQUALITIES)
@@ -233,7 +233,7 @@ def _within(tree: Within, states: States) -> Atom:
     return Atom(states[tree.region, tree.state] * (-1 if tree.holds else 1), False)
 
 
-@lru_cache(_REMEMBERED)
+@lru_cache(_MAX_CACHED)
 def parse_relation(text: str) -> Relation:
     """Read a relation: comparisons and `in(REGION.STATE)`, joined by `and`, `or`, `not`.
 

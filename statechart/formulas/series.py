@@ -16,9 +16,9 @@ from statechart.kernels.tapes import OPCODES
 
 _NAMES = {code: name for name, code in OPCODES.items()}
 # A coefficient is zero below so many roundings of its size.
-_ROUNDING = 2.0**-46
+_ZERO_COEFFICIENT = 2.0**-46
 # A power up to this is one of products, whatever the sign of its base.
-_WHOLE = 1024
+_MAX_EXPONENT = 1024
 
 
 class Series(NamedTuple):
@@ -158,13 +158,11 @@ def _coupled(
 
 
 def _trigonometric(a: Series) -> tuple[Series, Series]:
-    x = a.values[0]
-    return _coupled(a, (math.sin(x), math.cos(x)), (1.0, -1.0))
+    return _coupled(a, (math.sin(a.values[0]), math.cos(a.values[0])), (1.0, -1.0))
 
 
 def _hyperbolic(a: Series) -> tuple[Series, Series]:
-    x = a.values[0]
-    return _coupled(a, (math.sinh(x), math.cosh(x)), (1.0, 1.0))
+    return _coupled(a, (math.sinh(a.values[0]), math.cosh(a.values[0])), (1.0, 1.0))
 
 
 def _exp(a: Series) -> Series:
@@ -192,18 +190,9 @@ def _log(a: Series) -> Series:
     return _chain(math.log(a.values[0]), (a, _div(_one(a), a)))
 
 
-def _asin(a: Series) -> Series:
-    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
-    return _chain(math.asin(a.values[0]), (a, slope))
-
-
-def _acos(a: Series) -> Series:
-    slope = _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
-    return _chain(math.acos(a.values[0]), (a, _neg(slope)))
-
-
-def _atan(a: Series) -> Series:
-    return _chain(math.atan(a.values[0]), (a, _div(_one(a), _add(_one(a), _mul(a, a)))))
+def _arc(a: Series) -> Series:
+    """Return the derivative of asin."""
+    return _div(_one(a), _sqrt(_sub(_one(a), _mul(a, a))))
 
 
 def _atan2(y: Series, x: Series) -> Series:
@@ -224,7 +213,7 @@ def _power(a: Series, exponent: int) -> Series:
 
 def _pow(a: Series, b: Series) -> Series:
     n = b.values[0]
-    if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _WHOLE:
+    if not any(b.values[1:]) and n == math.floor(n) and 0.0 <= n <= _MAX_EXPONENT:
         return _power(a, int(n))
     return _exp(_mul(b, _log(a)))
 
@@ -232,7 +221,7 @@ def _pow(a: Series, b: Series) -> Series:
 def _sign_of(a: Series) -> float:
     """Return the sign that a series has just after its start."""
     for value, size in zip(a.values, a.sizes, strict=True):
-        if not abs(value) <= _ROUNDING * size:
+        if not abs(value) <= _ZERO_COEFFICIENT * size:
             return math.copysign(1.0, value)
     return 0.0
 
@@ -273,9 +262,9 @@ _UNARY: dict[str, Callable[[Series], Series]] = {
     "sin": lambda a: _trigonometric(a)[0],
     "cos": lambda a: _trigonometric(a)[1],
     "tan": lambda a: _div(*_trigonometric(a)),
-    "asin": _asin,
-    "acos": _acos,
-    "atan": _atan,
+    "asin": lambda a: _chain(math.asin(a.values[0]), (a, _arc(a))),
+    "acos": lambda a: _chain(math.acos(a.values[0]), (a, _neg(_arc(a)))),
+    "atan": lambda a: _chain(math.atan(a.values[0]), (a, _div(_one(a), _add(_one(a), _mul(a, a))))),
     "sinh": lambda a: _hyperbolic(a)[0],
     "cosh": lambda a: _hyperbolic(a)[1],
     "tanh": lambda a: _div(*_hyperbolic(a)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
@@ -225,6 +226,17 @@ def evaluate(node: Node, values: Mapping[str, float], source: Source) -> float:
     return result
 
 
+def _power(base: float, exponent: float) -> float:
+    if base == 0 and exponent < 0:
+        raise ZeroDivisionError
+    return math.pow(base, exponent)
+
+
+_OPERATORS: Mapping[str, Callable[[float, float], float]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": _power,
+}  # fmt: skip
+
+
 def _apply(node: Node, arguments: list[float]) -> float:
     match node:
         case Unary():
@@ -232,19 +244,7 @@ def _apply(node: Node, arguments: list[float]) -> float:
         case Call():
             return FUNCTIONS[node.function].evaluate(*arguments)
         case Binary():
-            left, right = arguments
-            match node.operator:
-                case "+":
-                    return left + right
-                case "-":
-                    return left - right
-                case "*":
-                    return left * right
-                case "/":
-                    return left / right
-            if left == 0 and right < 0:
-                raise ZeroDivisionError
-            return math.pow(left, right)
+            return _OPERATORS[node.operator](*arguments)
     raise TypeError(node)
 
 

@@ -52,7 +52,7 @@ _RECIPROCAL: dict[type[sp.Basic], str] = {
     sp.sech: "cosh",
 }
 # What is smaller, or larger than its inverse, may overflow in a product with an exponential.
-_SMALL = 1e-60
+_MIN_FACTOR = 1e-60
 # Every processor rounds these alike, and most constants need no others: to load the kernel takes
 # as long as to compose a scene.
 _ROUNDED_ALIKE: dict[int, Callable[[float, float], float]] = {
@@ -334,7 +334,7 @@ def exponential_joined(
 
 def _is_extreme(number: sp.Float) -> bool:
     size = abs(number)
-    return not _SMALL < size < 1 / _SMALL
+    return not _MIN_FACTOR < size < 1 / _MIN_FACTOR
 
 
 def _negative(term: sp.Expr) -> bool:

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
-from statechart.documents.validation import validate
+from statechart.documents.validation import Document, validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import kinds, loaded
-from statechart.loading.offered import entries, module
+from statechart.loading.kind import entries, kinds, loaded, module
 
 
 def interpret(document: Document) -> Declaration:

@@ -20,18 +20,17 @@ from statechart.automaton.trace import Jump, Key
 from statechart.automaton.trace_store import TraceBuffer, event_of
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.engines.mode_table import TAPE, tape_of
-from statechart.execution.batch import (
+from statechart.execution import compiled_loop as runs
+from statechart.execution.compiled_loop import (
     ARCS,
     ARCS_END,
     EVENTS,
     EVENTS_END,
-    FIRST_MODE,
-    HOW,
-    STOPPED,
+    Batch,
     BatchResult,
+    Packed,
 )
-from statechart.execution.compiled_loop import N_MODE, T_HIGH, Packed
-from statechart.execution.simulator import Batch, Simulator
+from statechart.execution.simulator import Simulator
 from statechart.kernels.extremes import widen
 from statechart.kernels.jit import entry, kernel, part
 from statechart.kernels.quadrature import integrate_outputs
@@ -242,8 +241,8 @@ class BatchOutputs:
                     jump = made(row, place - span[EVENTS])
                     verdict = tuple([self._ends(jump, wait) for wait in self._waits])
                 happens.append(verdict)
-            if end[HOW] == STOPPED:
-                kind = int(found.place[row, N_MODE])
+            if end[runs.HOW] == runs.STOPPED:
+                kind = int(found.place[row, runs.N_MODE])
                 stopped = verdicts.get((kind,))
                 if stopped is None:
                     mode = batch.kinds[kind][0]
@@ -347,7 +346,7 @@ def _evaluate(
 def _number_of_events(found: BatchResult, row: int) -> int:
     """Return the number of events of a run; its stop, which stands in no buffer, is one."""
     count = found.spans[row, EVENTS_END] - found.spans[row, EVENTS]
-    return count + (1 if found.ends[row, HOW] == STOPPED else 0)
+    return count + (1 if found.ends[row, runs.HOW] == runs.STOPPED else 0)
 
 
 @part
@@ -380,8 +379,8 @@ def _at_events(
             if left == 0:
                 break
             left -= 1
-            event, kind = begin + k, found.place[row, N_MODE]
-            state, time = found.final[row], found.now[row, T_HIGH]
+            event, kind = begin + k, found.place[row, runs.N_MODE]
+            state, time = found.final[row], found.now[row, runs.T_HIGH]
             if event < end:
                 kind = np.int64(block.events[event, SOURCE if before else TARGET])
                 state, time = block.states[event, 0 if before else 1], block.numbers[event, TIME]
@@ -459,8 +458,8 @@ def _extremes(
     """Write the least and the greatest value (m, 2) of a formula."""
     tapes, value = formulas.extremes[formula], np.full(1, math.nan)
     for row in range(found.spans.shape[0]):
-        parameters, first = found.values[row], found.ends[row, FIRST_MODE]
-        last, time = found.place[row, N_MODE], found.now[row, T_HIGH]
+        parameters, first = found.values[row], found.ends[row, runs.FIRST_MODE]
+        last, time = found.place[row, runs.N_MODE], found.now[row, runs.T_HIGH]
         result[row] = math.nan
         _evaluate(formulas, tapes[first], found.initial[row], parameters, 0.0, value)
         _include(result[row], value)
@@ -504,8 +503,8 @@ def batch_outputs(
     for output in range(formulas.moments.shape[0]):
         _at_events(formulas, block, found, happens, output, values)
     for row in range(found.ends.shape[0]):
-        parameters, last = found.values[row], found.place[row, N_MODE]
-        first, time = found.ends[row, FIRST_MODE], found.now[row, T_HIGH]
+        parameters, last = found.values[row], found.place[row, runs.N_MODE]
+        first, time = found.ends[row, runs.FIRST_MODE], found.now[row, runs.T_HIGH]
         start, end = formulas.start[first], formulas.end[last]
         _evaluate(formulas, start, found.initial[row], parameters, 0.0, values.start[row])
         _evaluate(formulas, end, found.final[row], parameters, time, values.end[row])
@@ -528,7 +527,7 @@ def modes_of(batch: Batch) -> list[tuple[Key, ...]]:
     sequences: dict[tuple[int, bytes], tuple[Key, ...]] = {}
     found = []
     targets = batch.block.events[:, TARGET]
-    firsts = batch.found.ends[:, FIRST_MODE].tolist()
+    firsts = batch.found.ends[:, runs.FIRST_MODE].tolist()
     spans = batch.found.spans[:, EVENTS : EVENTS_END + 1].tolist()
     for first, (begin, end) in zip(firsts, spans, strict=True):
         entered = targets[begin:end]

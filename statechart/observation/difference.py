@@ -1,4 +1,4 @@
-"""How far two runs of one model are apart: the estimate behind an accuracy that was asked for."""
+"""Distance of two runs of one model: the error estimate behind an accuracy that was asked for."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -19,15 +20,15 @@ from statechart.observation.zeno_tails import without_summed
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has
 # no digits to be right. Speeds of a stack at rest are, by time stepping, 1.5e-12.
-_NOTHING = 1e-11
+_ZERO_PART = 1e-11
 # Two runs have parted where a variable differs by this part of its size.
-_PARTED = 1e-2
+_PARTED_PART = 1e-2
 # At most so many jumps are passed over at once.
-_BURST = 64
+_MAX_PASSED_OVER = 64
 # Times between two events at which runs are compared for that.
-_BETWEEN = 16
+_TIMES_BETWEEN = 16
 # Times at which the distance of two runs is measured: in the whole run, and between two events.
-_ALONG, _LEAST = 512, 2
+_TIMES_ALONG, _MIN_TIMES = 512, 2
 
 
 class Compared(NamedTuple):
@@ -51,7 +52,7 @@ _NONE = Compared("", 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Difference:
-    """Where two runs of one model differ, each number relative to the scale of its kind."""
+    """Differences of two runs of one model, each number relative to the scale of its kind."""
 
     state: float  # Of the final state; inf where the runs ended for different reasons.
     times: float  # Of the times of the events that both have and of the end, relative to the end.
@@ -82,29 +83,19 @@ def compare(
     brief: float = 0.0,
     nothing: float = 0.0,
 ) -> Difference:
-    """Compare two runs; a number that is not finite in both must be the same.
+    """Compare two runs of one model from one start, and their outputs.
 
-    Parameters
-    ----------
-    coarse, fine : Trace
-        Two runs of one model from one start.
-    coarse_outputs, fine_outputs : mapping
-        Their outputs.
-    scales : Scales
-        From `Outputs.scales` of one of the runs; what it does not have is as large as itself.
-    endless : collection of str
-        Outputs whose number of events has no limit: only those that both runs have are compared.
-    brief : float
-        As in `paired`.
-    nothing : float
-        What is no larger is the rounding of zero, whatever else is in the run.
+    A number that is not finite in both must be the same. A number without a scale (from
+    `Outputs.scales` of one of the runs) is as large as itself. Of `endless` outputs, whose number
+    of events has no limit, only those that both runs have are compared. `brief`: as in `paired`.
+    What is no larger than `nothing` is the rounding of zero, whatever else is in the run.
     """
     pairs, diverged = paired(coarse, fine, brief=brief)
     same_end = coarse.outcome is fine.outcome
     if diverged is None and not same_end:
         diverged = min(coarse.t_end, fine.t_end)
     largest = np.maximum(sizes(coarse), sizes(fine))
-    nothing = max(nothing, _NOTHING * float(largest.max(initial=0.0)))
+    nothing = max(nothing, _ZERO_PART * float(largest.max(initial=0.0)))
     if scales.variables is not None:
         largest = np.maximum(largest, scales.variables)
     zeros = np.maximum(np.broadcast_to(scales.zero_variables, largest.shape), nothing)
@@ -162,13 +153,15 @@ def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | Non
         start, stop = max(before), min(*after, until)
         if stop > start:
             # Neither end: there the one run may have jumped and the other not yet.
-            grids.append(start + (stop - start) * (np.arange(_BETWEEN) + 0.5) / _BETWEEN)
+            grids.append(
+                start + (stop - start) * (np.arange(_TIMES_BETWEEN) + 0.5) / _TIMES_BETWEEN
+            )
     times = np.concatenate(grids)
     if len(times) == 0 or not (reference.arcs and trace.arcs):
         return diverged
     scale = _scales(reference, trace)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(_states(reference, times) - _states(trace, times)) > _PARTED * scale
+        apart = np.abs(_states(reference, times) - _states(trace, times)) > _PARTED_PART * scale
     where = np.flatnonzero(apart.any(axis=1))
     return float(times[where[0]]) if len(where) else diverged
 
@@ -187,7 +180,7 @@ def distance(reference: Trace, trace: Trace) -> float:
     jumps = [jump.t for run in (reference, trace) for jump in run.jumps if jump.t < end]
     marks = np.unique([0.0, *jumps, end])
     lengths = np.diff(marks)
-    counts = np.maximum(np.ceil(_ALONG * lengths / end).astype(int), _LEAST)
+    counts = np.maximum(np.ceil(_TIMES_ALONG * lengths / end).astype(int), _MIN_TIMES)
     place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     weights = np.repeat(lengths / counts, counts)
     times = np.minimum(np.repeat(marks[:-1], counts) + (place + 0.5) * weights, end)
@@ -237,7 +230,9 @@ def paired(
     i = j = 0
     while i < len(a) and j < len(b):
         one, other = a[i], b[j]
-        if _same(one, other) or ({id(one), id(other)} <= ends and one.target == other.target):
+        if _what(one) == _what(other) or (
+            {id(one), id(other)} <= ends and one.target == other.target
+        ):
             pairs.append((one, other))
             i, j = i + 1, j + 1
         elif _accumulates(one) and _repeats(other, one):
@@ -245,7 +240,7 @@ def paired(
         elif _accumulates(other) and _repeats(one, other):
             i += 1
         else:
-            again = _again(a, b, i, j, window) if window > 0.0 else None
+            again = _next_common_mode(a, b, i, j, window) if window > 0.0 else None
             if again is None:
                 return pairs, min(one.t, other.t)
             i, j = again
@@ -257,7 +252,7 @@ def paired(
     return pairs, None if passed else ended
 
 
-def _again(
+def _next_common_mode(
     a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float
 ) -> tuple[int, int] | None:
     """Return the next places in both runs from which on their modes are the same again.
@@ -266,23 +261,25 @@ def _again(
     follows in both is no farther apart in time.
     """
     limit = min(a[i].t, b[j].t) + window
-    after_a = [a[i].source, *(jump.target for jump in _until(a, i, limit))]
-    after_b = [b[j].source, *(jump.target for jump in _until(b, j, limit))]
+    after_a = [a[i].source, *(jump.target for jump in _jumps_until(a, i, limit))]
+    after_b = [b[j].source, *(jump.target for jump in _jumps_until(b, j, limit))]
     for total in range(1, len(after_a) + len(after_b) - 1):
         for p in range(max(0, total - len(after_b) + 1), min(total, len(after_a) - 1) + 1):
-            if after_a[p] == after_b[total - p] and _together(a, b, i + p, j + total - p, window):
+            if after_a[p] == after_b[total - p] and _resumes_together(
+                a, b, i + p, j + total - p, window
+            ):
                 return i + p, j + total - p
     return None
 
 
-def _together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
+def _resumes_together(a: Sequence[Jump], b: Sequence[Jump], i: int, j: int, window: float) -> bool:
     if i < len(a) and j < len(b):
         return abs(a[i].t - b[j].t) <= window
     return i == len(a) and j == len(b)
 
 
-def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
-    for jump in islice(jumps, start, start + _BURST):
+def _jumps_until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
+    for jump in islice(jumps, start, start + _MAX_PASSED_OVER):
         if jump.t > limit:
             return
         yield jump
@@ -291,7 +288,7 @@ def _until(jumps: Sequence[Jump], start: int, limit: float) -> Iterator[Jump]:
 def _scales(reference: Trace, trace: Trace) -> Array:
     """Return the sizes (n,) of variables in two runs; inf of those that are rounding of zero."""
     scale = np.maximum(sizes(reference), sizes(trace))
-    scale[scale <= _NOTHING * scale.max(initial=0.0)] = math.inf
+    scale[scale <= _ZERO_PART * scale.max(initial=0.0)] = math.inf
     return scale
 
 
@@ -300,13 +297,7 @@ def _states(trace: Trace, times: Array) -> Array:
     return np.concatenate([arc.states(tau) for arc, tau in zip(arcs, local, strict=True)])
 
 
-def _same(one: Jump, other: Jump) -> bool:
-    return (one.region, one.cause, one.source, one.target) == (
-        other.region,
-        other.cause,
-        other.source,
-        other.target,
-    )
+_what = attrgetter("region", "cause", "source", "target")
 
 
 def _accumulates(jump: Jump) -> bool:

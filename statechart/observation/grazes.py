@@ -17,7 +17,7 @@ from statechart.arrays import Array, Ints
 from statechart.automaton.regions import whole_margins
 from statechart.automaton.trace import Arc, Jump, Roles, Trace, sizes
 from statechart.execution.compiled_modes import CompiledMode
-from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
+from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES, margin_errors
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import contiguous
 from statechart.kernels.polynomials import sample_states
@@ -34,7 +34,7 @@ _LAST = 1.0 / 64.0
 
 
 class Graze(NamedTuple):
-    """Where a guard comes to its boundary, and what is open there."""
+    """Approach of a guard to its boundary, and the doubt that is left there."""
 
     guard: str  # Its name.
     t: float  # When.
@@ -43,8 +43,8 @@ class Graze(NamedTuple):
     fired: bool  # Whether it has.
 
 
-def told(found: Sequence[Graze]) -> tuple[str, ...]:
-    """Return what a reader is told: a sentence for every guard."""
+def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
+    """Return a sentence for every guard."""
     groups: dict[str, list[Graze]] = {}
     for graze in found:
         groups.setdefault(graze.guard, []).append(graze)
@@ -72,11 +72,8 @@ def _sentence(several: Sequence[Graze]) -> str:
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     """Return where it is open whether guards of a run pass their boundary, or touch it.
 
-    Returns
-    -------
-    tuple of Graze
-        In the order of time, the closest of every flow; none of a run by steps. Least values are
-        looked for between 16 places of every step.
+    In the order of time, the closest of every flow; none of a run by steps. Least values are looked
+    for between 16 places of every step.
     """
     simulator = observer.simulator
     if not isinstance(simulator, Simulator):

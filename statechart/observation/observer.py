@@ -20,28 +20,29 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
 from statechart.automaton.dense_output import integrals
-from statechart.automaton.regions import Mode, whole_margins
+from statechart.automaton.regions import Margin, Mode, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
+from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.extremes import widen
 from statechart.observation.sampling import (
-    PassedModes,
+    Endpoint,
     Points,
     Samples,
     Where,
     along,
+    at_endpoints,
     at_times,
-    beside,
     end_of,
-    instants,
     passed,
     places_in,
     roles_at,
     seen,
+    side_of,
     start_of,
     subdivided,
     wanted,
@@ -57,8 +58,6 @@ def include(found: Array, values: Array) -> None:
 class Observer:
     """Evaluates formulas along the traces of a simulator.
 
-    Notes
-    -----
     A formula over what a mode solves for has no value (not a number) in a mode of zero duration
     whose equations are singular.
     """
@@ -66,7 +65,6 @@ class Observer:
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
         self.simulator = simulator
         self.programs = Programs(simulator.automaton)
-        self._passed = PassedModes(simulator) if isinstance(simulator, Simulator) else None
 
     @property
     def automaton(self) -> Automaton:
@@ -93,14 +91,10 @@ class Observer:
         per_step: float = 8,
         times: ArrayLike | None = None,
     ) -> Samples:
-        """Evaluate along a run.
+        """Evaluate along a run, at times or at `per_step` places of every step.
 
-        Raises
-        ------
-        FormulaError
-            If a formula cannot be evaluated.
-        ValueError
-            If the times are outside the run or not in order.
+        Raises `FormulaError` if a formula cannot be evaluated, `ValueError` if the times are
+        outside the run or not in order.
         """
         trace.require_motion()
         formulas = self.names if formulas is None else tuple(formulas)
@@ -116,7 +110,7 @@ class Observer:
             held, jumped = [arc.mode for arc in arcs], [arc.j for arc in arcs]
         else:  # nothing flowed: the run is its last state
             rows = 1 if times is None else np.size(times)
-            points = end_of(trace, len(self.programs.solved), rows)
+            points = self._instants(trace, [end_of(trace)] * rows)
             counts, held, jumped = [rows], [trace.final_mode], [len(trace.jumps)]
         modes = tuple(dict.fromkeys(held))
         places = {key: place for place, key in enumerate(modes)}
@@ -134,19 +128,11 @@ class Observer:
 
     def initial(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the start, before any jump."""
-        expressions = self.programs.expressions(formulas)
-        if not self.programs.needed(expressions):
-            return self.programs.tape(expressions, None).values(trace.initial, trace.values, 0.0)
-        return self._table(trace, expressions, start_of(trace, len(self.programs.solved)))[0]
+        return self._values(trace, formulas, [start_of(trace)])[0]
 
     def final(self, trace: Trace, formulas: Sequence[FormulaLike]) -> Array:
         """Return the values (f,) of formulas at the end, after all jumps."""
-        expressions = self.programs.expressions(formulas)
-        if not self.programs.needed(expressions):
-            return self.programs.tape(expressions, None).values(
-                trace.final, trace.values, trace.t_end
-            )
-        return self._table(trace, expressions, end_of(trace, len(self.programs.solved)))[0]
+        return self._values(trace, formulas, [end_of(trace)])[0]
 
     def at(
         self,
@@ -157,59 +143,47 @@ class Observer:
         before: bool = False,
     ) -> Array:
         """Return the values (m, f) of formulas at jumps."""
+        return self._values(trace, formulas, [side_of(jump, before) for jump in jumps])
+
+    def _values(
+        self, trace: Trace, formulas: Sequence[FormulaLike], instants: Sequence[Endpoint]
+    ) -> Array:
         expressions = self.programs.expressions(formulas)
-        if not self.programs.needed(expressions):
-            times, states = instants(trace, jumps, before)
-            return self.programs.tape(expressions, None).table(states, trace.values, times)
-        return self._table(
-            trace, expressions, beside(trace, jumps, before, len(self.programs.solved))
-        )
+        return self._table(trace, expressions, self._instants(trace, instants))
+
+    def _instants(self, trace: Trace, instants: Sequence[Endpoint]) -> Points:
+        return at_endpoints(trace, instants, len(self.programs.solved))
 
     def margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
         """Return the margins of the flow that each of the jumps ended, just before it.
 
         None where a mode that was passed in no time has singular equations.
         """
-        if trace.step is not None:
-            return self._stepped_margins(trace, jumps)
-        values, modes = trace.values, self._modes(trace)
         found: list[dict[str, float]] = [{} for _ in jumps]
-        flows: dict[Roles, list[int]] = {}
+        left: dict[tuple[Key, Roles], list[int]] = {}
         for place, jump in enumerate(jumps):
-            roles = roles_at(trace, jump.j, jump.source, ends=True)
-            flows.setdefault(roles, []).append(place)
-        for roles, places in flows.items():
-            mode = modes(roles)
-            margins = () if mode is None else whole_margins(mode.margins)
-            if not margins:
-                continue
-            names = [margin.name for margin in margins]
-            rows = self.programs.tape(tuple(m.expression for m in margins), mode).table(
-                np.array([jumps[place].before for place in places]),
-                values,
-                np.array([jumps[place].t for place in places]),
-            )
-            for place, row in zip(places, rows.tolist(), strict=True):
-                found[place] = dict(zip(names, row, strict=True))
-        return found
-
-    def _stepped_margins(self, trace: Trace, jumps: Sequence[Jump]) -> list[dict[str, float]]:
-        """Return the margins of the states left, where no mode was built."""
-        found: list[dict[str, float]] = [{} for _ in jumps]
-        sources: dict[Key, list[int]] = {}
-        for place, jump in enumerate(jumps):
-            sources.setdefault(jump.source, []).append(place)
-        for source, places in sources.items():
-            states = zip(self.automaton.told(source), source, strict=True)
-            margins = whole_margins(
-                m for region, state in states for m in region.build(Role(state)).margins
-            )
-            rows = self.at(
-                trace, [m.expression for m in margins], [jumps[k] for k in places], before=True
-            )
+            stepped = trace.step is not None
+            roles = () if stepped else roles_at(trace, jump.j, jump.source, ends=True)
+            left.setdefault((jump.source, roles), []).append(place)
+        for flow, places in left.items():
+            margins, rows = self._margins_left(trace, *flow, [jumps[place] for place in places])
             for place, row in zip(places, rows.tolist(), strict=True):
                 found[place] = {m.name: v for m, v in zip(margins, row, strict=True)}
         return found
+
+    def _margins_left(
+        self, trace: Trace, key: Key, roles: Roles, jumps: Sequence[Jump]
+    ) -> tuple[tuple[Margin, ...], Array]:
+        """Return the margins of a flow, and their values before the jumps that ended it."""
+        if trace.step is not None:  # no mode was built
+            states = zip(self.automaton.recorded_regions(key), key, strict=True)
+            margins = whole_margins(m for r, state in states for m in r.build(Role(state)).margins)
+            return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
+        mode = self._modes(trace)(roles)
+        margins = () if mode is None else whole_margins(mode.margins)
+        points = self._instants(trace, [side_of(jump, True) for jump in jumps])
+        tape = self.programs.tape(tuple(m.expression for m in margins), mode)
+        return margins, tape.table(points.states, trace.values, points.times)
 
     def integrals(
         self,
@@ -257,41 +231,37 @@ class Observer:
             tape = self.programs.tape(seen(active.expressions, mode), mode)
             yield arc, active.places, tape, arc.coefficients, arc.coefficients
 
-    def extremes(self, trace: Trace, formula: FormulaLike) -> tuple[float, float]:
-        """Return the least and the greatest value of a formula over a run.
+    def extremes(
+        self, trace: Trace, formula: FormulaLike | Callable[[Key], sp.Expr]
+    ) -> tuple[float, float]:
+        """Return the least and the greatest value of a formula, perhaps of the mode, over a run.
 
         Modes of no duration belong to it, its start and its end. Places where the formula is
         undefined do not count; both are not a number if it is everywhere.
         """
-        found = np.full(2, np.nan)
-        include(found, self.initial(trace, (formula,)))
-        self.widened(trace, formula, found)
-        if jumps := passed(trace):
-            include(found, self.at(trace, (formula,), jumps))
-        include(found, self.final(trace, (formula,)))
-        return found.item(0), found.item(1)
-
-    def lowest(self, trace: Trace, formula: Callable[[Key], sp.Expr]) -> float:
-        """Return the least value over a run of what depends on the mode; see `extremes`."""
         found, jumps = np.full(2, np.nan), passed(trace)
         flowed = (arc.mode for arc in trace.arcs)
         jumped = (jump.target for jump in jumps)
-        modes: dict[sp.Expr, set[Key]] = {}
+        modes: dict[FormulaLike, set[Key]] = {}
         for key in dict.fromkeys([trace.start_mode, *flowed, *jumped, trace.final_mode]):
-            modes.setdefault(formula(key), set()).add(key)
+            # An expression, too, can be called.
+            own = formula if isinstance(formula, str | int | float | sp.Expr) else formula(key)
+            modes.setdefault(own, set()).add(key)
         for expression, keys in modes.items():
             if expression in (sp.oo, -sp.oo):
                 include(found, np.array([float(expression)]))
                 continue
             if trace.start_mode in keys:
                 include(found, self.initial(trace, (expression,)))
-            arcs = tuple(arc for arc in trace.arcs if arc.mode in keys)
+            arcs = trace.arcs
+            if len(modes) > 1:
+                arcs = tuple(arc for arc in arcs if arc.mode in keys)
             self.widened(replace(trace, arcs=arcs), expression, found)
-            if own := [jump for jump in jumps if jump.target in keys]:
-                include(found, self.at(trace, (expression,), own))
+            if entered := [jump for jump in jumps if jump.target in keys]:
+                include(found, self.at(trace, (expression,), entered))
             if trace.final_mode in keys:
                 include(found, self.final(trace, (expression,)))
-        return found.item(0)
+        return found.item(0), found.item(1)
 
     def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
         """Let an interval (2,) hold the values of a formula over all arcs, too."""
@@ -315,15 +285,15 @@ class Observer:
         values = trace.values
         if not self.programs.needed(expressions):
             return self.programs.tape(expressions, None).table(points.states, values, points.times)
-        if points.unknowns is not None:
-            rows = np.hstack([points.states, points.unknowns])
+        if (unknowns := points.unknowns()) is not None:
+            rows = np.hstack([points.states, unknowns])
             return self.programs.tape(expressions, None, known=True).table(
                 rows, values, points.times
             )
         result = np.full((len(points.times), len(expressions)), np.nan)
         owners: dict[Roles, list[NDArray[np.intp]]] = {}
         start = 0
-        for roles, end in zip(points.roles, points.ends, strict=True):
+        for roles, end in zip(points.roles(), points.ends, strict=True):
             owners.setdefault(roles, []).append(np.arange(start, end))
             start = end
         modes = self._modes(trace)
@@ -342,8 +312,17 @@ class Observer:
         return result
 
     def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        assert self._passed is not None  # steps have no equations of modes
-        return self._passed.of(trace)
+        """Return the look-up roles -> solved mode; None where its equations have no solution."""
+        assert isinstance(self.simulator, Simulator)  # steps have no equations of modes
+        solved, zeros = self.simulator.modes.mode, trace.zeros
+
+        def look_up(roles: Roles) -> Mode | None:
+            try:
+                return solved(roles, zeros)
+            except Singular:
+                return None
+
+        return look_up
 
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"
@@ -352,7 +331,7 @@ FormulaLike: TypeAlias = "str | int | float | sp.Expr"
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """What is integrated in one mode: places among the formulas, and whether it is solved for."""
+    """Formulas that are integrated in one mode."""
 
     places: list[int]
     expressions: tuple[sp.Expr, ...]
@@ -360,13 +339,7 @@ class Active:
 
 
 class Programs:
-    """Makes programs of formulas, and keeps them.
-
-    Attributes
-    ----------
-    solved : tuple of sympy.Symbol
-        What a mode solves for, or sets.
-    """
+    """Compiles formulas, once each; `solved` are the symbols that a mode solves for, or sets."""
 
     def __init__(self, automaton: Automaton) -> None:
         self._automaton = automaton
@@ -381,10 +354,7 @@ class Programs:
     def expression(self, formula: FormulaLike) -> sp.Expr:
         """Return a formula in the automaton's symbols.
 
-        Raises
-        ------
-        FormulaError
-            If it cannot be read, or uses a name that is no observable.
+        Raises `FormulaError` if it cannot be read, or uses a name that is no observable.
         """
         if isinstance(formula, sp.Expr):
             return formula
@@ -403,7 +373,7 @@ class Programs:
         known = self._actives.get((key, where, expressions))
         if known is not None:
             return known
-        places = places_in(self._automaton.told(key), key, where)
+        places = places_in(self._automaton.recorded_regions(key), key, where)
         chosen = tuple([expressions[i] for i in places])
         found = Active(places, chosen, self.needed(chosen))
         self._actives[key, where, expressions] = found

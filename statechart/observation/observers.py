@@ -34,12 +34,8 @@ class Observers:
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
         """Return the observer of a setting's simulator, the same one whenever asked.
 
-        `off`: its runs start off by the tolerance.
-
-        Raises
-        ------
-        DeclarationError
-            If there is no such engine or method, or the engine is not installed.
+        `off`: its runs start off by the tolerance. Raises `DeclarationError` if there is no such
+        engine or method, or the engine is not installed.
         """
         found = self._kept.get((setting, off))
         if found is None:

@@ -1,4 +1,4 @@
-"""Points of hybrid time: grids along arcs, instants, and the equations that hold there."""
+"""Points of hybrid time: grids along arcs, endpoints, and the equations that hold there."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -13,11 +14,8 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array
 from statechart.automaton.laws import roles_in
-from statechart.automaton.modes import build_mode
 from statechart.automaton.regions import Mode, Region
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
-from statechart.execution.simulator import Simulator
-from statechart.formulas.linear import Singular
 from statechart.tabular import shortest
 
 
@@ -36,14 +34,25 @@ class Samples:
 class Points:
     """Rows to evaluate at: (m,) times, (m, n) states; ends[k]: where the rows of flow k end.
 
-    unknowns: (m, u) array where they are known as numbers, else None.
+    Roles of the flows, and the unknowns (m, u) where they are known as numbers (else None), are
+    looked up for formulas that need them.
     """
 
     times: Array
     states: Array
-    roles: Sequence[Roles]
     ends: Sequence[int]
-    unknowns: Array | None = None
+    roles: Callable[[], Sequence[Roles]]
+    unknowns: Callable[[], Array | None]
+
+
+class Endpoint(NamedTuple):
+    """Start or end of a flow, in hybrid time."""
+
+    t: float
+    state: Array
+    j: int  # Number of jumps before it.
+    mode: Key
+    ends: bool
 
 
 def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
@@ -65,14 +74,46 @@ def subdivided(arcs: Sequence[Arc], per_step: float) -> list[Array]:
 def along(arcs: Sequence[Arc], local: Sequence[Array]) -> Points:
     """Return the points of arcs at local times, one array of them an arc."""
     pairs = list(zip(arcs, local, strict=True))
-    known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
+
+    def unknowns() -> Array | None:
+        known = [u for u in (arc.unknowns(tau) for arc, tau in pairs) if u is not None]
+        return np.concatenate(known) if known else None
+
     return Points(
         np.concatenate([arc.start.high + (arc.start.low + tau) for arc, tau in pairs]),
         np.concatenate([arc.states(tau) for arc, tau in pairs]),
-        [arc.roles for arc in arcs],
         np.cumsum([len(tau) for tau in local]).tolist(),
-        np.concatenate(known) if known else None,
+        lambda: [arc.roles for arc in arcs],
+        unknowns,
     )
+
+
+def at_endpoints(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Points:
+    """Return the points at ends of flows; a mode solves for, or sets, `width` numbers."""
+    return Points(
+        np.array([one.t for one in endpoints]),
+        np.array([one.state for one in endpoints]).reshape(-1, len(trace.variables)),
+        range(1, len(endpoints) + 1),
+        lambda: [roles_at(trace, one.j, one.mode, ends=one.ends) for one in endpoints],
+        lambda: _solved_rows(trace, endpoints, width),
+    )
+
+
+def start_of(trace: Trace) -> Endpoint:
+    """Return the start of a run, before any jump."""
+    return Endpoint(0.0, trace.initial, 0, trace.start_mode, False)
+
+
+def end_of(trace: Trace) -> Endpoint:
+    """Return the end of a run, after all jumps."""
+    return Endpoint(trace.t_end, trace.final, len(trace.jumps), trace.final_mode, True)
+
+
+def side_of(jump: Jump, before: bool) -> Endpoint:
+    """Return the instant just before a jump, or just after it."""
+    if before:
+        return Endpoint(jump.t, jump.before, jump.j, jump.source, True)
+    return Endpoint(jump.t, jump.after, jump.j + 1, jump.target, False)
 
 
 def at_times(trace: Trace, times: Array) -> tuple[list[Arc], list[Array]]:
@@ -140,59 +181,21 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
     return roles_in(mode)
 
 
-def solved_rows(trace: Trace, places: Sequence[tuple[int, bool]], width: int) -> Array | None:
-    """Return what steps have solved for after so many jumps, at the end of that time or its start.
+def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Array | None:
+    """Return what steps have solved for at the ends of flows.
 
     None where modes have to be solved for it; not a number where nothing flowed.
     """
     if trace.step is None:
         return None
-    rows = np.full((len(places), width), np.nan)
-    for row, (j, ends) in zip(rows, places, strict=True):
+    rows = np.full((len(endpoints), width), np.nan)
+    for row, one in zip(rows, endpoints, strict=True):
         if trace.arcs:
-            place = min(max(_place(trace.arcs, j, ends), 0), len(trace.arcs) - 1)
+            place = min(max(_place(trace.arcs, one.j, one.ends), 0), len(trace.arcs) - 1)
             solved = trace.arcs[place].solved
             assert solved is not None
-            row[:] = solved[-1 if ends else 0]
+            row[:] = solved[-1 if one.ends else 0]
     return rows
-
-
-def start_of(trace: Trace, width: int) -> Points:
-    """Return the start of a run, before any jump."""
-    roles = roles_at(trace, 0, trace.start_mode, ends=False)
-    known = solved_rows(trace, [(0, False)], width)
-    return Points(np.zeros(1), trace.initial[None], (roles,), (1,), known)
-
-
-def end_of(trace: Trace, width: int, rows: int = 1) -> Points:
-    """Return the end of a run, after all jumps, in so many rows."""
-    j = len(trace.jumps)
-    roles = roles_at(trace, j, trace.final_mode, ends=True)
-    known = solved_rows(trace, [(j, True)] * rows, width)
-    times, states = np.full(rows, trace.t_end), np.tile(trace.final, (rows, 1))
-    return Points(times, states, (roles,), (rows,), known)
-
-
-def instants(trace: Trace, jumps: Sequence[Jump], before: bool) -> tuple[Array, Array]:
-    """Return the times (m,) of some jumps of a run, and the states (m, n) before or after them."""
-    states = np.array([jump.before if before else jump.after for jump in jumps])
-    times = np.array([jump.t for jump in jumps])
-    return times, states.reshape(len(times), len(trace.variables))
-
-
-def beside(trace: Trace, jumps: Sequence[Jump], before: bool, width: int) -> Points:
-    """Return the instants just before some jumps of a run, or just after them."""
-    times, states = instants(trace, jumps, before)
-    known = solved_rows(trace, [(jump.j + (not before), before) for jump in jumps], width)
-    if known is not None:
-        return Points(times, states, (), (), known)
-    roles = [
-        roles_at(trace, jump.j, jump.source, ends=True)
-        if before
-        else roles_at(trace, jump.j + 1, jump.target, ends=False)
-        for jump in jumps
-    ]
-    return Points(times, states, roles, range(1, len(jumps) + 1))
 
 
 def passed(trace: Trace) -> list[Jump]:
@@ -204,31 +207,3 @@ def passed(trace: Trace) -> list[Jump]:
         return []
     flowed = {arc.j for arc in trace.arcs}
     return [trace.jumps[j] for j in range(len(trace.jumps)) if j + 1 not in flowed]
-
-
-class PassedModes:
-    """Modes that the runs of a simulator were in, or passed through in no time."""
-
-    def __init__(self, simulator: Simulator) -> None:
-        self._simulator = simulator
-        self._passed: dict[tuple[Roles, frozenset[int]], Mode | None] = {}
-
-    def of(self, trace: Trace) -> Callable[[Roles], Mode | None]:
-        """Return the look-up roles -> solved mode; None where its equations have no solution."""
-        flowed, zeros = {arc.roles for arc in trace.arcs}, trace.zeros
-
-        def look_up(roles: Roles) -> Mode | None:
-            if roles in flowed:
-                return self._simulator.compiled(roles, zeros).mode
-            # No integrator is compiled for what no arc flowed in.
-            if (roles, zeros) not in self._passed:
-                automaton = self._simulator.automaton
-                gone = frozenset(automaton.parameters[i] for i in zeros)
-                try:
-                    mode = build_mode(automaton, roles, gone)
-                except Singular:
-                    mode = None
-                self._passed[roles, zeros] = mode
-            return self._passed[roles, zeros]
-
-        return look_up

@@ -12,7 +12,7 @@ _WINDOW = (0.5, 1.001)
 
 
 class _Timed(Protocol):
-    """What has a time, and a time skipped behind it."""
+    """Event with a time, and a time skipped behind it."""
 
     @property
     def t(self) -> float: ...
@@ -58,12 +58,8 @@ def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | 
     """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
 
     Several regions may bounce in turn, and rounding decides at which of them the sum begins.
-
-    Returns
-    -------
-    list of list of (jump, bool), or None
-        The jumps that are left, and whether a sequence ends there: what was before is then that
-        of the last jump resolved. None where the runs did not sum up the same sequences.
+    Returns the jumps that are left, and whether a sequence ends there: what was before is then that
+    of the last jump resolved. None where the runs did not sum up the same sequences.
     """
     sums = [[jump for jump in run if jump.skipped > 0.0] for run in runs]
     if len(set(map(len, sums))) != 1:

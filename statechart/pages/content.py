@@ -16,10 +16,11 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import active_states
+from statechart.diagram.layout.ring import MAX_STEPS, course
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import write
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import beside
+from statechart.documents.quantities import beside, unit_of
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
@@ -85,11 +86,11 @@ def content(
         "regions": _regions(automaton, keys, rows),
         "unbanded": list(unbanded(trace, rows)),
         "mode": _packed(samples.mode, np.int32),
-        "film": None if film is None else _film(film),
+        "film": None if film is None else _film(film, automaton.declaration.units),
         "panels": _panels(trace, _until(observer, trace, drawn, end), panels),
         "events": [_event(event, times) for event in events],
         "more": len(trace.jumps) - len(events),
-        "chart": _chart(automaton, diagram, samples),
+        "chart": _chart(automaton, diagram, trace, samples),
         "outputs": _measured(report["outputs"], report["units"]),
         "parameters": _measured(
             {name: value for name, value in report["parameters"].items() if name in declared},
@@ -104,7 +105,7 @@ def _regions(
 ) -> list[dict[str, Any]]:
     unrecorded = len(automaton.regions) - len(keys[0])
     colours = automaton.colours
-    named = zip(automaton.region_names, automaton.states_told(keys[0]), strict=True)
+    named = zip(automaton.region_names, automaton.recorded_states(keys[0]), strict=True)
     return [
         {
             "name": name,
@@ -122,13 +123,15 @@ def _regions(
     ]
 
 
-def _film(film: Film) -> dict[str, Any]:
+def _film(film: Film, units: Mapping[str, str]) -> dict[str, Any]:
     """Return a film whose lengths are parts of its picture: browsers draw none of a micrometre."""
     part = _PICTURE / film.unit
     place = np.array([part, part, 1.0])
     return {
         "half": [part * film.half[0], part * film.half[1]],
         "unit": _PICTURE,
+        "length": film.unit,
+        "of": beside(unit_of("length", units)),
         "arrow": part * film.arrow,
         "usual": film.force,
         "longest": LONGEST * film.force,
@@ -252,13 +255,16 @@ def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
     }
 
 
-def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> dict[str, Any]:
-    """Return the drawn statechart, and which nodes each mode is; nothing where it is too large."""
-    if diagram is None:
-        return _no_chart(samples)
-    diagram, active = _followed(automaton, diagram, samples.modes)
-    if not 0 < len(diagram.nodes) <= _NODES:
-        return _no_chart(samples)
+def _chart(
+    automaton: Automaton, diagram: Diagram | None, trace: Trace, samples: Samples
+) -> dict[str, Any]:
+    """Return the drawn statechart, and which node each instant is; nothing of a large one."""
+    none: dict[str, Any] = {"svg": "", "nodes": [[]] * len(samples.modes), "states": []}
+    place = np.zeros(len(samples.t), dtype=np.intp)
+    if diagram is not None:
+        diagram, active = _followed(automaton, diagram, samples.modes)
+    if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
+        return {**none, "place": _packed(place, np.uint8)}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chart.svg"
         write(_bare(diagram), path)
@@ -266,11 +272,31 @@ def _chart(automaton: Automaton, diagram: Diagram | None, samples: Samples) -> d
     names = identifiers(diagram)
     nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
     states = [names[node.name] for piece in diagram.pieces for node in piece.leaves]
-    return {"svg": svg[svg.index("<svg") :], "nodes": nodes, "states": states}
+    if len(diagram.charts) == 1 and diagram.charts[0].path:
+        visits = _visits(diagram.charts[0].path, [active(jump.target) for jump in trace.jumps])
+        place = visits[samples.j]
+    return {
+        "svg": svg[svg.index("<svg") :],
+        "nodes": nodes,
+        "states": states,
+        "place": _packed(place, np.uint8),
+    }
 
 
-def _no_chart(samples: Samples) -> dict[str, Any]:
-    return {"svg": "", "nodes": [[] for _ in samples.modes], "states": []}
+def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[np.intp]:
+    """Return which of the places of its mode a run is at (n + 1,), at the start and after jumps.
+
+    A path is drawn as a chain, or as rounds of a cycle, in which a mode may stand more than once.
+    """
+    found = course(path)
+    if found is None or len(found.order) > MAX_STEPS:
+        return np.zeros(len(entered) + 1, dtype=np.intp)
+    order, begin, step, places = found.order, found.back or 0, 0, [0]
+    for names in entered:
+        if step + 1 < len(path) and names == (path[step + 1],) != (path[step],):
+            step += 1
+        places.append(step if step < len(order) else begin + (step - begin) % (len(order) - begin))
+    return np.array([order[:k].count(order[k]) for k in places], dtype=np.intp)
 
 
 def _followed(

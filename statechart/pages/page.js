@@ -8,21 +8,30 @@ for (const node of byId("diagram").querySelectorAll("g.node")) {
 }
 for (const name of data.chart.states) for (const node of nodes.get(name) ?? []) node.classList.add("state");
 for (const title of byId("diagram").querySelectorAll("title")) title.remove();
-const seen = document.querySelector(".seen");
-if (!film || !data.chart.svg) seen.classList.add("alone");
-else {
-  // Beside the scene its letters stay legible, or it has a row of its own.
-  const least = 0.77 * byId("diagram").firstElementChild.width.baseVal.value;
-  if (least > byId("diagram").clientWidth) seen.classList.add("wide");
-  byId("diagram").style.flex = `1 1 ${least}px`;
-  byId("diagram").style.setProperty("--least", `${least}px`);
+// Beside the scene its letters stay legible; else it stands below, and scrolls away but on wide screens.
+const chart = byId("diagram").firstElementChild;
+const least = chart ? 0.77 * chart.width.baseVal.value : 0;
+byId("diagram").style.setProperty("--least", `${least}px`);
+function arrange() {
+  const seen = document.querySelector(".seen");
+  seen.append(byId("diagram"));
+  const beside = !film || (innerWidth > 760 && innerWidth < 1240 && least <= byId("diagram").clientWidth);
+  if (!beside) byId("stage").after(byId("diagram"));
+  document.documentElement.style.setProperty("--stuck", `${innerWidth < 1240 ? byId("stage").offsetHeight : 0}px`);
 }
-let lit = -1;
+arrange();
+addEventListener("resize", arrange);
+const place = new Uint8Array(bytes(data.chart.place));
+let lit = "";
 moving.push((k) => {
-  if (mode[k] === lit) return;
-  lit = mode[k];
-  const active = new Set(data.chart.nodes[lit]);
-  for (const [name, those] of nodes) for (const node of those) node.classList.toggle("lit", active.has(name));
+  if (lit === `${mode[k]} ${place[k]}`) return;
+  lit = `${mode[k]} ${place[k]}`;
+  const active = new Set(data.chart.nodes[mode[k]]);
+  for (const [name, those] of nodes) {
+    // Of a mode that a path passes again the visit at hand.
+    const here = those[place[k] % those.length];
+    for (const node of those) node.classList.toggle("lit", active.has(name) && node === here);
+  }
   // Of a diagram wider than the screen what is lit is seen.
   const box = byId("diagram");
   const node = box.querySelector("g.lit");
@@ -41,9 +50,10 @@ const fitted = (name, room) => {
   const half = (most - 1) / 2;
   return name.length <= most ? name : `${name.slice(0, Math.ceil(half))}\u2026${name.slice(name.length - Math.floor(half))}`;
 };
-const [above, high] = [20, 138];
+const [above, high, number] = [20, 138, 58];
 const span = times[last] || 1;
 const cursors = [];
+const values = [];
 let [wide, left, right] = [1000, 64, 860];
 const along = (t) => left + ((right - left) * t) / span;
 for (const panel of data.panels) {
@@ -54,31 +64,68 @@ for (const panel of data.panels) {
   for (const hit of panel.struck) for (const what of ["t", "sizes"]) hit[what] = float(hit[what]);
   panel.entries = panel.names.map((name, i) => ({ name, colour: panel.colours[i] }));
   if (panel.cone) panel.entries.push({ name: "\u00b1\u03bcV, the cone", colour: "var(--faint)", dashed: true });
-  panel.struck.forEach((hit, i) => panel.entries.push({ name: hit.name, colour: panel.names.length ? "var(--accent)" : data.lines[i], mark: panel.names.length ? "\u25b2" : "\u25cf" }));
+  panel.struck.forEach((hit, i) => panel.entries.push({ name: hit.name, colour: panel.names.length ? "var(--accent)" : data.lines[i], mark: panel.names.length ? "M-4 0L0 -8L4 0Z" : "M-3.5 -4a3.5 3.5 0 1 0 7 0a3.5 3.5 0 1 0 -7 0" }));
+  panel.entries.forEach((those, i) => { those.values = panel.curves[i]; });
 }
+const timeOf = (svg, event) => {
+  const box = svg.getBoundingClientRect();
+  return (span * (((event.clientX - box.left) / box.width) * wide - left)) / (right - left);
+};
 function axes(height) {
   const svg = made(byId("curves"), "svg", { viewBox: `0 0 ${wide} ${height}` });
-  svg.addEventListener("click", (event) => {
-    const box = svg.getBoundingClientRect();
-    go(at((span * (((event.clientX - box.left) / box.width) * wide - left)) / (right - left)));
+  svg.addEventListener("click", (event) => go(at(timeOf(svg, event))));
+  svg.addEventListener("pointermove", (event) => {
+    const t = timeOf(svg, event);
+    if (t < 0 || t > span) return;
+    for (const cursor of cursors) {
+      cursor.hover.style.display = "";
+      for (const x of ["x1", "x2"]) cursor.hover.setAttribute(x, along(t));
+    }
+    read(t);
+  });
+  svg.addEventListener("pointerleave", () => {
+    for (const cursor of cursors) cursor.hover.style.display = "none";
+    read(times[now]);
   });
   return svg;
+}
+function cursor(parent, y1, y2) {
+  const line = (style) => made(parent, "line", { y1, y2, style });
+  const found = line("stroke: var(--accent); stroke-width: 1.5");
+  found.hover = line("stroke: var(--faint); stroke-width: 1; display: none");
+  cursors.push(found);
+}
+// Values of curves at a time, between the points that they are drawn by.
+function read(t) {
+  for (const { panel, curve, text } of values) {
+    let [low, high] = [0, panel.t.length - 1];
+    while (low < high) {
+      let middle = (low + high + 1) >> 1;
+      while (middle < high && !Number.isFinite(panel.t[middle])) middle++;
+      if (panel.t[middle] <= t * (1 + 1e-7)) low = middle;
+      else high = ((low + high + 1) >> 1) - 1;
+    }
+    const [a, b] = [panel.t[low], panel.t[low + 1]];
+    const part = b > a ? Math.min(1, Math.max(0, (t - a) / (b - a))) : 0;
+    const value = part > 0 ? curve[low] + part * (curve[low + 1] - curve[low]) : curve[low];
+    text.textContent = Number.isFinite(value) ? level(value, 4) : "";
+  }
 }
 function named(parent, attributes, name, room) {
   const text = made(parent, "text", attributes, fitted(name, room));
   if (text.textContent !== name) made(text, "title", {}, name);
 }
 function entry(svg, { name, colour, dashed, mark }, x, y, room) {
-  if (mark) made(svg, "text", { x: x + 9, y, "text-anchor": "middle", style: `fill: ${colour}` }, mark);
+  if (mark) made(svg, "path", { d: mark, transform: `translate(${x + 9} ${y})`, style: `fill: ${colour}` });
   else made(svg, "line", { x1: x, x2: x + 18, y1: y - 4, y2: y - 4, style: `stroke: ${colour}; stroke-width: ${dashed ? 1 : 2.5}; ${dashed ? "stroke-dasharray: 4 3" : ""}` });
   named(svg, { x: x + 24, y }, name, room);
 }
 function drawn(panel, narrow) {
   const places = [];
   let [x, y] = [left, above + 6];
-  const room = narrow ? right - left - 24 : wide - right - 40;
-  for (const { name } of panel.entries) {
-    const size = Math.min(longest([name]), room) + 34;
+  const room = narrow ? right - left - 24 - number : wide - right - 40 - number;
+  for (const { name, values } of panel.entries) {
+    const size = Math.min(longest([name]), room) + 34 + (values ? number : 0);
     if (narrow && x > left && x + size > right) [x, y] = [left, y + 15];
     places.push(narrow ? [x, y] : [right + 14, above + 8 + 15 * places.length]);
     x += size;
@@ -86,7 +133,14 @@ function drawn(panel, narrow) {
   const remarks = panel.remarks.join("; ");
   const lower = narrow ? y - above + 6 + (remarks ? 15 : 0) : 0;
   const svg = axes(Math.max(high, narrow ? 0 : above + 4 + 15 * places.length) + 6 + lower);
-  panel.entries.forEach((those, i) => entry(svg, those, ...places[i], room));
+  panel.entries.forEach((those, i) => {
+    entry(svg, those, ...places[i], room);
+    if (!those.values) return;
+    const [x, y] = places[i];
+    const begin = x + 34 + Math.min(longest([those.name]), room);
+    const text = made(svg, "text", { class: "value", y, ...(narrow ? { x: begin } : { x: wide - 4, "text-anchor": "end" }) });
+    values.push({ panel, curve: those.values, text });
+  });
   named(svg, { x: left, y: above - 9, style: "font-weight: 600" }, panel.title, right - left);
   const free = narrow ? right - left : right - left - longest([panel.title]) - 30;
   if (remarks) named(svg, { x: right, y: above - 9 + lower, "text-anchor": "end", style: "fill: var(--faint)" }, remarks, free);
@@ -101,11 +155,11 @@ function drawn(panel, narrow) {
   }
   const scale = (high - above - 6) / (most - low || 1);
   const up = (v) => above + (most - v) * scale;
-  const apart = [low, most].filter((v) => Math.abs(up(v) - up(0)) > 12);
-  for (const v of [0, ...apart]) {
-    made(plot, "line", { x1: left, x2: right, y1: up(v), y2: up(v), style: "stroke: var(--grid)" });
+  for (const v of ticks(low, most, 4)) {
+    made(plot, "line", { class: "tick", x1: left, x2: right, y1: up(v), y2: up(v), style: `stroke: var(--${v ? "grid" : "faint"}); stroke-width: 1` });
     made(plot, "text", { x: left - 6, y: up(v) + 4, "text-anchor": "end" }, level(v));
   }
+  for (const t of ticks(0, span, narrow ? 5 : 10)) made(plot, "line", { class: "tick", x1: along(t), x2: along(t), y1: above - 6, y2: high, style: "stroke: var(--grid); stroke-width: 1" });
   const line = (v, style) => {
     let d = "";
     let pen = false;
@@ -133,11 +187,11 @@ function drawn(panel, narrow) {
     made(plot, "path", { class: "struck", d, style: sized ? `stroke: ${colour}; stroke-width: 1.2` : `fill: ${colour}` });
     if (sized) made(plot, "path", { d: dot, style: `stroke: ${colour}; stroke-width: 5; stroke-linecap: round` });
   });
-  cursors.push(made(plot, "line", { y1: above - 6, y2: high, style: "stroke: var(--accent); stroke-width: 1.5" }));
+  cursor(plot, above - 6, high);
 }
-function bands() {
-  const told = [`t = ${short(span)}${unit}`, ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...(data.unbanded.length ? [data.unbanded.join("; ")] : [])];
-  const svg = axes(18 * rows.length + 7 + 15 * told.length);
+function bands(narrow) {
+  const told = [data.unit ? `t in ${data.unit}` : "t", ...(data.cut ? [`nothing happens any more; the run ends at ${short(data.end)}${unit}`] : []), ...(data.unbanded.length ? [data.unbanded.join("; ")] : [])];
+  const svg = axes(18 * rows.length + 22 + 15 * told.length);
   rows.forEach((region, row) => {
     named(svg, { x: left - 6, y: 18 * row + 13, "text-anchor": "end" }, region.name, left - 8);
     for (let k = 0; k <= last; ) {
@@ -149,21 +203,26 @@ function bands() {
       k = end + 1;
     }
   });
-  made(svg, "text", { x: left, y: 18 * rows.length + 16 }, "0");
-  told.forEach((line, i) => named(svg, { x: right, y: 18 * rows.length + 16 + 15 * i, "text-anchor": "end", style: i ? "fill: var(--faint)" : "" }, line, right - 8));
-  cursors.push(made(svg, "line", { y1: 0, y2: 18 * rows.length, style: "stroke: var(--accent); stroke-width: 1.5" }));
+  const foot = 18 * rows.length + 16;
+  for (const t of ticks(0, span, narrow ? 5 : 10)) {
+    const anchor = along(t) > right - 10 ? "end" : "middle";
+    made(svg, "line", { class: "tick", x1: along(t), x2: along(t), y1: foot - 13, y2: foot - 9, style: "stroke: var(--faint); stroke-width: 1" });
+    made(svg, "text", { x: along(t), y: foot, "text-anchor": anchor }, level(t));
+  }
+  told.forEach((line, i) => named(svg, { x: right, y: foot + 15 + 15 * i, "text-anchor": "end", style: i ? "fill: var(--faint)" : "" }, line, right - 8));
+  cursor(svg, 0, 18 * rows.length);
 }
 function drawCurves() {
   byId("curves").replaceChildren();
-  cursors.length = 0;
+  cursors.length = values.length = 0;
   const there = byId("curves").clientWidth;
   const narrow = there < 700;
   wide = narrow ? Math.max(there, 280) : 1000;
   const names = data.panels.flatMap((panel) => panel.entries.map((those) => those.name));
   left = Math.min(Math.max(narrow ? 48 : 64, longest(rows.map((region) => region.name)) + 12), wide / 5);
-  right = narrow ? wide - 8 : Math.max(Math.min(860, 956 - longest(names)), 700);
+  right = narrow ? wide - 8 : Math.max(Math.min(800, 956 - number - longest(names)), 680);
   for (const panel of data.panels) drawn(panel, narrow);
-  if (rows.length) bands();
+  bands(narrow);
   return there;
 }
 let drawnFor = drawCurves();
@@ -175,6 +234,7 @@ addEventListener("resize", () => {
 });
 moving.push((k) => {
   for (const cursor of cursors) for (const x of ["x1", "x2"]) cursor.setAttribute(x, along(times[k]));
+  read(times[k]);
 });
 
 // Numbers.
@@ -196,7 +256,14 @@ for (const name of ["outputs", "parameters"])
   for (const [key, value] of Object.entries(data[name])) {
     const row = made(byId(name), "tr");
     made(row, "td", {}, key);
-    made(made(row, "td"), "div", { class: "value" }, value);
+    const { text, values: many } = value;
+    const box = made(made(row, "td"), "div", { class: "value" }, text);
+    const known = many.filter(Number.isFinite);
+    if (known.length < 2) continue;
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const spot = (v, i) => `${(1 + (118 * i) / (many.length - 1)).toFixed(1)} ${(17 - (14 * (v - low)) / (high - low || 1)).toFixed(1)}`;
+    const points = many.map((v, i) => (Number.isFinite(v) ? spot(v, i) : "")).filter(Boolean);
+    made(made(box, "svg", { class: "spark", width: 120, height: 20 }), "path", { d: `M${points.join("L")}` });
   }
 for (const [name, part] of [["happened", data.events], ["measured", Object.keys(data.outputs)]])
   byId(name).hidden = part.length === 0;
@@ -215,7 +282,11 @@ const lines = data.events.map((event) => {
   return row;
 });
 if (data.more) byId("more").textContent = `${data.more} more: the command line has all, with --json`;
-moving.push((k) => lines.forEach((row, i) => row.classList.toggle("now", data.events[i].instant === k)));
+moving.push((k) => {
+  lines.forEach((row, i) => row.classList.toggle("now", data.events[i].instant === k));
+  const past = data.events.findLast((event) => event.instant <= k);
+  byId("why").textContent = past ? past.why : "Choose an event.";
+});
 
 // The clock: an instant is a number, and all that is seen belongs to it.
 const slider = byId("slider");
@@ -256,15 +327,17 @@ function pillsOf(k) {
     return count ? [[`${state}: ${count} of ${those.length}`, those[0].colours[i]]] : [];
   }));
 }
+const icon = (d) => byId("icon").setAttribute("d", d);
+icon("M7 4l13 8-13 8z");
 const pause = () => {
   cancelAnimationFrame(playing);
   playing = 0;
-  byId("play").textContent = "\u25b6";
+  icon("M7 4l13 8-13 8z");
 };
 byId("play").addEventListener("click", () => {
   if (playing) return pause();
   if (now === last) go(0);
-  byId("play").textContent = "\u23f8";
+  icon("M6 4h4v16h-4zM14 4h4v16h-4z");
   const [from, began] = [times[now], performance.now()];
   const speed = Number(byId("speed").value);
   const step = (clock) => {

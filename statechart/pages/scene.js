@@ -14,11 +14,25 @@ const made = (parent, tag, attributes = {}, text = null) => {
   if (text !== null) node.textContent = text;
   return parent.appendChild(node);
 };
-const short = (x) => String(Number(x.toPrecision(6)));
-const level = (x) => {
-  const plain = String(Number(x.toPrecision(3)));
-  return plain.length < 9 ? plain : x.toExponential(2).replace(/\.?0+e/, "e");
+const short = (x) => String(Number(x.toPrecision(7)));
+const level = (x, digits = 3) => {
+  const plain = String(Number(x.toPrecision(digits)));
+  return plain.length < 9 ? plain : x.toExponential(digits - 1).replace(/\.?0+e/, "e");
 };
+
+// The largest of 1, 2, 5 times a power of ten that is no more.
+const round = (x) => {
+  const power = 10 ** Math.floor(Math.log10(x));
+  return [5, 2, 1].map((s) => s * power).find((s) => s <= x * (1 + 1e-9));
+};
+// Round numbers between two, a few of them.
+function ticks(low, high, most) {
+  const power = 10 ** Math.floor(Math.log10((high - low) / most || 1));
+  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => (high - low) / s <= most * (1 + 1e-9));
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high * (1 + 1e-12) + 1e-9 * step; k++) found.push(k * step);
+  return found;
+}
 
 // The scene: y is up, so every place is written with its y turned round.
 const film = data.film;
@@ -149,5 +163,14 @@ if (film) {
   }
   for (const shape of film.shapes) if (shape.kind !== "ground") shaped(scene, shape);
   for (const touch of film.touches) touching(scene, touch);
+  // A bar of a round length, in the lower left corner.
+  const real = film.length / film.unit;
+  const length = round(0.25 * 2 * w * real);
+  const scale = made(scene, "g", { id: "scale" });
+  const [long, edge] = [length / real, 0.03 * 2 * h];
+  made(scale, "path", { class: "bar-scale", d: `M0 -8V8M0 0H${long}M${long} -8V8` });
+  made(scale, "text", { x: long / 2, y: -14, "text-anchor": "middle" }, `${level(length)} ${film.of}`.trim());
+  moving.push((k) => scale.setAttribute("transform",
+    `translate(${film.centres[2 * k] - w + 20} ${-film.centres[2 * k + 1] + h - edge - 8})`));
 } else byId("scene").remove();
 

@@ -149,14 +149,14 @@ def _pictures(film: Film, clock: str, size: int, trail: float | None) -> Iterato
     canvas.draw()
     still, renderer = canvas.copy_from_bbox(figure.bbox), canvas.get_renderer()
     font = ImageFont.truetype(findfont(FontProperties()), _LETTERS)
-    for instant, time in enumerate(film.times):
+    for instant in range(len(film.times)):
         drawing.show(instant)
         canvas.restore_region(still)
         for artist in moving:
             artist.draw(renderer)
         drawn = canvas.buffer_rgba()
         made = Image.frombuffer("RGBA", drawn.shape[1::-1], drawn).convert("RGB")
-        _write_clock(made, f"t = {time:.4g}{clock}", font)
+        _write_clock(made, f"{film.clock(instant)}{clock}", font)
         yield made
 
 

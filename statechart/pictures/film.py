@@ -87,6 +87,7 @@ class Film:
     half: tuple[float, float]  # of its width and height
     force: float  # its arrow is as long as a quarter of the smaller of width and height
     trails: tuple[int, ...] = ()  # frames that leave one
+    unit_of_time: str = ""  # beside the times that are shown
 
     @property
     def unit(self) -> float:
@@ -102,6 +103,10 @@ class Film:
     def spacing(self) -> float:
         """Between the strokes of a hatching."""
         return HATCH * self.unit
+
+    def clock(self, instant: int) -> str:
+        """Return the time of an instant in words."""
+        return f"t = {self.times[instant]:.4g} {self.unit_of_time}".rstrip()
 
     def state(self, instant: int, region: int) -> str:
         """Return the state of a region at an instant, by their numbers."""

@@ -41,7 +41,7 @@ def strip(figure: Figure, film: Film, top: float) -> None:
         left = (place + 0.5) / len(chosen) - own / 2.0
         ax = figure.add_axes((left, (top - _CLOCK) / height - high, own, high))
         Drawing(ax, film).show(instant)
-        ax.set_title(f"t = {film.times[instant]:.4g}", loc="left", fontsize=8, y=1.0, pad=3.0)
+        ax.set_title(film.clock(instant), loc="left", fontsize=8, y=1.0, pad=3.0)
 
 
 def strip_height(film: Film, width: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
+from statechart.documents.declaration import TIME
+from statechart.documents.quantities import beside
 from statechart.errors import StatechartError
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
@@ -42,7 +44,7 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
     names = (*automaton.names, *stage.wanted)
     samples = observer.sample(trace, names, times=times)
     seen = without_round_off(automaton, trace, samples).columns
-    return stage.film(
+    film = stage.film(
         Moments(
             samples.t,
             samples.j,
@@ -52,6 +54,7 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
             trace.parameters,
         )
     )
+    return replace(film, unit_of_time=beside(automaton.declaration.unit(TIME)))
 
 
 def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import MOST_MODES, Feasibility
+from statechart.automaton.laws import MAX_MODES, Feasibility
 from statechart.automaton.product import explored
 from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
@@ -30,7 +30,7 @@ def listing(
         "modes_declared": automaton.modes_declared,
         "modes_total": automaton.modes_total,
         "modes_built": built,
-        "enumerated": automaton.modes_total <= MOST_MODES,
+        "enumerated": automaton.modes_total <= MAX_MODES,
         "time": time,
         "state": dict(state),
         "feasibility": None if found is None else _feasibility(automaton, found),
@@ -66,7 +66,7 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Bloc
             else (f"  {r['name']}", format_count(r["modes_declared"], r["modes_total"]))
             for r in ends(listed["regions"])
         ]
-        words = f"the product is not enumerated nor judged (above {MOST_MODES} modes); regions:\n"
+        words = f"the product is not enumerated nor judged (above {MAX_MODES} modes); regions:\n"
         parts.append([words, Table(counts)])
     if listed["feasibility"] is not None:
         parts.append(_possible(listed, digits))

@@ -18,8 +18,7 @@ from statechart.automaton.regions import Invariant, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
-from statechart.observation.grazes import grazes
-from statechart.observation.grazes import told as graze_warnings
+from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import outputs
 from statechart.reporting.pieces import Pieces
@@ -196,9 +195,9 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
     automaton = observer.automaton
 
     def least(one: Invariant) -> float:
-        if not one.relation.members:
+        if not one.relation.members:  # of poses, too, which know no modes
             return observer.extremes(trace, one.margin(automaton.active(())).expression)[0]
-        return observer.lowest(trace, lambda key: one.margin(automaton.active(key)).expression)
+        return observer.extremes(trace, lambda key: one.margin(automaton.active(key)).expression)[0]
 
     lost = unkept_invariants(automaton, trace)
     return {one.name: least(one) for one in automaton.invariants if one not in lost}

@@ -16,7 +16,7 @@ import numpy as np
 
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.files import aside, write_atomic
+from statechart.documents.files import staging_folder, write_atomic
 from statechart.documents.quantities import unit_of
 from statechart.documents.setting import Record
 from statechart.errors import StatechartError
@@ -203,7 +203,7 @@ def write_run(
     with _explained(folder):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "there is a file of this name")
-        with aside(folder, _FILES) as place:
+        with staging_folder(folder, _FILES) as place:
 
             def write(name: str, content: Callable[[bool], bytes], short: bool = False) -> None:
                 write_atomic(place / name, content(short))

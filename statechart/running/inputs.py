@@ -8,8 +8,7 @@ from numbers import Real
 
 from statechart.automaton.time_stepper import Control, Sample, Sampling
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
-from statechart.documents.validation import located
+from statechart.documents.validation import Document, located
 from statechart.errors import DeclarationError, DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 

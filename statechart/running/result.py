@@ -17,8 +17,7 @@ from statechart.documents.hints import checked
 from statechart.documents.setting import Record
 from statechart.engines.request import Measured
 from statechart.errors import StatechartError
-from statechart.observation.grazes import grazes
-from statechart.observation.grazes import told as graze_warnings
+from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
 from statechart.reporting.pieces import Pieces

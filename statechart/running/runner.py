@@ -15,10 +15,9 @@ from statechart.automaton.time_stepper import Control
 from statechart.automaton.trace import Arc, Jump, Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
 from statechart.documents.hints import checked
 from statechart.documents.setting import Record, Setting, SettingWords
-from statechart.documents.validation import located
+from statechart.documents.validation import Document, located
 from statechart.engines.budget import Allowance
 from statechart.engines.request import Measured, planned
 from statechart.errors import DeclarationError, FormulaError

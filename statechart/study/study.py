@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pydantic import ValidationError
 
-from statechart.documents.files import made, write_atomic
+from statechart.documents.files import new_folder, write_atomic
 from statechart.errors import DeclarationError, StatechartError
 from statechart.study.measurements import Measurements
 from statechart.study.text import format_text
@@ -87,7 +87,7 @@ def save(folder: Path | str, study: Study) -> None:
     # Strict JSON: what is not finite is text.
     text = json.dumps(json.loads(study.model_dump_json()), indent=1, allow_nan=False) + "\n"
     try:
-        with made(path.parent):
+        with new_folder(path.parent):
             write_atomic(path, text.encode())
     except OSError as error:
         raise StatechartError(f"cannot write {path}: {error.strerror or error}") from error

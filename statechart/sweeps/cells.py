@@ -26,8 +26,8 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.compiled_loop import T_HIGH
-from statechart.execution.simulator import Batch, BatchRunner
+from statechart.execution.compiled_loop import T_HIGH, Batch
+from statechart.execution.simulator import BatchRunner
 from statechart.formulas.formula import parse
 from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
@@ -300,7 +300,7 @@ class _Structure:
 
     def _word(self, key: Key) -> str:
         """Return the name of a mode: its regions that have states to tell apart."""
-        regions = self.runner.automaton.told(key)
+        regions = self.runner.automaton.recorded_regions(key)
         states = [(r.name, s) for r, s in zip(regions, key, strict=True) if len(r.states) > 1]
         if len(states) < 2:
             return states[0][1] if states else key[0]

@@ -7,7 +7,11 @@ list is drawn as points, which makes a bifurcation diagram.
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,6 +45,10 @@ _WIDTH = 7.6  # of a picture of lines, in inches
 _WIDE = 5.0
 # Letters of a sequence of modes in a legend; of one in inches, and what stands beside it.
 _MAX_LETTERS, _LETTER, _HANDLE = 96, 0.058, 0.6
+# Of so many regions in a mode those are named that are not in their usual state.
+_MANY_REGIONS = 4
+_STATE = re.compile(r"([^\s():>]+):([^\s():>]+)")
+_BETWEEN, _DIGEST = re.compile(r" > (?![^(]*\))"), re.compile(r" modes, [0-9a-f]{8}\)$")
 _SUCCEEDED = [outcome.name for outcome in Outcome if outcome.succeeded]
 
 
@@ -114,7 +122,7 @@ class _Cells:
         shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
         places[shown] = np.arange(len(shown))
-        labels = [_short(str(texts[code])) for code in shown]
+        labels = told_apart([str(texts[code]) for code in shown])
         colours = list(_COLOURS[: len(shown)])
         if len(order) > len(shown):
             labels.append(f"others ({len(order) - len(shown)})")
@@ -141,15 +149,50 @@ class _Cells:
         return found
 
 
-def _short(text: str) -> str:
-    """Return the begin and the end of a text that is too long for a legend."""
-    return text if len(text) <= _MAX_LETTERS else f"{text[: _MAX_LETTERS - 24]} ... {text[-19:]}"
+def told_apart(texts: Sequence[str]) -> list[str]:
+    """Return sequences of modes for a legend: of long ones what tells them from each other."""
+    if max(map(len, texts), default=0) <= _MAX_LETTERS:
+        return list(texts)
+    # Of many regions those that are in a state of their own; a digest tells people nothing.
+    usual: dict[str, Counter[str]] = {}
+    for region, state in _STATE.findall(" ".join(texts)):
+        usual.setdefault(region, Counter())[state] += 1
+
+    def short(word: str) -> str:
+        states = _STATE.findall(word)
+        if len(states) < _MANY_REGIONS:
+            return word
+        own = [s for s in states if s[1] != usual[s[0]].most_common(1)[0][0]] or states[:1]
+        kept = _STATE.sub(lambda found: found[0] if found.groups() in own else "", word)
+        return re.sub(" +", " ", kept).replace("( ", "(").replace(" )", ")").strip()
+
+    # A cycle in parentheses stays one word.
+    split = [_BETWEEN.split(_DIGEST.sub(" modes)", text)) for text in texts]
+    split = [[" > ".join(map(short, word.split(" > "))) for word in words] for words in split]
+    found: list[str] = []
+    seen: Counter[str] = Counter()
+    for words in split:
+        begin = max((_shared(words, other) for other in split if other is not words), default=0)
+        cut = max(begin - 1, 0)
+        text = " > ".join([*([words[0], "..."] if cut > 1 else words[:cut]), *words[cut:]])
+        end = words[-1] if words[-1].startswith("...") else "..."
+        if len(text) > _MAX_LETTERS:
+            text = f"{text[: _MAX_LETTERS - len(end)].rpartition(' ')[0]} {end}"
+        seen[text] += 1
+        found.append(f"{text}, {seen[text]}" if seen[text] > 1 else text)
+    return found
 
 
 def _legend_columns(cells: _Cells, width: float, most: int) -> int:
     """Return the number of columns of a legend that fit a width in inches."""
     longest = _HANDLE + _LETTER * max(map(len, cells.labels), default=0)
     return int(np.clip(width / longest, 1, most))
+
+
+def _shared(one: Sequence[str], other: Sequence[str]) -> int:
+    """Return how many words two sequences begin with alike."""
+    pairs = zip(one, other, strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 @dataclass(frozen=True, eq=False)

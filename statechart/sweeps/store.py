@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
 from statechart.documents.declaration import TIME
-from statechart.documents.files import made
+from statechart.documents.files import new_folder
 from statechart.errors import DeclarationError, StatechartError
 from statechart.sweeps.cells import OUTCOMES, CellBlock
 from statechart.sweeps.plan import Plan, Slices, Tile
@@ -84,7 +84,7 @@ def locked(path: Path) -> Iterator[Callable[[], None]]:
     file = path / _LOCK
     with ExitStack() as stack:
         try:
-            stack.enter_context(made(path))
+            stack.enter_context(new_folder(path))
             lock = FileLock(file)
             try:
                 lock.acquire(timeout=0)

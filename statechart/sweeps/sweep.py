@@ -20,9 +20,9 @@ from statechart import interrupts, progress
 from statechart.arrays import Array
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.documents.document import Document
 from statechart.documents.hints import checked
 from statechart.documents.setting import IntegrationWords, Setting
+from statechart.documents.validation import Document
 from statechart.errors import DeclarationError, StatechartError
 from statechart.running.runner import Runner
 from statechart.sweeps.cells import CellBlock, run_block

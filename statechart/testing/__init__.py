@@ -1,9 +1,8 @@
 """Properties of runs, for users' tests and for `statechart check`.
 
-`subject` compiles a model for its engines and makes its cases, which `strategies` draws; what must
-hold of every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards`
-and relations, and that two runs are in `agreement`; `checking` tests these by Hypothesis and
-reports.
+`subject` compiles a model for its engines, draws its cases and makes their runs; what must hold of
+every automaton is in `properties`: of the trace of a run on `hybrid_time`, of its `guards` and
+relations, and that two runs are in `agreement`; `checking` tests these by Hypothesis and reports.
 """
 
 from statechart.testing.agreement import Reading, Sensitivity, Undecidable, assert_same
@@ -17,13 +16,11 @@ from statechart.testing.properties import (
     assert_start,
     generic,
 )
-from statechart.testing.strategies import (
-    parameters,
-    ranges,
-)
 from statechart.testing.subject import (
     Case,
     Subject,
+    parameters,
+    ranges,
 )
 
 __all__ = [

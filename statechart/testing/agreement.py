@@ -26,16 +26,16 @@ NUDGE = 1e-7
 
 # Rounding where a run starts (as much as ten events), and of what every event is located by.
 _LOCATED = 1e-13
-_START = 10
+_START_EVENTS = 10
 # Rounding of the terms of a margin where it falls, which the event's condition magnifies; the
 # error of a step is, too.
-_ROUNDING = 1e-14
+_MARGIN_ROUND_OFF = 1e-14
 # Errors of steps add up to at most so many times their number times the tolerance.
-_FACTOR = 10.0
+_STEP_ERRORS = 10.0
 # Grown to this part of a variable's size, errors cannot be told from a different motion.
-_LARGE = 1e-2
+_CHAOTIC = 1e-2
 # An impact that changes every variable by less than this part of its size is a slow one.
-_SLOW = 1e-6
+_SLOW_IMPACT = 1e-6
 
 
 class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no answer here
@@ -97,13 +97,13 @@ def assert_same(
     tolerance = max(known, default=0.0)
     residual = max(trace.tolerances.get("impulse", 0.0) for trace in (reference, other))
     try:
-        _compare(reference, other, sensitivity, _ROUNDING, 0.0, reading, until, loosened)
+        _compare(reference, other, sensitivity, _MARGIN_ROUND_OFF, 0.0, reading, until, loosened)
     except AssertionError:
         # What no rounding explains may be what events make of the errors of steps, or what is left
         # of impulses that iterations find, in parts of a step's fastest approach.
-        if max(tolerance, residual) <= _ROUNDING:
+        if max(tolerance, residual) <= _MARGIN_ROUND_OFF:
             raise
-        located = max(tolerance, _ROUNDING)
+        located = max(tolerance, _MARGIN_ROUND_OFF)
         _compare(reference, other, sensitivity, located, residual, reading, until, loosened)
 
 
@@ -127,7 +127,7 @@ def _compare(
     if until is not None:
         sequences = [*(sequence.shortened(*until) for sequence in sequences[:-1]), sequences[-1]]
     first, *near, second = without_unresolved(sequences)
-    error = bare = _FACTOR * (_error(reference) + _error(other) + residual)
+    error = bare = _STEP_ERRORS * (_error(reference) + _error(other) + residual)
     floor = np.zeros(len(first.end))
     traces = (reference,) if reading else (reference, other)
     # The gap of steps is what they pass surfaces by, not what they are brought back by.
@@ -139,8 +139,8 @@ def _compare(
         if mine and its:
             error = bare + mine.rounded
         if not (mine and its and mine.what == its.what):
-            _within_tolerance(loosened, other, i, mine or its)
-            _part(first, second, near, i, error, residual, (reference, other))
+            _raise_if_tolerances_decide(loosened, other, i, mine or its)
+            _raise_difference(first, second, near, i, error, residual, (reference, other))
         shaken = [s for s in near if len(s.events) > i and s.events[i].what == mine.what]
         allowed = _allowed(mine, [s.events[i].numbers for s in shaken], first, error, floor)
         if len(shaken) < len(near):
@@ -149,15 +149,15 @@ def _compare(
         # What is found a little later has moved on until then.
         allowed += abs(mine.t - its.t) * mine.rates
         if mine.hit != its.hit:
-            _hit_otherwise(first, second, i)
-        _close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
+            _raise_undecidable_hit(first, second, i)
+        _assert_close(mine.numbers, its.numbers, allowed, reference, _place(i, mine))
     if any(len(sequence.events) != len(first.events) for sequence in near):
         raise Undecidable(f"the end: a change of {NUDGE:g} takes another course")
     if first.mode != second.mode:
         raise AssertionError(f"{first.mode} at the end of one run, {second.mode} of the other")
     last = Event(("", "end", (), ()), first.end, 0.0)
     allowed = _allowed(last, [sequence.end for sequence in near], first, error, floor)
-    _close(first.end, second.end, allowed, reference, "the end")
+    _assert_close(first.end, second.end, allowed, reference, "the end")
 
 
 def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
@@ -174,8 +174,8 @@ def identical(reference: Trace, other: Trace, reading: Reading) -> bool:
 def _error(trace: Trace) -> float:
     steps = trace.counts["steps"]
     if trace.step is not None:
-        return (_START + steps) * _LOCATED
-    return steps * trace.tolerance + (_START + len(trace.jumps)) * _LOCATED
+        return (_START_EVENTS + steps) * _LOCATED
+    return steps * trace.tolerance + (_START_EVENTS + len(trace.jumps)) * _LOCATED
 
 
 def _allowed(
@@ -186,12 +186,12 @@ def _allowed(
     for numbers in near:
         grown = np.maximum(grown, np.abs(numbers - event.numbers) / NUDGE)
     allowed = error * (grown + sequence.sizes)
-    if (allowed > _LARGE * sequence.sizes + floor).any():
+    if (allowed > _CHAOTIC * sequence.sizes + floor).any():
         raise Undecidable(f"by t = {event.t:.6g} errors of {error:.0e} have grown too large")
     return allowed + floor
 
 
-def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) -> None:
+def _assert_close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) -> None:
     off = np.abs(mine - its)
     worst = int(np.argmax(np.where(allowed > 0, off / np.where(allowed > 0, allowed, 1), off)))
     if not (off <= allowed).all():
@@ -202,7 +202,7 @@ def _close(mine: Array, its: Array, allowed: Array, trace: Trace, place: str) ->
         )
 
 
-def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
+def _raise_undecidable_hit(first: EventSequence, second: EventSequence, i: int) -> None:
     """Event `i` hits other contacts in one run: raise `Undecidable` where rounding decides which.
 
     Impacts within the tolerance of a gap are one; of contacts that move together any may be hit
@@ -217,7 +217,7 @@ def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
                     "of the runs"
                 )
     n = len(first.end) // 2
-    small = _SLOW * first.sizes[n + 1 :]
+    small = _SLOW_IMPACT * first.sizes[n + 1 :]
     both = [sequence.events[i].numbers for sequence in (first, second)]
     if all((np.abs(at[n + 1 :] - at[1 : n + 1]) <= small).all() for at in both):
         raise Undecidable(
@@ -226,7 +226,7 @@ def _hit_otherwise(first: EventSequence, second: EventSequence, i: int) -> None:
         )
 
 
-def _within_tolerance(
+def _raise_if_tolerances_decide(
     loosened: Callable[[], Trace] | None, other: Trace, i: int, event: Event
 ) -> None:
     """Raise `Undecidable` where the runs part at `event` because their tolerances differ."""
@@ -243,7 +243,7 @@ def _within_tolerance(
         )
 
 
-def _part(
+def _raise_difference(
     first: EventSequence,
     second: EventSequence,
     near: Sequence[EventSequence],

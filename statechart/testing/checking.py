@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,7 @@ from statechart.loading.load import resolved
 from statechart.tabular import Block, Table, apart, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
-from statechart.testing.strategies import parameters, ranges
-from statechart.testing.subject import Case, Subject
+from statechart.testing.subject import Case, Subject, parameters, ranges
 
 
 @dataclass(frozen=True)
@@ -95,36 +94,26 @@ class CheckReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as one plain object."""
+        properties = [asdict(result) for result in self.properties]
+        for result in properties:
+            if result["failure"] is not None:
+                del result["failure"]["reproduction"]
         return {
             "model": self.model,
             "passed": self.passed,
             "seed": self.seed,
             "engines": list(self.engines),
             "ranges": {name: list(ends) for name, ends in self.ranges.items()},
-            "properties": [
-                {
-                    "name": result.name,
-                    "examples": result.examples,
-                    "undecidable": result.undecidable,
-                    "reason": result.reason,
-                    "skipped": result.skipped,
-                    "failure": result.failure
-                    and {
-                        "parameters": dict(result.failure.parameters),
-                        "message": result.failure.message,
-                    },
-                }
-                for result in self.properties
-            ],
+            "properties": properties,
         }
 
     def text(self) -> str:
         """Return the report for people: a table of the properties, then what fails."""
-        return plain(self.told())
+        return plain(self.blocks())
 
     __repr__ = __str__ = text
 
-    def told(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
         """Return the report as `text` does, its table as such."""
         varied = ", ".join(f"{n} {a:g} to {b:g}" for n, (a, b) in self.ranges.items())
         head = (

@@ -21,7 +21,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import HELD
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
-from statechart.execution.shallow_falls import STATE_ROUND_OFF, STATE_TOLERANCES
+from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES
 from statechart.formulas.condition import Active
 from statechart.formulas.relation import (
     Comparison,

@@ -6,9 +6,11 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy as sp
+from pydantic import ValidationError
 
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
@@ -23,16 +25,17 @@ from statechart.execution.perturbation import loosened
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
-from statechart.formulas.tape import Tape
-from statechart.formulas.writer import compile_tape
 from statechart.loading.kind import kind
 from statechart.observation.condition import conditions
-from statechart.observation.observer import Observer
+from statechart.observation.observer import Observer, Programs
 from statechart.observation.observers import Observers
 from statechart.testing.agreement import NUDGE, Sensitivity, Undecidable
 
-_FINER = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
-_KEPT = 64  # cases whose runs are kept for the next property
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+_FINER_TOLERANCE = 1e-3 * NUDGE  # still well above rounding, which iterations cannot pass
+_MAX_CASES = 64  # cases whose runs are kept for the next property
 
 
 class Subject:
@@ -68,7 +71,7 @@ class Subject:
         self._loosened: dict[float, Simulator] = {}
         self._variants: dict[str, Subject] = {}
         self._cases: OrderedDict[tuple[tuple[str, float], ...], Case] = OrderedDict()
-        self._tapes: dict[tuple[tuple[sp.Expr, ...], Mode | None], Tape] = {}
+        self._programs = Programs(self.automaton)
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -82,7 +85,7 @@ class Subject:
         key = tuple(sorted(parameters.items()))
         found = self._cases.pop(key, None) or self.fresh(parameters)
         self._cases[key] = found
-        if len(self._cases) > _KEPT:
+        if len(self._cases) > _MAX_CASES:
             self._cases.popitem(last=False)
         return found
 
@@ -110,9 +113,9 @@ class Subject:
     def finer(self) -> Subject | None:
         """The same with impulses that miss less than `NUDGE` shows, if its own may miss more."""
         settings = self.model.settings
-        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER:
+        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER_TOLERANCE:
             return None
-        chosen = settings.model_copy(update={"impulse_tolerance": _FINER})
+        chosen = settings.model_copy(update={"impulse_tolerance": _FINER_TOLERANCE})
         return Subject(self.model.model_copy(update={"settings": chosen}))
 
     def end(self, parameters: Mapping[str, float]) -> float:
@@ -154,16 +157,8 @@ class Subject:
         known = arc.unknowns(tau)
         if known is None:
             return self.values(trace, expressions, states, times, self.mode(trace, arc))
-        automaton = self.automaton
-        key = (tuple(expressions), None)
-        if key not in self._tapes:
-            self._tapes[key] = compile_tape(
-                expressions,
-                variables=(*automaton.variables, *automaton.unknowns, *automaton.controls),
-                parameters=automaton.parameters,
-                time=automaton.time,
-            )
-        return self._tapes[key].table(np.hstack([states, known]), trace.values, times)
+        tape = self._programs.tape(tuple(expressions), None, known=True)
+        return tape.table(np.hstack([states, known]), trace.values, times)
 
     def values(
         self,
@@ -191,10 +186,8 @@ class Subject:
         -------
         (m, f) array
         """
-        key = (tuple(expressions), mode)
-        if key not in self._tapes:
-            self._tapes[key] = self.automaton.tape(expressions, mode)
-        return self._tapes[key].table(states, trace.values, times)
+        tape = self._programs.tape(tuple(expressions), mode)
+        return tape.table(states, trace.values, times)
 
 
 class Case:
@@ -320,3 +313,76 @@ class Case:
         subject.missing[name] = trace.message
         del subject.observers[name]
         return None
+
+
+def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
+    """Return what a check varies: parameter -> least and greatest value.
+
+    Those that the model declares; if it declares none, from half to twice the value of every
+    parameter that is a number other than 0 and inf, less far where the model would be wrong
+    there (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+    """
+    if model.ranges:
+        return dict(model.ranges)
+    values = model.values()
+    found = {}
+    for name, text in model.parameters.items():
+        value = values[name]
+        if parse(text).names or value == 0.0 or math.isinf(value):
+            continue
+        ends = [_valid_towards(model, name, value, factor * value) for factor in (0.5, 2.0)]
+        found[name] = (min(ends), max(ends))
+    return found
+
+
+def _valid_towards(model: Declaration, name: str, value: float, end: float) -> float:
+    for halvings in range(8):
+        candidate = value + (end - value) * 0.5**halvings
+        try:
+            changed = {**model.parameters, name: candidate}
+            type(model).model_validate(
+                {**model.model_dump(by_alias=True), "parameters": changed}, by_alias=True
+            )
+        except ValidationError:
+            continue
+        return candidate
+    return value
+
+
+def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
+    """Return the strategy over the `ranges` of a model.
+
+    Shrinking leads to the declared values: what differs from them in a failing example matters.
+    Ends of ranges are drawn often: what grows with a parameter is largest there.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+
+    Returns
+    -------
+    SearchStrategy
+        Of parameter -> value, as runs take them.
+    """
+    from hypothesis import strategies as st
+
+    values = model.values()
+    choices: dict[str, SearchStrategy[float]] = {}
+    for name, (least, greatest) in ranges(model).items():
+        declared = values[name]
+        if name in model.whole:
+            choices[name] = st.integers(math.ceil(least), math.floor(greatest)).map(float)
+            continue
+        # Numbers below 2e-308 in size have few digits, and measure nothing.
+        within = st.floats(least, greatest, allow_subnormal=False)
+        drawn = [within, st.sampled_from((least, greatest))]
+        if least <= declared <= greatest:
+            drawn.insert(0, st.just(declared))
+        choices[name] = st.one_of(drawn)
+    return st.fixed_dictionaries(choices)

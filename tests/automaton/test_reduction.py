@@ -18,8 +18,7 @@ from contacts.kind import automaton as compose
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.coordinate_reconstruction import mode_reconstruction
-from statechart.automaton.modes import build_mode
+from statechart.automaton.modes import build_mode, mode_reconstruction
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import Role
 from statechart.execution.simulator import Simulator

@@ -125,7 +125,7 @@ def test_every_window_of_a_swing_is_found(engine: str) -> None:
 def test_scenes_see_windows_in_guards_stops_and_conditions(
     engine: str, width: float, loop: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda _: loop)
+    monkeypatch.setattr(CompiledSceneLaws, "ready", lambda _: loop)
     monkeypatch.setattr(compiled_loop, "_WORTH", -1 if loop else math.inf)
     for cause, text in (
         ("hit", scene(guard=f"ball.x**2 <= {width**2!r}")),

@@ -11,16 +11,14 @@ from pydantic import BaseModel, model_validator
 from statechart.charts.chart import Chart, Region, State
 from statechart.charts.kind import CHART
 from statechart.charts.transitions import Transition
-from statechart.documents.document import Document
 from statechart.documents.outputs import Count, Event, Integral, Moment, Value
 from statechart.documents.settings import Settings, Stop
-from statechart.documents.validation import validate
+from statechart.documents.validation import Document, validate
 from statechart.documents.yaml_reader import read, read_text
 from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, Position
-from statechart.loading.kind import kind, kinds
+from statechart.loading.kind import entries, kind, kinds
 from statechart.loading.load import find, interpret, load
-from statechart.loading.offered import entries
 
 STARTER = CHART.starter.read_text(encoding="utf-8")
 

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.charts.chart import Chart
-from statechart.documents.document import Document
-from statechart.documents.validation import validate
+from statechart.documents.validation import Document, validate
 from statechart.documents.yaml_reader import MAX_BYTES, MAX_DEPTH, MAX_VALUES, read, read_text
 from statechart.errors import DeclarationError, FormulaError
 from statechart.formulas.formula import parse

@@ -176,6 +176,26 @@ MISTAKES = {
     "infinite in a word": ("friction: mu", "friction: infinite", "name 'infinite'; write inf"),
     "gravity by its letter": ("gravity: g", "g: 9.81", "5:1: unknown key 'g'; write gravity"),
     "friction by its letter": ("friction: mu", "mu: 0.5", "unknown key 'mu'; write friction"),
+    "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction, one coefficient for st"),
+    "body at rest": ("mass: m", "mass: m, static: true", "write surfaces: {floor: {height: 0}}"),
+    "body that is led": ("mass: m", "mass: m, kinematic: true", "write a surface with a displace"),
+    "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
+    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body; surfaces are"),
+    "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
+    "weld": ("stop:", "weld: {}\nstop:", "write one body: of several shapes"),
+    "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),
+    "motor": ("stop:", "motor: {}\nstop:", "write forces: {motor: {body: arm, moment: M}}"),
+    "friction of a joint": (
+        "stop:",
+        "joints: {j: {point: {body: rod}, to: [0, 1], friction: 0.1}}\nstop:",
+        "write a moment among the forces: {body: arm, moment: -c*arm.dangle}",
+    ),
+    "stiffness in a force": (
+        "stop:", "forces: {f: {body: rod, stiffness: 3}}\nstop:", "write force: [-k*rod.x, 0]"
+    ),
+    "step by a name": (
+        "stop:", "settings: {step: h/60}\nstop:", "settings.step: formula 'h/60': unknown name 'h'"
+    ),
     "parameter by =": ("{m: 1,", "{m=1,", "3:14: parameters.m=1: 'm=1' is not a name; write m: 1"),
     "end by another word": ("time: 1", "duration: 1", "unknown key 'duration'; write time"),
     "moment by another word": ("at: first", "when: first", "unknown key 'when'; write at"),

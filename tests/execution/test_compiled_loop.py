@@ -52,7 +52,7 @@ def test_a_run_is_the_same_to_the_bit(
 ) -> None:
     # Else it is taken at once where it lies compiled on disk.
     monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda self: False)
-    monkeypatch.setattr(CompiledSceneLaws, "batch_compiled", lambda self: False)
+    monkeypatch.setattr(CompiledSceneLaws, "ready", lambda self: False)
     made = traced(model, values, -1, monkeypatch)
     alone = traced(model, values, float("inf"), monkeypatch)
     assert_same(made, alone)

@@ -33,7 +33,7 @@ def of_one_mind(browser: Browser, result: statechart.Result) -> dict[str, Any]:
     """Check that slider, clock, modes and cursors show one instant of the run; return it."""
     seen: dict[str, Any] = browser.value(SEEN)
     unit = result.observer.automaton.declaration.unit("time")
-    assert seen["said"] == f"t = {seen['time']:.6g} {unit.removeprefix('1')}".rstrip()
+    assert seen["said"] == f"t = {seen['time']:.7g} {unit.removeprefix('1')}".rstrip()
     assert seen["slider"] == pytest.approx(seen["time"], rel=1e-12)
     assert len({round(place, 3) for place in seen["cursors"]}) == 1
     # At the instant of a jump, after it.

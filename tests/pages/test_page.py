@@ -91,7 +91,7 @@ def agree(browser: Browser, result: statechart.Result) -> float:
     slider = browser.value("Number(document.querySelector('#slider').value)")
     assert slider == pytest.approx(time, rel=1e-12)
     assert browser.value("slid()") == k
-    assert browser.value("document.querySelector('#time').value") == f"t = {time:.6g}"
+    assert browser.value("document.querySelector('#time').value") == f"t = {time:.7g}"
     reading = result.at(time)
     state = reading.mode["tip"]
     assert browser.value("document.querySelector('#mode').dataset.mode") == f"tip:{state}"
@@ -133,7 +133,7 @@ def test_curves_and_cones_stay_in_their_panels_and_times_on_a_line(browser, resu
     assert browser.value(beyond) == 0
     # Both edges of the cone are seen all along.
     edges = (
-        "[...document.querySelectorAll('#curves path[style*=dasharray]')].map((e) => e.getBBox())"
+        "[...document.querySelectorAll('#curves g path[style*=dasharray]')].map((e) => e.getBBox())"
     )
     boxes = browser.value(f"{edges}.map((b) => [b.width / (right - left), b.y])")
     assert [width for width, _ in boxes] == pytest.approx([1.0, 1.0], abs=0.01)
@@ -172,8 +172,9 @@ def test_play_runs_to_the_end_and_pauses_where_it_is(browser, result):
 @in_browser
 def test_a_curve_leads_to_where_it_is_clicked(browser, result):
     browser.click("#curves svg")
-    # The middle of the drawing, whose time axis is from 64 to 860 of 1000.
-    expected = result.trace.t_end * (500 - 64) / (860 - 64)
+    # The middle of the drawing, which is 1000 wide.
+    left, right = browser.value("[left, right]")
+    expected = result.trace.t_end * (500 - left) / (right - left)
     assert agree(browser, result) == pytest.approx(expected, abs=0.03)
     cursor = browser.value("cursors[0].x1.baseVal.value")
     assert cursor == pytest.approx(500.0, abs=3.0)
@@ -281,7 +282,7 @@ def test_reasons_have_no_digits_of_rounding_and_changes_of_many_are_short(tmp_pa
     shown, _ = panels_of(statechart.run("granular_column", until=0.2), tmp_path)
     for event in shown["events"]:
         for number in re.findall(r"\d+\.\d+(?:e-?\d+)?", event["why"]):
-            assert float(number) == float(f"{float(number):.6g}")
+            assert float(number) == float(f"{float(number):.7g}")
         for part in event["change"].split("; "):
             assert part.count(",") <= 3
     assert any(" more: " in event["change"] for event in shown["events"])
@@ -300,18 +301,65 @@ def test_what_is_lit_has_the_colour_of_its_state_and_the_rest_is_faint(browser, 
 
 
 @in_browser
-def test_a_mode_that_comes_again_is_lit_wherever_it_stands(tmp_path):
+def test_of_a_mode_that_comes_again_the_visit_at_hand_is_lit(tmp_path):
     result = statechart.run("woodpecker", until=0.3)
     with Browser(tmp_path / "browser") as opened:
         opened.open(result.report(tmp_path / "page.html"))
         words = "[...document.querySelectorAll('#diagram g.{}')].map((e) => e.textContent.trim())"
         states = opened.value(words.format("state"))
         assert len(states) > len(set(states)) > 3  # it is free again and again
-        for part in (0.1, 0.4, 0.7, 1.0):
-            opened.value(f"go(Math.round({part} * last))")
-            lit = opened.value(words.format("lit"))
-            assert len(set(lit)) == 1
-            assert len(lit) == states.count(lit[0])
+        places = "[...document.querySelectorAll('#diagram g.state')].map((e, i) => [e, i])"
+        lit = f"{places}.filter(([e]) => e.classList.contains('lit')).map(([, i]) => i)"
+        seen = []
+        for event in opened.value("data.events.map((event) => event.instant)"):
+            opened.value(f"go({event})")
+            seen += opened.value(lit)
+        assert len(seen) == len(result.trace.jumps)
+        # Round by round each place once.
+        repeats = [k for k in range(len(states)) if states.count(states[k]) > 1]
+        assert set(repeats) < set(seen)
+
+
+@in_browser
+def test_the_scene_stays_in_sight_and_has_a_scale(browser, result):
+    box = "document.querySelector('#scene').getBoundingClientRect()"
+    browser.value("scrollTo(0, document.body.scrollHeight)")
+    assert browser.value("scrollY") > 100
+    assert 0 <= browser.value(f"{box}.top") < 30
+    browser.value("scrollTo(0, 0)")
+    # The stick is 2 long: from its tip at the ground to the other end.
+    assert browser.value("document.querySelector('#scale text').textContent") == "0.5"
+    stick = "document.querySelector('[data-name=stick] path').getBBox()"
+    scale = "document.querySelector('#scale path').getBBox().width"
+    long = browser.value(f"Math.max({stick}.width, {stick}.height)")
+    assert browser.value(scale) == pytest.approx(0.25 * long, rel=0.02)
+
+
+@in_browser
+def test_curves_have_round_ticks_and_values_under_the_cursor(browser, result):
+    marks = (
+        "[...document.querySelectorAll('#curves svg:last-child text')].map((e) => e.textContent)"
+    )
+    assert browser.value(marks) == ["tip", "0", "1", "2", "3", "4", "5", "t"]
+    browser.value("go(at(3))")
+    reading = result.at(browser.value("times[now]")).values
+    told = browser.value(
+        "values.map(({ panel, curve, text }) => [panel.names[panel.curves.indexOf(curve)],"
+        " Number(text.textContent)])"
+    )
+    assert len(told) > 5
+    for name, value in told:
+        assert value == pytest.approx(reading[name], rel=1e-3, abs=2e-4)
+
+
+@in_browser
+def test_on_a_wide_screen_reasons_stand_beside_the_scene(page, tmp_path):
+    with Browser(tmp_path / "browser", width=1280) as opened:
+        opened.open(page)
+        place = "document.querySelector('{}').getBoundingClientRect()"
+        scene, why = (place.format(selector) for selector in ("#scene", "#why"))
+        assert opened.value(f"{why}.left > {scene}.right && {why}.top < {scene}.bottom")
+        assert opened.value("document.documentElement.scrollWidth") <= 1280
 
 
 @in_browser

@@ -10,4 +10,4 @@ def test_a_page_has_the_parameters_that_its_model_declares() -> None:
     result = Runner("rimless_wheel").run(until=1.0)
     shown = content(result.observer, result.trace, result.to_dict(), None)["parameters"]
     assert list(shown) == list(result.observer.automaton.declaration.parameters)
-    assert shown["g"] == "9.81 m/s²"
+    assert shown["g"] == {"text": "9.81 m/s²", "values": []}

@@ -1,10 +1,12 @@
 import csv
-import fcntl
 import io
 import json
 import math
 import os
+import platform
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -184,41 +186,34 @@ def test_where_nothing_can_be_written_nothing_is_left_parents_included(
 def test_what_a_killed_process_left_is_removed_by_the_next(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
-    left, own, busy, others = (
-        tmp_path / name
-        for name in (".run.abcd_123", ".run.settings", ".run.zzzzzzzz", ".ran.abcd_123")
-    )
-    for place in (left, own, busy, others):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    here, another = platform.node(), f"{platform.node()}x"
+    gone, busy, far = f"{here}-{ended.pid}-", f"{here}-{os.getpid()}-", f"{another}-{ended.pid}-"
+    left, *kept = (
+        tmp_path / f".{name}"
+        for name in (
+            f"run.{gone}abcd_123", f"run.{busy}zzzzzzzz", f"run.{far}abcd_123", "run.settings",
+            f"ran.{gone}abcd_123",
+        )
+    )  # fmt: skip
+    for place in (left, *kept):
         place.mkdir()
         (place / "run.json").write_text("half")
-    (left / ".trace.nc.0a1b2c3d.part").write_text("half")
-    (own / "vimrc").write_text("a user's")
-    (tmp_path / ".trace.nc.0a1b2c3d.part").write_text("half")
-    with locked(busy):
-        write_run(tmp_path / "run", observer, trace, dict)
-        write_atomic(tmp_path / "trace.nc", netcdf(to_xarray(observer, trace)))
-    kept = {busy.name, own.name, others.name}
-    assert set(os.listdir(tmp_path)) == kept | {"run", "trace.nc"}
+    (tmp_path / f".trace.nc.{gone}0a1b2c3d").write_text("half")
     write_run(tmp_path / "run", observer, trace, dict)
-    assert set(os.listdir(tmp_path)) == kept - {busy.name} | {"run", "trace.nc"}
+    write_atomic(tmp_path / "trace.nc", netcdf(to_xarray(observer, trace)))
+    names = {place.name for place in kept}
+    assert set(os.listdir(tmp_path)) == names | {"run", "trace.nc"}
 
 
 def test_what_a_killed_process_left_in_an_existing_folder_is_removed(tmp_path: Path) -> None:
-    (tmp_path / f".{tmp_path.name}.abcd_123").mkdir()
-    with files.aside(tmp_path, ["a"]) as place:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (tmp_path / f".{tmp_path.name}.{platform.node()}-{ended.pid}-abcd_123").mkdir()
+    with files.staging_folder(tmp_path, ["a"]) as place:
         (place / "a").write_text("whole")
     assert os.listdir(tmp_path) == ["a"]
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder as a process does that writes in it."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    fcntl.flock(descriptor, fcntl.LOCK_EX)
-    try:
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def test_of_work_that_fails_in_part_the_rest_is_done(

@@ -136,6 +136,21 @@ def test_the_pareto_front_has_what_nothing_beats() -> None:
     assert study(slow, good, bad, other).front() == (bad, good)
 
 
+def test_a_study_ends_with_the_cheapest_setting_for_an_accuracy() -> None:
+    fine = point(1e-8, 1e-7, 2.0)
+    other = fine.model_copy(update={"setting": Setting(engine="taylor", tolerance=1e-6)})
+    cheap = other.model_copy(update={"seconds": 0.5})
+    last = format_text(study(fine, cheap)).splitlines()[-1]
+    assert last == (
+        "for an accuracy of 1e-06 use --engine taylor --tolerance 1e-06: 500 ms a run, "
+        "4 times cheaper than scipy RK45 1e-08"
+    )
+    assert "for an accuracy of 0.001 use --engine scipy --method RK45 --tolerance 0.001" in (
+        format_text(study(point(1e-3, 5e-4, 1.0)))
+    )
+    assert "for an accuracy" not in format_text(study(point(1e-3, 0.5, 1.0)))
+
+
 def test_a_promise_missed_is_counted_and_other_modes_are_a_miss() -> None:
     kept, missed = point(1e-3, 1e-4, 1.0), point(1e-6, 1e-5, 1.0)
     other = point(1e-7, 1e-9, 1.0, same_modes=False, diverged=0.5)

@@ -181,7 +181,7 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(compiled_loop, "_WORTH", 300)
-    monkeypatch.setattr(CompiledSceneLaws, "batch_compiled", lambda self: False)
+    monkeypatch.setattr(CompiledSceneLaws, "compiled", lambda self: False)
     model = load("toppling_stick")
     plan = Plan(model, Setting(), {"mu": [0.2, 0.4]})
     sweep_cells._cells.cache_clear()

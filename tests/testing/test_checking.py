@@ -21,8 +21,7 @@ from statechart.testing.agreement import Reading
 from statechart.testing.checking import check, examine
 from statechart.testing.guards import assert_invariants, assert_margins, dense
 from statechart.testing.properties import assert_prefix, generic
-from statechart.testing.strategies import ranges
-from statechart.testing.subject import Subject
+from statechart.testing.subject import Subject, ranges
 
 
 def model(text):

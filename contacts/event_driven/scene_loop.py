@@ -1,0 +1,660 @@
+"""The compiled loop of a scene over an array of runs: numbers, first mode, flows and instants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
+from contacts.dynamics.scales import bounce_limits
+from contacts.dynamics.setup import FORCE_BAND, SHORT, TIE, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup_evaluation import (
+    LOOK_AHEAD,
+    Numbers,
+    Rules,
+    SceneNumbers,
+    run_buffer,
+    run_numbers,
+)
+from contacts.dynamics.snapshot import SCALARS
+from contacts.dynamics.starting import hovers
+from contacts.event_driven.compiled_instants import (
+    CAUSES,
+    GOES_ON,
+    SceneWatch,
+    classified,
+    conditions,
+    hold_conditions,
+    instant,
+    meaning,
+    row_of,
+    switched,
+)
+from contacts.modes.classification import allowed
+from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
+from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.automaton.laws import Setup
+from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
+from statechart.engines.engine import Pace
+from statechart.engines.mode_table import (
+    FORCE,
+    GAP,
+    KINDS,
+    LAWS_AT,
+    MARGINS,
+    MARGINS_AT,
+    PLAIN,
+    SPEED,
+    STOPS,
+    TAPE,
+    WATCHED,
+    Program,
+    Scratch,
+    Watch,
+    evaluate,
+    stands,
+)
+from statechart.engines.whole_flow import IN_VAIN, WHOLE, flow_to_event
+from statechart.execution import compiled_loop as runs
+from statechart.execution.compiled_loop import (
+    LOOK_AHEAD as NEXT_LOOK,
+)
+from statechart.execution.compiled_loop import BatchInputs, BatchResult, Loop
+from statechart.execution.execution import FARTHEST
+from statechart.execution.finding import AT_END
+from statechart.execution.flow import LEAST
+from statechart.kernels.accumulation import HIGH, WIDTH
+from statechart.kernels.copies import put
+from statechart.kernels.jit import entry, kernel, part
+
+# Numbers of a contact among the constraints: gap, its rate, slip, point.
+_PER_CONTACT = 5
+# Jumps of an instant.
+MOST_AT_ONCE = 16
+# So many steps and boxes in one call, some tens of milliseconds.
+_STEPS, _BOXES = 4096, 65536
+# What a longer run takes is not worth a row.
+_PAUSES = 64
+
+INSTANTS = 3
+"""So many tapes, those of the instants, stand before those of the numbers: the scene's numbers,
+its constraints, its conditions."""
+
+
+class SceneBatch(NamedTuple):
+    """Constants that all runs of a batch share."""
+
+    tapes: NDArray[np.int64]  # (7, 9): of the instants and of the numbers.
+    rules: Rules
+    # (c, 3): where a contact's cone_n, cone_t, restitution are found among the values; what they
+    # are where that is -1.
+    places: Ints
+    fixed: Array
+    # (b,): place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
+    sources: Ints
+    starts: Bools  # (c, 6): whether a contact may start in the state of that code.
+    # Tolerances of gaps and speeds, and what is near a bound, in the scene's scales.
+    gap: float
+    speed: float
+    doubtful: float
+
+
+@part
+def _watches(
+    scene: SceneBatch, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
+) -> tuple[Watch, SceneWatch]:
+    """Return what a run is watched for, by its numbers and its tolerances `watch.kinds`.
+
+    Their arrays are filled again.
+    """
+    length, speed = numbers.scales[0], numbers.scales[1]
+    acceleration, force = numbers.scales[2], numbers.scales[3]
+    lowest, fast = bounce_limits(speed, acceleration, numbers.scales[4])
+    gap, slow, weak = watch.kinds[GAP], watch.kinds[SPEED], watch.kinds[FORCE]
+    put(numbers.values, watch.parameters)
+    for i in range(scene.sources.shape[0]):
+        source = scene.sources[i]
+        watch.bands[i] = numbers.bands[source] if source >= 0 else -1.0
+    for i in range(watch.floors.shape[0]):
+        watch.floors[i] = max(LEAST * numbers.sizes[i], floor)
+    put(numbers.sizes, instants.sizes[:-1])
+    instants.sizes[-1] = length / speed
+    for c in range(scene.places.shape[0]):
+        for k in range(3):
+            place = scene.places[c, k]
+            value = numbers.values[place] if place >= 0 else scene.fixed[c, k]
+            if k < 2:
+                instants.cones[c, k] = value
+            else:
+                instants.restitution[c] = value
+    return Watch(
+        watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
+        watch.weights, max(UNSEEN * length, gap),
+    ), SceneWatch(
+        instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
+        scene.gap, instants.allowed,
+        instants.cones, instants.restitution, instants.meanings, DRIFT * gap, CREEP * slow, gap,
+        slow, TIE * weak / force, scene.doubtful, force, acceleration, SHORT, fast, lowest,
+        scene.doubtful * speed,
+    )  # fmt: skip
+
+
+@part
+def _start(
+    program: Program,
+    scene: SceneBatch,
+    watch: Watch,
+    instants: SceneWatch,
+    scales: Array,
+    state: Array,
+    taken: Ints,
+) -> int:
+    """Return the first mode; -1 where that takes more than the state, or is not compiled."""
+    contacts = taken.shape[0]
+    numbers = np.empty(instants.numbers[5])
+    evaluate(program, instants.numbers, state, watch.parameters, 0.0, numbers)
+    kept, lowest, n = np.full(contacts, FREE), np.zeros(contacts), state.shape[0] // 2
+    first = n * n + n + 1 + (2 * n + 2) * contacts
+    if instants.nodes.shape[0] > 0:
+        values = conditions(program, watch, instants, state, 0.0)
+        if switched(instants, values, numbers, first, 0, np.full(contacts, FREE), kept) == -2:
+            return -1
+    if not classified(instants, numbers, n, False, kept, lowest, taken):
+        return -1
+    for c in range(contacts):
+        gap, rate = numbers[first + SCALARS * c], numbers[first + SCALARS * c + 1]
+        above = hovers(gap, rate, instants.gap, scales[0], scales[1])
+        if not scene.starts[c, taken[c]] or (above and taken[c] != OFF_CODE):
+            return -1
+    mode = row_of(program, taken)
+    if mode >= 0 and stands(program, mode, watch.parameters, watch.floors, state, 0.0):
+        return -1
+    return mode
+
+
+@part
+def _end(
+    program: Program, reason: int, margin: int, mode: int, been: Bools, watch: Watch,
+    state: Array, time: float,
+) -> int:  # fmt: skip
+    """Return how a row ends that its loop has left.
+
+    Where a stop fell, what else happens there comes first. For what may just be happening as time
+    is over see `statechart.execution.finding.closing`.
+    """
+    row = program.modes[mode]
+    stopped = reason == runs.FELL and margin >= row[STOPS]
+    if reason != runs.OVER and not stopped:
+        return runs.UNUSUAL
+    if not been[mode]:
+        return runs.ENDED
+    margins, judged = np.empty(row[STOPS] if stopped else row[MARGINS]), False
+    evaluate(program, row[WATCHED : WATCHED + TAPE], state, watch.parameters, time, margins)
+    for i in range(margins.shape[0]):
+        kind = program.ints[row[MARGINS_AT] + 2 * i]
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        if stopped and not margins[i] > (own if own >= 0.0 else watch.kinds[kind]):
+            return runs.UNUSUAL
+        if kind == GAP and margins[i] <= AT_END * watch.kinds[GAP]:
+            return runs.UNUSUAL
+        if kind == SPEED and margins[i] <= watch.kinds[SPEED]:
+            return runs.UNUSUAL
+        judged = judged or (kind == PLAIN and own >= 0.0)
+    if stopped:
+        return runs.STOPPED
+    return runs.CLOSING if judged else runs.ENDED
+
+
+@part
+def _put_ints(source: Ints, target: Ints) -> None:
+    """Copy whole numbers (n,)."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@part
+def _other(values: Array, zeros: Bools) -> bool:
+    """Whether other parameters are zero than these."""
+    other = False
+    for i in range(values.shape[0]):
+        other = other or (values[i] == 0.0) != zeros[i]
+    return other
+
+
+@part
+def _record_arc(
+    block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
+) -> None:
+    """Write the steps of a flow behind the others, without terms that are zero in all of them."""
+    coeffs, used = memory.coefficients, block.used
+    n, width = coeffs.shape[1], coeffs.shape[2]
+    zero = True
+    while zero and width > 1:
+        for i in range(steps):
+            for v in range(n):
+                zero = zero and coeffs[i, v, width - 1] == 0.0
+        if zero:
+            width -= 1
+    arc, at, place = used[ARCS], used[TIMES], used[TERMS]
+    block.arcs[arc, 0], block.arcs[arc, 1] = mode, j
+    block.arcs[arc, 2], block.arcs[arc, 3] = steps, width
+    block.places[arc, 0], block.places[arc, 1] = at, place
+    block.starts[arc, 0], block.starts[arc, 1] = high, low
+    for i in range(steps + 1):
+        block.times[at + i] = memory.times[i]
+    for i in range(steps):
+        for v in range(n):
+            for k in range(width):
+                block.coefficients[place + k] = coeffs[i, v, k]
+            place += width
+    used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
+
+
+@part
+def _hold(
+    program: Program,
+    watch: Watch,
+    scene: SceneWatch,
+    states: Ints,
+    state: Array,
+    time: float,
+) -> None:
+    """Write targets and weights of the constraints of a flow that begins here."""
+    watch.weights[:] = 0.0
+    pinned = False
+    for c in range(states.shape[0]):
+        at = _PER_CONTACT * c
+        if states[c] != FREE and states[c] != OFF_CODE:
+            watch.weights[at] = 1.0 / scene.gap
+            watch.weights[at + 1] = 1.0 / scene.speed
+        if states[c] == PIN:
+            pinned = True
+            watch.weights[at + 2] = 1.0 / scene.speed
+            watch.weights[at + 3] = watch.weights[at + 4] = 1.0 / scene.gap
+    if not pinned:
+        return
+    evaluate(program, watch.off, state, watch.parameters, time, watch.targets)
+    for c in range(states.shape[0]):
+        at = _PER_CONTACT * c
+        for k in range(at, at + _PER_CONTACT):
+            if states[c] != PIN or k < at + 3:
+                watch.targets[k] = 0.0
+
+
+@kernel
+def _run(
+    program: Program,
+    pace: Pace,
+    watch: Watch,
+    memory: Scratch,
+    scene: SceneWatch,
+    block: TraceBuffer,
+    now: Array,
+    place: Ints,
+    state: Array,
+    series: Array,
+    entered: Bools,
+) -> tuple[int, int, float]:
+    """Flow and jump until an instant is not unambiguous.
+
+    Brings `now`, `place`, `state`, `series` and `entered` up to date, a row each of a batch.
+    Returns why it ends, the margin that fell or the series that accumulates, and the time to that.
+    """
+    contacts = scene.allowed.shape[0]
+    kept = np.empty(contacts, np.int64)
+    most = memory.coefficients.shape[0]
+    most_terms = memory.coefficients.size
+    begun_steps, begun_boxes = place[runs.N_STEPS], place[runs.N_BOXES]
+    decided = 0  # by what fell as a mode went on without a jump
+    while True:
+        used = block.used
+        if (
+            used[ARCS] == block.arcs.shape[0]
+            or used[EVENTS] + MOST_AT_ONCE + 1 > block.events.shape[0]
+            or used[TIMES] + most + 1 > block.times.shape[0]
+            or used[TERMS] + most_terms > block.coefficients.shape[0]
+        ):
+            return runs.FULL, -1, 0.0
+        if place[runs.N_STEPS] - begun_steps > _STEPS or place[runs.N_BOXES] - begun_boxes > _BOXES:
+            return runs.PAUSED, -1, 0.0
+        mode = place[runs.N_MODE]
+        high, low = now[runs.T_HIGH], now[runs.T_LOW]
+        begun = high
+        duration = (now[runs.T_END] - high) - low
+        if duration <= 0.0:
+            return runs.OVER, -1, 0.0
+        entered[mode] = True
+        at = program.modes[mode, LAWS_AT]
+        for c in range(contacts):
+            kept[c] = program.ints[at + c]
+        _hold(program, watch, scene, kept, state, high)
+        if scene.nodes.shape[0] > 0:
+            hold_conditions(program, watch, scene, state, high, decided)
+        decided = 0
+        verdict, margin, steps, boxes = flow_to_event(
+            program, mode, pace, watch, memory, state, high, duration, now[runs.T_HORIZON]
+        )
+        if verdict == IN_VAIN:
+            return runs.FLOW, -1, 0.0
+        place[runs.N_STEPS] += steps
+        place[runs.N_BOXES] += boxes
+        if steps > 0:
+            _record_arc(block, memory, mode, place[runs.N_JUMPS], steps, high, low)
+            elapsed = memory.times[steps]
+            total = high + elapsed
+            error = total - high
+            error = (high - (total - error)) + (elapsed - error) + low
+            now[runs.T_HIGH] = total + error
+            now[runs.T_LOW] = error - (now[runs.T_HIGH] - total)
+            if elapsed > 0.0:
+                now[runs.T_HORIZON] = NEXT_LOOK * max(elapsed, now[runs.T_HIGH] - now[runs.T_SINCE])
+        if verdict == WHOLE:
+            return runs.OVER, -1, 0.0
+        high = now[runs.T_HIGH]
+        if margin >= program.modes[mode, STOPS]:
+            return runs.FELL, margin, 0.0
+        asked, fired = 0, program.ints[at + contacts + margin]
+        while True:
+            reason, row, rest = instant(
+                program, watch, scene, block, now, place, state, series, margin, fired,
+                high > begun, kept,
+            )  # fmt: skip
+            if reason != GOES_ON:
+                return reason, row, rest
+            if place[runs.N_ASKED] == 0:
+                decided = row
+                break
+            asked += 1
+            margin = -1
+            fired = fired if place[runs.N_ASKED] == 1 else 0
+            if asked > MOST_AT_ONCE:
+                return runs.FELL, -1, 0.0
+        at_stop = stands(
+            program, place[runs.N_MODE], watch.parameters, watch.floors, state, now[runs.T_HIGH]
+        )
+        if at_stop:
+            place[runs.N_ASKED] = 1
+            return runs.FELL, -1, 0.0
+
+
+@part
+def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
+    """Write the tolerance of each kind of margin."""
+    kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
+    kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
+
+
+@part
+def _no_series(series: Array) -> None:
+    for i in range(series.shape[0]):
+        for k in range(WIDTH):
+            series[i, k] = 0.0
+        series[i, HIGH] = math.nan
+
+
+@kernel
+def run_batch(
+    program: Program,
+    pace: Pace,
+    memory: Scratch,
+    scene: SceneBatch,
+    numbers: Numbers,
+    first_watch: Watch,
+    first_instants: SceneWatch,
+    rows: BatchInputs,
+    block: TraceBuffer,
+    found: BatchResult,
+    series: Array,
+) -> int:
+    """Take runs to their ends, from their start or on; return how many before the block was full.
+
+    Parameters
+    ----------
+    program, pace, memory
+        See `statechart.engines.mode_table`.
+    scene : SceneBatch
+    numbers, first_watch, first_instants
+        Memory. Of a run that has begun, its numbers and the tolerances `first_watch.kinds`.
+    rows : BatchInputs
+    block : TraceBuffer
+        Takes arcs and events of all runs.
+    found : BatchResult
+        To be filled, a row for each; a run that ends as `UNUSUAL` or `OTHER` leaves nothing else.
+        Of a run that has begun it says where that is.
+    series : (7 c, ..) array
+        Of jumps, for every contact and cause (see `statechart.kernels.accumulation`).
+    """
+    used, before = block.used, np.empty(4, np.int64)
+    taken = np.empty(scene.places.shape[0], np.int64)
+    for row in range(rows.inputs.shape[0]):
+        ends, now, place = found.ends[row], found.now[row], found.place[row]
+        state = found.final[row]
+        ends[runs.HOW] = runs.UNUSUAL
+        _put_ints(used, before)
+        if not rows.begun:
+            if not rows.until[row] >= 0.0 or not run_numbers(
+                program, scene.tapes[INSTANTS:], scene.rules, rows.code, rows.constants,
+                rows.outputs, rows.inputs[row], numbers,
+            ):  # fmt: skip
+                continue
+            if _other(numbers.values, rows.zeros):
+                ends[runs.HOW] = runs.OTHER
+                continue
+            _tolerances(scene, numbers.scales, first_watch.kinds)
+        watch, instants = _watches(scene, numbers, rows.floor, first_watch, first_instants)
+        if not rows.begun:
+            put(numbers.initial, state)
+            mode = _start(program, scene, watch, instants, numbers.scales, state, taken)
+            if mode < 0:
+                continue
+            now[runs.T_END] = rows.until[row]
+            now[runs.T_HORIZON] = min(LOOK_AHEAD * numbers.scales[0] / numbers.scales[1], FARTHEST)
+            place[runs.N_MODE], place[runs.N_MOST] = mode, rows.most_jumps
+            ends[runs.FIRST_MODE] = mode
+            put(numbers.values, found.values[row])
+            put(numbers.initial, found.initial[row])
+            _no_series(series)
+        pauses = 0
+        while True:
+            ends[runs.REASON], ends[runs.MARGIN], now[runs.T_REST] = _run(
+                program, pace, watch, memory, instants, block, now, place, state, series,
+                found.entered[row],
+            )  # fmt: skip
+            pauses += 1
+            if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.alone:
+                break
+        if ends[runs.REASON] == runs.FULL and row > 0:
+            _put_ints(before, used)
+            return row
+        how = runs.HANDED
+        if not rows.begun:
+            how = _end(
+                program, ends[runs.REASON], ends[runs.MARGIN], place[runs.N_MODE],
+                found.entered[row], watch, state, now[runs.T_HIGH],
+            )  # fmt: skip
+        if rows.alone and how in (runs.UNUSUAL, runs.CLOSING):
+            how = runs.HANDED
+        ends[runs.HOW] = how
+        if how == runs.UNUSUAL:
+            _put_ints(before, used)
+            continue
+        spans = found.spans[row]
+        spans[0], spans[1] = before[ARCS], used[ARCS]
+        spans[2], spans[3] = before[EVENTS], used[EVENTS]
+    return rows.inputs.shape[0]
+
+
+_NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE: OFF}
+
+
+class SceneLoop:
+    """Calls of the compiled loop of a scene (see `statechart.execution.compiled_loop.LoopCall`).
+
+    Parameters
+    ----------
+    numbers : SceneNumbers
+        From the values of the parameters to the numbers of a run.
+    rules : Rules or None
+        Of it; None where runs are not started by the loop.
+    loop : Loop
+        What runs go through.
+    relative : float
+        Tolerance of the integration.
+    """
+
+    def __init__(
+        self, numbers: SceneNumbers, rules: Rules | None, loop: Loop, relative: float
+    ) -> None:
+        self.loop, self.starts, self._setup = loop, rules is not None, numbers
+        laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
+        rules = rules or no_rules(numbers)
+        self._scene = _declared(numbers, rules, loop, laws, relative)
+        self._memory = _memory(numbers, rules, loop, laws)
+        self.series = np.empty((max(len(CAUSES) * len(laws), 4), WIDTH))
+        self._inputs: dict[tuple[str, ...], _Inputs] = {}
+        self._entry: Callable[..., int] | None = None
+
+    def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
+        """Return the tape of the numbers of runs, and what it takes for rows (m, p) of values."""
+        if names not in self._inputs:
+            tape, inputs = self._setup.parameters.program(frozenset(names))
+            literals = self._setup.parameters.literals
+            given = [(i, names.index(name)) for i, name in enumerate(inputs) if name in names]
+            fixed = np.array([*(literals.get(name, math.nan) for name in inputs), math.inf])
+            self._inputs[names] = _Inputs(*tape.program, given, fixed)
+        made = self._inputs[names]
+        found = np.empty((len(table), len(made.fixed)))
+        found[:] = made.fixed
+        for place, column in made.given:
+            found[:, place] = table[:, column]
+        return made.code, made.constants, made.outputs, found
+
+    def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
+        """Make runs; return how many of them before the block was full."""
+        return self._call(self._scene, rows, block, found, self.series)
+
+    def resume(
+        self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
+    ) -> None:
+        """Take a run on that has come somewhere."""
+        assert isinstance(setup, SceneSetup)
+        assert setup.sizes is not None
+        numbers, watch, _ = self._memory
+        scales = setup.scales
+        numbers.values[:], numbers.sizes[:] = setup.values, setup.sizes
+        numbers.scales[:] = (
+            scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
+        )  # fmt: skip
+        numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
+        watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
+        scene = self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
+        self._call(scene, _BEGUN._replace(floor=floor), block, found, series)
+
+    def _call(
+        self,
+        scene: SceneBatch,
+        rows: BatchInputs,
+        block: TraceBuffer,
+        found: BatchResult,
+        series: Array,
+    ) -> int:
+        loop = self.loop
+        arguments = (
+            loop.program, loop.pace, loop.memory, scene, *self._memory, rows, block, found, series,
+        )  # fmt: skip
+        if self._entry is None:
+            self._entry = entry(run_batch, *arguments)
+        return self._entry(*arguments)
+
+
+class _Inputs(NamedTuple):
+    """Tape of the numbers of runs by the values of some parameters."""
+
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    given: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
+    fixed: Array  # What it takes, but for these.
+
+
+_BEGUN = BatchInputs(
+    np.empty((0, 3), np.int32), np.empty(0), np.empty(0, np.int32), np.empty((1, 0)), np.zeros(1),
+    np.zeros(0, np.bool_), 0, 0.0, alone=True, begun=True,
+)  # fmt: skip
+
+
+def no_rules(numbers: SceneNumbers) -> Rules:
+    """Return what stands for the rules where runs are not started by the loop."""
+    none, nowhere = np.empty(0), np.empty(0, np.int64)
+    return Rules(nowhere, none, none, nowhere, 0, 0, 0, np.zeros(len(numbers.stops), np.bool_))
+
+
+def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
+    """Return (c, 6): whether a contact may start in the state of that code, as declared."""
+    found = np.zeros((len(names), len(_NAMES)), np.bool_)
+    for place, name in enumerate(names):
+        wanted = declared.get(name)
+        for code, state in _NAMES.items():
+            fits = {state, *superstates_of((state,)).values()}
+            found[place, code] = wanted is None or wanted in fits
+    return found
+
+
+def _declared(
+    numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw], relative: float
+) -> SceneBatch:
+    """Return what is the same whatever the values: what contacts may do, where coefficients are."""
+    count = len(laws)
+    found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
+    places = [[-1 if place is None else place for place, _ in one] for one in found]
+    fixed = [[value for _, value in one] for one in found]
+    gap, speed, _ = tolerated(relative)
+    stops = [*numbers.stops]
+    return SceneBatch(
+        loop.tapes,
+        rules,
+        np.array(places, np.int64).reshape(count, 3),
+        np.array(fixed, float).reshape(count, 3),
+        np.array([stops.index(m) if m in stops else -1 for m in loop.margins], np.int64),
+        _starts([law.name for law in laws], numbers.scene.initial_modes),
+        gap,
+        speed,
+        doubtful(relative),
+    )
+
+
+def _memory(
+    numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw]
+) -> tuple[Numbers, Watch, SceneWatch]:
+    """Return where runs are made: of their starts, steps and instants."""
+    variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
+    contacts, count = len(laws), int(loop.tapes[1, 5])
+    watch = Watch(
+        np.empty(parameters),
+        np.empty(len(KINDS)),
+        np.empty(len(loop.margins)),
+        np.empty(variables),
+        loop.tapes[1],
+        np.zeros(count),
+        np.zeros(count),
+        0.0,
+    )
+    instants = SceneWatch(
+        loop.tapes[0],
+        loop.tapes[2],
+        numbers.conditions.nodes,
+        numbers.conditions.slots(loop.margins),
+        np.empty(variables + 1),
+        0.0,
+        allowed(tuple([law.states for law in laws])),
+        np.empty((contacts, 2)),
+        np.empty(contacts),
+        np.array([meaning(law) for law in laws], np.int64),
+        *[0.0] * 12,
+    )
+    return run_buffer(parameters, variables, rules), watch, instants
