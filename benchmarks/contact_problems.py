@@ -4,29 +4,31 @@ Runs are made step by step, and the contact problems of every step are kept, wit
 it started from; what is at rest and verified at once is left out. Each method then solves all of
 them from these impulses, and so does the ladder of `contacts.solvers.contact_solver`.
 
-python benchmarks/contact_problems.py [--keep 150] [--tolerance 1e-6] [--file problems.pickle]
+python benchmarks/contact_problems.py [--keep 200] [--tolerance 1e-6]
 """
 
 from __future__ import annotations
 
 import argparse
-import math
-import pickle
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
-from contacts.time_stepping.equations import CONTACT, JOINT
+from contacts.solvers.contact_rows import LAW, ContactRows, complete, measured, scale, swept
+from contacts.solvers.contact_solver import _by_lemke, solve_rows
+from contacts.solvers.proximal_points import by_proximal_points
 from contacts.time_stepping.scene_stepper import SteppedScene
 from contacts.time_stepping.scene_tape import SteppedTape
 from statechart.arrays import Array, Ints
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import SimulationError
+from statechart.kernels.jit import kernel
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
 
@@ -52,6 +54,9 @@ POINTS = (
 )
 """Shipped models of points on surfaces."""
 
+STEP = 1e-3
+"""Of models without one of their own."""
+
 _REST = 1e-10
 """Impulses that miss no more are not looked for again: such problems are left out."""
 
@@ -74,7 +79,7 @@ def steps_of(runner: Runner, values: Mapping[str, float], h: float) -> Iterator[
     begun = runner.automaton.stepper()._begin(values, h, 1e-6, False)
     if begun.failure is not None:
         return
-    stepped, state, k = begun.stepped, begun.setup.initial, 0
+    stepped, state, k = begun.system, begun.setup.initial, 0
     end = min(runner.end(values, until=None), 3.0)
     while k * h < end:
         try:
@@ -93,13 +98,13 @@ def of_shapes(name: str, runner: Runner, values: Mapping[str, float]) -> Iterato
     h = runner.model.settings.step or runner.automaton.own_step()
     for stepped, *_ in steps_of(runner, values, h):
         assert isinstance(stepped, RigidBodyRun)
-        touches, inverse = stepped._room.touches, stepped.numbers.inverse
+        touches, inverse = stepped._workspace.active, stepped.numbers.inverse
         count = int(stepped._memory.many[0])
         keys = [tuple(key) for key in touches.keys[:count].tolist()]
         bodies = touches.bodies[:count].copy()
         for members in islands(bodies):
             yield of_island(name, touches, inverse, bodies, members, keys, known)
-        known = dict(zip(keys, stepped._room.pressed[:count].copy(), strict=True))
+        known = dict(zip(keys, stepped._workspace.pressed[:count].copy(), strict=True))
 
 
 def islands(bodies: Ints) -> list[list[int]]:
@@ -120,7 +125,15 @@ def islands(bodies: Ints) -> list[list[int]]:
     return list(found.values())
 
 
-def of_island(name, touches, inverse, bodies, members, keys, known) -> Problem:
+def of_island(
+    name: str,
+    touches: ActiveContacts,
+    inverse: Array,
+    bodies: Ints,
+    members: list[int],
+    keys: list[tuple[int, ...]],
+    known: Mapping[tuple[int, ...], Array],
+) -> Problem:
     """Return the problem of an island."""
     # In the order of a step, `contacts.rigid_bodies.islands.spread`.
     members = [i for first in range(5) for i in members[first::5]] if len(members) > 5 else members
@@ -167,7 +180,7 @@ def of_points(name: str, runner: Runner) -> Iterator[Problem]:
     for stepped, state, chunk, start in steps_of(runner, {}, STEP):
         assert isinstance(stepped, SteppedScene)
         source: SteppedTape = stepped._source
-        n, c, h = source.size, len(source.names), chunk.h
+        n, h = source.size, chunk.h
         middle = state.copy()
         middle[:n] += 0.5 * h * state[n : 2 * n]
         numbers = source.tape.values(middle, stepped._values, start + 0.5 * h)
@@ -190,21 +203,15 @@ def of_points(name: str, runner: Runner) -> Iterator[Problem]:
         yield dense(name, pushes @ moved[:, :-1], free.reshape(-1, 2), stepped._cones[which])
 
 
-STEP = 1e-3
-
-
 def thinned(problems: Iterator[Problem], keep: int, most: int = 400_000) -> list[Problem]:
     """Return so many problems that are not at rest, spread over all."""
     hard: list[Problem] = []
     for k, problem in enumerate(problems):
         if k >= most:
             break
-        if len(problem.cones) > 1 and (
-            problem.least[:, 0].min() < 0.0 or problem.cones.min() < 0.0
-        ):
-            if residual_of(problem, problem.start) > _REST:
-                hard.append(problem)
-    print(k + 1, len(hard), file=sys.stderr)
+        moves = problem.least[:, 0].min() < 0.0 or problem.cones.min() < 0.0
+        if len(problem.cones) > 1 and moves and residual_of(problem, problem.start) > _REST:
+            hard.append(problem)
     places = np.linspace(0, len(hard) - 1, min(keep, len(hard))).round().astype(int)
     return [hard[k] for k in places]
 
@@ -299,11 +306,61 @@ def recorded(keep: int) -> list[Problem]:
     return found
 
 
+METHODS = ("ladder", "sweeps", "proximal points", "Lemke")
+
+
+@kernel
+def solve(
+    contacts: ContactRows, least: Array, impulses: Array, allowed: float, method: int
+) -> tuple[float, int]:
+    """Improve impulses by one of the `METHODS`; return their residual, and iterations."""
+    if method == 0:
+        return solve_rows(contacts, least, impulses, allowed, False, True)
+    size = scale(contacts, least)
+    left = measured(contacts, least, size, impulses)
+    if method == 1:
+        return swept(contacts, least, size, left, impulses, allowed, 64)
+    if method == 2:
+        return by_proximal_points(contacts, least, impulses, allowed)
+    if len(impulses) <= 64:
+        return _by_lemke(contacts, least, allowed, impulses)
+    return left, 0
+
+
+def contacts_of(problem: Problem) -> ContactRows:
+    """Return the contacts of a problem, with what follows from their rows."""
+    count, moving = len(problem.cones), problem.moving
+    contacts = ContactRows(
+        problem.bodies, moving, problem.rows, problem.columns, np.empty((count, 3)), problem.cones,
+        np.empty((count, LAW)), np.empty((3, 3 * moving + 3)), np.empty((7, count, 2)),
+    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        complete.as_written(contacts)
+    return contacts
+
+
+def replay(problems: list[Problem], allowed: float) -> None:
+    """Print how many problems each method leaves unsolved, the worst residual and the mean time."""
+    for name in dict.fromkeys(problem.name for problem in problems):
+        some = [problem for problem in problems if problem.name == name]
+        line = f"{name:16}{len(some):6}"
+        for method in range(len(METHODS)):
+            residuals, taken = [], 0.0
+            for problem in some:
+                contacts, impulses = contacts_of(problem), problem.start.copy()
+                began = time.process_time()
+                left, _ = solve(contacts, problem.least, impulses, allowed, method)
+                taken += time.process_time() - began
+                residuals.append(left)
+            missed = sum(left > allowed for left in residuals)
+            line += f" |{missed:5}{max(residuals):9.1e}{1e6 * taken / len(some):9.0f} us"
+        print(line, flush=True)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--keep", type=int, default=150)
-    parser.add_argument("--file", type=Path, default=Path("problems.pickle"))
+    parser.add_argument("--keep", type=int, default=200, help="problems of each kind")
+    parser.add_argument("--tolerance", type=float, default=1e-6)
     chosen = parser.parse_args()
-    problems = recorded(chosen.keep)
-    chosen.file.write_bytes(pickle.dumps([tuple(p) for p in problems]))
-    print(len(problems))
+    print(f"{'unsolved, worst':22}", *(f"| {method:22}" for method in METHODS))
+    replay(recorded(chosen.keep), chosen.tolerance)

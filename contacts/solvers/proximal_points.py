@@ -43,7 +43,7 @@ _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
 # A centre that misses less than this part of what the one before did is worth another one, but for
 # a residual that is round-off.
-_FURTHER, _ROUNDED = 0.5, 1e-14
+_FURTHER, _ROUNDED = 0.5, 3e-15
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
