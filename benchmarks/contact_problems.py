@@ -335,7 +335,7 @@ def contacts_of(problem: Problem) -> ContactRows:
         np.empty((count, LAW)), np.empty((3, 3 * moving + 3)), np.empty((7, count, 2)),
     )  # fmt: skip
     with np.errstate(all="ignore"):
-        complete.as_written(contacts)
+        complete(contacts)
     return contacts
 
 

@@ -82,20 +82,10 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.total = count() if _now.say is not None else 0
 
 
-def beside() -> None:
-    """Report that another process compiles while this one goes on."""
-    if _now.say is not None:
-        _now.say(
-            "beside",
-            f"compiling {KERNELS} for the next run; this run is interpreted meanwhile",
-            False,
-        )
-
-
 @contextmanager
-def whole(name: str) -> Iterator[None]:
-    """Time a compilation that reports no progress."""
-    begin(name, lambda: 1)
+def whole(name: str, count: Callable[[], int] = lambda: 1) -> Iterator[None]:
+    """Time a compilation of so many functions, maybe inside another."""
+    begin(name, count)
     try:
         yield
     finally:

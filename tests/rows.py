@@ -13,5 +13,5 @@ def contact_rows(
     contacts = ContactRows.room(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )
-    complete.as_written(contacts)
+    complete(contacts)
     return contacts

@@ -9,7 +9,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import Memory
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 # The cosine of the angle by which the normal of a contact that lasts turns in a step at most.
 _LASTS = 0.95
@@ -54,7 +54,7 @@ class ActiveContacts(NamedTuple):
         )
 
 
-@part
+@kernel
 def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     """Return the velocity of contact i along d (0: normal, 1: tangential)."""
     total = 0.0
@@ -67,7 +67,7 @@ def velocity(bodies: Ints, rows: Array, rates: Array, i: int, d: int) -> float:
     return total
 
 
-@part
+@kernel
 def write_contact(
     mid: Midpoint, b: int, c: int, found: Array, m: int, active: ActiveContacts
 ) -> None:
@@ -86,7 +86,7 @@ def write_contact(
         active.free[m, d] = velocity(bodies, rows, mid.loose, m, d)
 
 
-@part
+@kernel
 def warm_start(
     memory: Memory, first: int, pair: int, feature: int, h: float, m: int, active: ActiveContacts
 ) -> tuple[float, bool, int]:
@@ -108,7 +108,7 @@ def warm_start(
     return level, lasting, place
 
 
-@part
+@kernel
 def turning_change(
     memory: Memory, place: int, m: int, active: ActiveContacts
 ) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 # Bodies that reach farther than so many times the mean have no cell.
 _LARGE = 4.0
@@ -55,13 +55,13 @@ class Grid(NamedTuple):
         )
 
 
-@part
+@kernel
 def _bucket(across: int, up: int, most: int) -> int:
     # Cells above each other have buckets beside each other: three are looked through at once.
     return (across * _ACROSS + up) & (most - 1)
 
 
-@part
+@kernel
 def _sorted_in(grid: Grid) -> int:
     """Put bodies into cells by a counting sort; return how many are large."""
     cells, large, circles = grid.cells, grid.large, grid.circles
@@ -100,7 +100,7 @@ def _sorted_in(grid: Grid) -> int:
     return many
 
 
-@part
+@kernel
 def _list_pairs(grid: Grid) -> int:
     """List the pairs (one < other) whose circles meet; return how many, or -1: place is short."""
     count, most = len(grid.circles), len(grid.heads) - 1
@@ -142,7 +142,7 @@ def _list_pairs(grid: Grid) -> int:
     return found
 
 
-@part
+@kernel
 def _if_near(circles: Array, b: int, c: int, found: int, pairs: Ints) -> int:
     """Write a pair if its circles meet; return how many there are then."""
     x, y = circles[b, 0] - circles[c, 0], circles[b, 1] - circles[c, 1]
@@ -153,7 +153,7 @@ def _if_near(circles: Array, b: int, c: int, found: int, pairs: Ints) -> int:
     return found + 1
 
 
-@part
+@kernel
 def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
     """Whether all that bodies reach is within the circles of the listed pairs."""
     for b in range(len(sizes)):
@@ -164,7 +164,7 @@ def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> b
     return True
 
 
-@beside
+@kernel
 def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
     """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short."""
     circles, listed, pairs, found = grid.circles, grid.listed, grid.pairs, 0

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, late, part
+from statechart.kernels.jit import kernel
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
@@ -26,7 +26,7 @@ _SAME = 1e-3
 _EVEN = 1e-6
 
 
-@part
+@kernel
 def norm(x: float, y: float) -> float:
     """Return a length.
 
@@ -36,7 +36,7 @@ def norm(x: float, y: float) -> float:
     return math.sqrt(x * x + y * y)
 
 
-@part
+@kernel
 def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
     """Write a point of contact; see `FOUND`."""
     found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
@@ -50,7 +50,7 @@ def place(vertices: Array, x: float, y: float, angle: float) -> Array:
     return world
 
 
-@part
+@kernel
 def placed(
     vertices: Array, first: int, end: int, x: float, y: float, c: float, s: float, world: Array
 ) -> None:
@@ -60,7 +60,7 @@ def placed(
         world[i, 1] = y + s * vertices[i, 0] + c * vertices[i, 1]
 
 
-@part
+@kernel
 def _farthest(one: Array, other: Array) -> tuple[float, int]:
     """Return the largest separation along an edge normal of `one`, and that edge."""
     best, edge = -math.inf, 0
@@ -77,7 +77,7 @@ def _farthest(one: Array, other: Array) -> tuple[float, int]:
     return best, edge
 
 
-@part
+@kernel
 def _clipped(
     one: Array, edge: int, other: Array, within: float, flip: bool, found: Array, features: Ints
 ) -> int:
@@ -131,7 +131,7 @@ def _clipped(
     return count
 
 
-@part
+@kernel
 def _corner(one: Array, other: Array, within: float, found: Array, features: Ints) -> int:
     """Take the nearest corners of polygons whose facing edges do not overlap."""
     best, a, b = math.inf, 0, 0
@@ -148,7 +148,7 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
     return 1
 
 
-@late
+@kernel
 def _disc_and_polygon(
     centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
 ) -> int:
@@ -226,7 +226,7 @@ def between(
     return _polygons(one, one_centre, other, other_centre, within, found, features)
 
 
-@late
+@kernel
 def against_faces(
     one: Array, other: Array, within: float, flip: bool, found: Array, features: Ints
 ) -> int:
@@ -245,7 +245,7 @@ def against_faces(
     return _clipped(one, edge, other, within, flip, found, features)
 
 
-@part
+@kernel
 def _reach(corners: Array, middle: Array) -> float:
     """Return how far a polygon reaches from its middle, whichever corner is its first."""
     most = 0.0
@@ -254,7 +254,7 @@ def _reach(corners: Array, middle: Array) -> float:
     return most
 
 
-@late
+@kernel
 def _polygons(
     one: Array, centre: Array, other: Array, beside: Array, within: float, found: Array,
     features: Ints,

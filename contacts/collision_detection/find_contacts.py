@@ -40,7 +40,7 @@ from contacts.collision_detection.time_of_impact import (
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
 """Bodies that cross less than this part of their size in a step are looked at once."""
@@ -68,7 +68,7 @@ class CandidatePair(NamedTuple):
     size: float  # Of the smaller one.
 
 
-@part
+@kernel
 def candidate_pair(
     numbers: BodyNumbers, mid: Midpoint, p: int, q: int, since: float
 ) -> CandidatePair:
@@ -149,13 +149,13 @@ class _Points(NamedTuple):
     worst: Array
 
 
-@part
+@kernel
 def _note(points: _Points, what: int, value: float) -> None:
     """Keep the largest that a detection has found."""
     points.worst[what] = max(points.worst[what], value)
 
 
-@part
+@kernel
 def _of_pieces(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
 ) -> int:
@@ -179,7 +179,7 @@ def _of_pieces(
     )  # fmt: skip
 
 
-@part
+@kernel
 def _met(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
     points: _Points, near: Neighbours,
@@ -205,7 +205,7 @@ def _met(
     return count
 
 
-@part
+@kernel
 def _bared(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
     points: _Points, near: Neighbours, count: int,
@@ -233,7 +233,7 @@ def _bared(
     return count
 
 
-@part
+@kernel
 def _strikes(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
     nearing: float, alike: bool, points: _Points,
@@ -261,7 +261,7 @@ def _strikes(
     return meets
 
 
-@part
+@kernel
 def _kept_up(
     memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
     above: float, active: ActiveContacts,
@@ -287,7 +287,7 @@ def _kept_up(
     return turn
 
 
-@part
+@kernel
 def _takes_part(
     numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
@@ -354,7 +354,7 @@ def _takes_part(
     return True
 
 
-@beside
+@kernel
 def find_contacts(
     numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,

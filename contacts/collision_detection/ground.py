@@ -22,7 +22,7 @@ from contacts.collision_detection.surfaces import (
     seen_from,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 POINTS = 16
 """Points of contact that a pair can have: a polygon on a surface has as many as corners."""
@@ -46,7 +46,7 @@ class Ground(NamedTuple):
     still: Array  # (3, 3): zero.
 
 
-@part
+@kernel
 def _swung(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
     """Write the frames (3, 3) of a surface that moves."""
     for at in range(3):
@@ -58,7 +58,7 @@ def _swung(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> Non
                 ground.frames[at, d] = ground.paths[at, s, d]
 
 
-@part
+@kernel
 def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Array:
     """Return the frame (3,) of a surface at this detection."""
     if numbers.surfaces.carriers[s] >= 0:
@@ -66,14 +66,14 @@ def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Arra
     return ground.paths[1, s] if numbers.surfaces.moves[s] else ground.still[1]
 
 
-@part
+@kernel
 def _moved(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
     """Return where the point of a surface that now is at x, y is at a detection."""
     u, v = seen_from(frames[1], x, y)
     return carried(frames[mid], u, v)
 
 
-@part
+@kernel
 def is_far(
     surfaces: SurfaceNumbers, ground: Ground, mid: Midpoint, p: int, s: int, size: float
 ) -> bool:
@@ -84,7 +84,7 @@ def is_far(
     return distance(surfaces, s, ground.still[1], x, y) > size + mid.reach[p]
 
 
-@part
+@kernel
 def on_surface(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, p: int, s: int, h: float, found: Array,
     features: Ints,
@@ -120,7 +120,7 @@ def on_surface(
     return points, passed
 
 
-@late
+@kernel
 def _passed_over(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], h: float,
     frames: Array, looks: int,
@@ -154,7 +154,7 @@ def _passed_over(
     return inside / looks
 
 
-@part
+@kernel
 def carried_along(
     ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
     active: ActiveContacts,

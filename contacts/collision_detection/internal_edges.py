@@ -37,7 +37,7 @@ from contacts.collision_detection.obstacles import (
     obstacle,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # The normal of a contact is that of a face where it leans by less than this, and the point is
 # between the ends of that.
@@ -48,7 +48,7 @@ _LEANS = 0.1
 _OF_FACE, _OF_CORNER, _COVERED, _BARRED = range(4)
 
 
-@part
+@kernel
 def _beyond(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], far: float
 ) -> tuple[float, float]:
@@ -64,7 +64,7 @@ def _beyond(
     return x, y
 
 
-@part
+@kernel
 def _face(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float = FLUSH
 ) -> int:
@@ -84,7 +84,7 @@ def _face(
     return -1
 
 
-@late
+@kernel
 def _covered_to(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, one: Obstacle, which: int, covering: Ints,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
@@ -109,7 +109,7 @@ def _covered_to(
     return covered
 
 
-@late
+@kernel
 def _is_covered(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, which: int, covering: Ints,
     place: tuple[float, float], outward: tuple[float, float],
@@ -126,7 +126,7 @@ def _is_covered(
     return covered >= length - FLUSH * one.size
 
 
-@late
+@kernel
 def _stands_between(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     i: int, place: tuple[float, float], middle: tuple[float, float], rays: Array,
@@ -170,7 +170,7 @@ def _stands_between(
     return False
 
 
-@part
+@kernel
 def _crosses(
     place: tuple[float, float], middle: tuple[float, float], start: tuple[float, float],
     ray: tuple[float, float], reach: float, near: float,
@@ -186,7 +186,7 @@ def _crosses(
     return -near <= along <= reach + near
 
 
-@late
+@kernel
 def drop_internal_edges(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     side: float, found: Array, features: Ints, count: int,
@@ -221,7 +221,7 @@ def drop_internal_edges(
     return kept, barred < 0.0
 
 
-@part
+@kernel
 def _how(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
     side: float, point: Array, rays: Array,
@@ -276,7 +276,7 @@ def _how(
     return _OF_FACE
 
 
-@part
+@kernel
 def _in_cone(
     other: Obstacle, place: tuple[float, float], outward: tuple[float, float], near: float,
     rays: Array,
@@ -291,7 +291,7 @@ def _in_cone(
     return True
 
 
-@late
+@kernel
 def met_by_faces(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], side: float,
     whole: bool, found: Array, features: Ints,

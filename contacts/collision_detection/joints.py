@@ -22,7 +22,7 @@ from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import carried
 from contacts.solvers.contact_rows import GUIDED, HELD
 from statechart.arrays import Array
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # Round-off of the ends of a joint.
 _ROUNDING = 2.0**-50
@@ -30,14 +30,14 @@ _ROUNDING = 2.0**-50
 _SHORTER = 1.0 - 1e-9
 
 
-@part
+@kernel
 def _bent(x: float, y: float, across: bool, turn: float) -> float:
     """Return how far the end of an arm goes in a step beyond what the rate of its turning says."""
     c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
     return s * x + c * y if across else c * x - s * y
 
 
-@part
+@kernel
 def _joint_rows(
     joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
     past: float, rows: Array, before: Array, free: Array, wanted: Array, closing: Array,
@@ -106,7 +106,7 @@ def _joint_rows(
     return math.hypot(bend_x, bend_y) / h
 
 
-@late
+@kernel
 def add_joints(
     numbers: BodyNumbers, places: Array, memory: Memory, mid: Midpoint, h: float, count: int,
     active: ActiveContacts,
@@ -148,7 +148,7 @@ def add_joints(
     return m
 
 
-@part
+@kernel
 def bent_on(
     joints: JointNumbers, j: int, d: int, places: Array, side: int, turn: float, than: float
 ) -> tuple[float, float]:
@@ -165,7 +165,7 @@ def bent_on(
     return (1.0 - 2.0 * side) * further, math.hypot(rx, ry) * abs(turn)
 
 
-@part
+@kernel
 def held(joints: JointNumbers, one: int, other: int) -> bool:
     """Whether a joint holds two bodies together."""
     for j in range(len(joints.holds)):

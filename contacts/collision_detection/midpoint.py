@@ -10,7 +10,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.convex import norm, placed
 from statechart.arrays import Array, Ints, Ints32
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
 
 
@@ -45,7 +45,7 @@ class Prescribed(NamedTuple):
         )
 
 
-@part
+@kernel
 def _apply(
     forces: ForceProgram,
     registers: tuple[int, Array],
@@ -125,7 +125,7 @@ class Midpoint(NamedTuple):
         )
 
 
-@part
+@kernel
 def move_to_midpoint(
     numbers: BodyNumbers, state: Array, h: float, past: float, mid: Midpoint
 ) -> None:
@@ -162,7 +162,7 @@ def move_to_midpoint(
         gaps[b], pull[b] = math.inf, fall
 
 
-@late
+@kernel
 def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
     time: float, h: float, mid: Midpoint,
@@ -178,7 +178,7 @@ def apply_forces(
         mid.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
 
 
-@part
+@kernel
 def fastest_turn(rates: Array) -> float:
     """Return the largest angular velocity, of either sense."""
     most = 0.0

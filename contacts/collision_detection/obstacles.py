@@ -25,7 +25,7 @@ from contacts.collision_detection.surfaces import (
     tangent_at,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 POLYGON, DISC, HALF, SHEET = range(4)
 """Sorts of obstacles."""
@@ -50,7 +50,7 @@ class Obstacle(NamedTuple):
     size: float  # How far it reaches from its middle; infinite of a half-plane.
 
 
-@part
+@kernel
 def obstacle(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float
 ) -> Obstacle:
@@ -76,13 +76,13 @@ def obstacle(
     return Obstacle(HALF, two, centre, 0.0, math.inf)
 
 
-@part
+@kernel
 def edges(one: Obstacle) -> int:
     """Return how many edges an obstacle has: a sheet has one on each side."""
     return 1 if one.sort == HALF else len(one.corners)
 
 
-@part
+@kernel
 def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
     """Return the begin of an edge, its direction, and its length."""
     j = i + 1 if i + 1 < len(one.corners) else 0
@@ -92,7 +92,7 @@ def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
     return x, y, ex / length, ey / length, (math.inf if one.sort == HALF else length)
 
 
-@part
+@kernel
 def distance_to(one: Obstacle, x: float, y: float) -> float:
     """Return how far a point is outside of an obstacle, along its normals; below zero in it."""
     if one.sort == DISC:
@@ -108,7 +108,7 @@ def distance_to(one: Obstacle, x: float, y: float) -> float:
     return most
 
 
-@part
+@kernel
 def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count: int) -> int:
     """Append the rays of an obstacle's boundary from a point on it; return how many there are.
 
@@ -138,7 +138,7 @@ def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count:
     return count
 
 
-@part
+@kernel
 def between_normals(
     one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
 ) -> bool:
@@ -163,7 +163,7 @@ def between_normals(
     return many > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
 
 
-@part
+@kernel
 def chord(
     one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
 ) -> tuple[float, float]:
@@ -190,7 +190,7 @@ def chord(
     return low, high
 
 
-@part
+@kernel
 def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
     """Return whether an obstacle has a face on the same line that faces the same way.
 
@@ -204,7 +204,7 @@ def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
     return False
 
 
-@part
+@kernel
 def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
     """Return whether two pieces, or a piece and a surface, touch each other by a law."""
     count = len(numbers.pieces.sizes)
@@ -221,7 +221,7 @@ def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
     return b != c and not held(numbers.joints, b, c) and numbers.laws[kinds[b], kinds[c]] >= 0
 
 
-@part
+@kernel
 def _velocity(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
 ) -> tuple[float, float, float]:
@@ -240,7 +240,7 @@ def _velocity(
     return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
 
 
-@part
+@kernel
 def rest_together(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
     h: float, near: float,
@@ -274,7 +274,7 @@ class Neighbours(NamedTuple):
     covering: Ints  # (c,): is overwritten; see `near_obstacles`.
 
 
-@part
+@kernel
 def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
     """Sort pairs by their second piece, by counting."""
     heads = near.heads
@@ -290,7 +290,7 @@ def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
         near.lower[heads[q]] = pairs[i, 0]
 
 
-@part
+@kernel
 def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
     """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
     many = 0
@@ -303,7 +303,7 @@ def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours)
     near.many[0] = many
 
 
-@part
+@kernel
 def near_obstacles(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int],
     near_pieces: Neighbours, h: float, found: Array, count: int,
@@ -370,7 +370,7 @@ def near_obstacles(
     return many
 
 
-@part
+@kernel
 def _near_circle(
     mid: Midpoint, pieces: PieceNumbers, q: int, found: Array, count: int, size: float
 ) -> int:
@@ -383,7 +383,7 @@ def _near_circle(
     return -1
 
 
-@part
+@kernel
 def _near_obstacle(
     numbers: BodyNumbers,
     ground: Ground,
@@ -407,7 +407,7 @@ def _near_obstacle(
     return -1
 
 
-@part
+@kernel
 def _half_length(numbers: BodyNumbers, s: int) -> float:
     a, b, c, d = numbers.surfaces.numbers[s]
     return 0.5 * norm(c - a, d - b)

@@ -12,7 +12,7 @@ import numpy as np
 
 from contacts.collision_detection.convex import between, norm, write
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
 
 LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
@@ -43,7 +43,7 @@ class SurfaceNumbers(NamedTuple):
     values: Array
 
 
-@part
+@kernel
 def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) -> float:
     """Return how far a point is from a surface at least: below zero in the solid."""
     kind = surfaces.kinds[s]
@@ -61,7 +61,7 @@ def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) 
     return away if kind == ROUND else -away
 
 
-@part
+@kernel
 def seen_from(pose: Array, x: float, y: float) -> tuple[float, float]:
     """Return a point of the world in a frame (x, y, angle)."""
     dx, dy = x - pose[0], y - pose[1]
@@ -71,14 +71,14 @@ def seen_from(pose: Array, x: float, y: float) -> tuple[float, float]:
     return c * dx + s * dy, c * dy - s * dx
 
 
-@part
+@kernel
 def carried(pose: Array, x: float, y: float) -> tuple[float, float]:
     """Return a point of a frame (x, y, angle) in the world."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * x - s * y, pose[1] + s * x + c * y
 
 
-@part
+@kernel
 def crossed(
     surfaces: SurfaceNumbers, s: int, before: tuple[float, float], after: tuple[float, float],
     core: float,
@@ -114,7 +114,7 @@ def crossed(
     return 0.0
 
 
-@part
+@kernel
 def against_surface(
     surfaces: SurfaceNumbers,
     s: int,
@@ -200,7 +200,7 @@ def against_surface(
     return count
 
 
-@part
+@kernel
 def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: int) -> int:
     """Evaluate a graph at the first columns of the registers; return its place in the outputs."""
     base, numbers = registers
@@ -208,7 +208,7 @@ def _at(surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], count: i
     return surfaces.graphs[s]
 
 
-@late
+@kernel
 def tangent_at(
     surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
 ) -> tuple[float, float, float, float]:
@@ -232,7 +232,7 @@ def tangent_at(
     return x, y, nx - pose[0], ny - pose[1]
 
 
-@part
+@kernel
 def _beside_disc(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float, middle: Array
 ) -> tuple[float, float, float, float]:
@@ -245,14 +245,14 @@ def _beside_disc(
     return height, slope, x - middle[0] + above * slope, 1.0 + slope * slope + above * bend
 
 
-@part
+@kernel
 def _between_steps(low: float, high: float, x: float, rate: float, steeper: float) -> float:
     """Return Newton's next x, or the middle of a bracket where that leaves it."""
     following = x - rate / steeper if steeper > 0.0 else math.inf
     return following if low < following < high else 0.5 * (low + high)
 
 
-@late
+@kernel
 def _disc_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], middle: Array, radius: float,
     within: float, found: Array,
@@ -293,7 +293,7 @@ def _disc_on_graph(
     return count
 
 
-@late
+@kernel
 def _polygon_on_graph(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], corners: Array, within: float,
     found: Array, features: Ints,

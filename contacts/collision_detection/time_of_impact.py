@@ -10,7 +10,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import between, norm, place
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # Remaining gap at the predicted arrival, relative to the gap now, that counts as a touch.
 _ARRIVED = 0.01
@@ -22,7 +22,7 @@ _LOOKS = 256
 _ELSEWHERE = 0.5
 
 
-@part
+@kernel
 def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
     """When two pieces that move in straight lines are nearer than `apart`; inf, inf if never.
 
@@ -39,7 +39,7 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
     return (-half - root) / square, (-half + root) / square
 
 
-@part
+@kernel
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
     """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
     x = velocities[one, 0] - velocities[other, 0]
@@ -48,7 +48,7 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
     return x * x + y * y < least * least
 
 
-@part
+@kernel
 def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
     """Return how fast turning brings parts of two pieces nearer, which their middles do not tell.
 
@@ -60,7 +60,7 @@ def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
     return total
 
 
-@part
+@kernel
 def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, float]:
     """Return corners, middle and radius of a piece of a body that is there."""
     x, y, angle = pose
@@ -68,7 +68,7 @@ def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, flo
     return corners, place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p]
 
 
-@part
+@kernel
 def _points(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float, within: float,
     found: Array,
@@ -83,7 +83,7 @@ def _points(
     )
 
 
-@part
+@kernel
 def _met(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float,
     normal: tuple[float, float], found: Array,
@@ -115,7 +115,7 @@ def _met(
     return gap, along
 
 
-@part
+@kernel
 def _touch(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
     near: float, aside: Array,
@@ -142,7 +142,7 @@ def _touch(
     return math.inf
 
 
-@late
+@kernel
 def hits_ahead(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     gap: float, nearing: float, h: float, aside: Array,
@@ -158,7 +158,7 @@ def hits_ahead(
     return True, _ELSEWHERE if along < _ALIKE else 0.0
 
 
-@late
+@kernel
 def hits_turning(
     numbers: BodyNumbers,
     mid: Midpoint,
@@ -171,7 +171,7 @@ def hits_turning(
     return _touch(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
 
 
-@late
+@kernel
 def passing_time(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], since: float, deep: float,
     aside: Array,
@@ -184,7 +184,7 @@ def passing_time(
     return left - begin if -since < begin else 0.0
 
 
-@late
+@kernel
 def entered_elsewhere(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     since: float, aside: Array,

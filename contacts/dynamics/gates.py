@@ -23,7 +23,7 @@ from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.automaton.regions import Margin
 from statechart.formulas.condition import Every, Some, replaced
 from statechart.formulas.relation import States, parse_relation
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 HOLDS, FAILS, UNSURE = 1, -1, 0
@@ -166,7 +166,7 @@ def tree(gates: Sequence[Gate | None]) -> Ints:
     return np.array(rows, np.int64).reshape(-1, 3)
 
 
-@seldom
+@kernel
 def truths(nodes: Ints, verdicts: Ints, found: Ints) -> None:
     """Write the verdict of every node (m,) of `tree`, from those of the atoms (k,)."""
     for i in range(nodes.shape[0]):
@@ -179,7 +179,7 @@ def truths(nodes: Ints, verdicts: Ints, found: Ints) -> None:
             found[above] = min(found[above], found[i]) if every else max(found[above], found[i])
 
 
-@seldom
+@kernel
 def opens(whole: int, gap: float, near: float) -> bool:
     """Return whether the gap of a contact that is off is watched, by the verdict of its gate.
 
@@ -188,7 +188,7 @@ def opens(whole: int, gap: float, near: float) -> bool:
     return whole == HOLDS or (whole == UNSURE and gap < -near)
 
 
-@seldom
+@kernel
 def certificates(nodes: Ints, found: Ints, on: Ints, off: Ints) -> None:
     """Write which atoms (k,) decide whether gates go on to hold, and to fail: 1, else 0.
 
@@ -217,13 +217,13 @@ def certificates(nodes: Ints, found: Ints, on: Ints, off: Ints) -> None:
                     break
 
 
-@seldom
+@kernel
 def round_off(size: float, relative: float) -> float:
     """Return up to which amount a condition is zero whose terms are so large."""
     return max(relative * size, UNDERFLOW) if size < math.inf else UNDERFLOW
 
 
-@seldom
+@kernel
 def judge(value: float, rate: float, size: float, slow: float, relative: float) -> int:
     """Judge a condition by its margin and the first derivative of that.
 
@@ -239,7 +239,7 @@ def judge(value: float, rate: float, size: float, slow: float, relative: float) 
     return UNSURE
 
 
-@seldom
+@kernel
 def conditions_at(
     code: Ints32,
     constants: Array,
@@ -272,7 +272,7 @@ def conditions_at(
     return found
 
 
-@seldom
+@kernel
 def judge_atoms(values: Array, relative: float, fired: int, verdicts: Ints) -> None:
     """Write the verdicts of the atoms (k,) from the numbers of `conditions_at`.
 
@@ -287,7 +287,7 @@ def judge_atoms(values: Array, relative: float, fired: int, verdicts: Ints) -> N
         verdicts[k] = verdict
 
 
-@seldom
+@kernel
 def margin_bands(
     nodes: Ints, values: Array, relative: float, near: float, verdicts: Ints, bands: Array
 ) -> None:

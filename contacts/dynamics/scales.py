@@ -16,7 +16,7 @@ from contacts.scene.joints import Path
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.ranges import tape_ranges
 
 _EPS = float(np.finfo(float).eps)
@@ -268,14 +268,14 @@ def _prescribed(
     return [shift for shift in shifts if mechanics.time in shift.free_symbols], turns, levers
 
 
-@seldom
+@kernel
 def bounce_limits(speed: float, acceleration: float, rounding: float) -> tuple[float, float]:
     """Return the height of bounces that are noise, and the speed of the fastest that are summed."""
     noise = _NOISE * rounding
     return noise, max(_FAST * speed, math.sqrt(2.0 * acceleration * noise))
 
 
-@seldom
+@kernel
 def mass_unit(acceleration: float, force: float) -> float:
     """Return the power of two below the mass of a scene where that is extreme; else 0."""
     mass = force / acceleration
@@ -284,14 +284,14 @@ def mass_unit(acceleration: float, force: float) -> float:
     return float(2.0 ** math.floor(math.log2(mass)))
 
 
-@seldom
+@kernel
 def horizon(numbers: Array, begins: Ints) -> float:
     """Return how long a run is by its numbers at the start, between bounds whose squares exist."""
     duration = abs(numbers[begins[DURATION]])
     return min(max(duration, _MIN_SIZE), _MAX_SIZE) if duration < math.inf else _MAX_SIZE
 
 
-@seldom
+@kernel
 def measure(
     numbers: Array,
     begins: Ints,

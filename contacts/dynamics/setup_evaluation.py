@@ -32,7 +32,7 @@ from statechart.engines.mode_table import Program, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import beside
+from statechart.kernels.jit import kernel
 from statechart.kernels.ranges import tape_ranges
 from statechart.kernels.tapes import tape_values
 
@@ -328,7 +328,7 @@ def run_buffer(parameters: int, variables: int, rules: Rules) -> Numbers:
     )
 
 
-@beside
+@kernel
 def run_numbers(
     program: Program,
     tapes: NDArray[np.int64],

@@ -18,7 +18,7 @@ from contacts.solvers.dependence import least
 from contacts.states import OFF
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 
 _ITERATIONS = 50
 # Of the accelerations: contradictory ones are off by their own size, consistent ones by rounding.
@@ -31,7 +31,7 @@ _MOST_NAMED = 6
 _HOVERING = 1e-6
 
 
-@seldom
+@kernel
 def hovers(gap: float, rate: float, near: float, length: float, speed: float) -> bool:
     """Whether a contact starts off its surface by next to nothing, but more than `near`."""
     slow = rate * rate <= _HOVERING * (speed * speed)

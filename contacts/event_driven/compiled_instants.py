@@ -47,7 +47,7 @@ from statechart.execution import compiled_loop as runs
 from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import follow
 from statechart.kernels.copies import put
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
 _BESIDE = 16.0
@@ -91,7 +91,7 @@ class SceneWatch(NamedTuple):
     capture: float
 
 
-@part
+@kernel
 def rules_of(scene: SceneWatch) -> ModeRules:
     """Return what of a scene decides the modes of its contacts."""
     return ModeRules(
@@ -100,7 +100,7 @@ def rules_of(scene: SceneWatch) -> ModeRules:
     )  # fmt: skip
 
 
-@part
+@kernel
 def classified(
     scene: SceneWatch,
     numbers: Array,
@@ -114,7 +114,7 @@ def classified(
     return classify(rules_of(scene), numbers, n, under_way, kept, lowest, taken)
 
 
-@part
+@kernel
 def _closed(
     scene: SceneWatch, kept: Ints, numbers: Array, first: int, group: Ints
 ) -> tuple[int, int]:
@@ -141,7 +141,7 @@ def _closed(
     return count, striking
 
 
-@part
+@kernel
 def _alone(
     scene: SceneWatch, mass: Array, numbers: Array, at: int, place: int, c: int,
     velocity: Array, impulse: Array,
@@ -178,7 +178,7 @@ def _alone(
     return path
 
 
-@seldom
+@kernel
 def _flies(
     numbers: Array, state: Array, cones: Array, fast: Bools, lowest: float, capture: float,
     force: float, acceleration: float,
@@ -227,7 +227,7 @@ def _flies(
     return True
 
 
-@part
+@kernel
 def hit(
     program: Program,
     scene: SceneWatch,
@@ -326,7 +326,7 @@ def meaning(law: ContactLaw) -> int:
     return -1 if law.impact == MOREAU else MEANINGS[law.impact]
 
 
-@part
+@kernel
 def conditions(
     program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float
 ) -> Array:
@@ -337,7 +337,7 @@ def conditions(
     )
 
 
-@part
+@kernel
 def hold_conditions(
     program: Program, watch: Watch, scene: SceneWatch, state: Array, time: float, fired: int
 ) -> None:
@@ -357,7 +357,7 @@ def hold_conditions(
             watch.bands[scene.slots[i]] = bands[i]
 
 
-@part
+@kernel
 def switched(
     scene: SceneWatch, values: Array, numbers: Array, first: int, fired: int, kept: Ints,
     taken: Ints,
@@ -411,7 +411,7 @@ def switched(
     return -2 if unsure else place
 
 
-@part
+@kernel
 def _cause(before: int, after: int) -> int:
     if before == OFF_CODE or after == OFF_CODE:
         return ENABLE if before == OFF_CODE else DISABLE
@@ -424,7 +424,7 @@ def _cause(before: int, after: int) -> int:
     return SLIP if before == PIN else REVERSE
 
 
-@part
+@kernel
 def row_of(program: Program, states: Ints) -> int:
     """Return the mode of these states of the contacts; -1 where it is not compiled."""
     modes = program.modes
@@ -440,7 +440,7 @@ def row_of(program: Program, states: Ints) -> int:
     return -1
 
 
-@part
+@kernel
 def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     """Whether other contacts may have been hit since a contact last was: the laws are to know."""
     if row % _PER_CAUSE != TOUCHDOWN:
@@ -455,7 +455,7 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     return True
 
 
-@part
+@kernel
 def instant(
     program: Program,
     watch: Watch,

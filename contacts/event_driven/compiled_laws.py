@@ -29,7 +29,6 @@ from statechart.automaton.trace_store import RecordedEvent
 from statechart.execution.compiled_loop import Loop
 from statechart.formulas.tape import Tape
 from statechart.kernels.jit import is_ready
-from statechart.kernels.kinds import is_cached
 
 
 class CompiledSceneLaws:
@@ -73,7 +72,7 @@ class CompiledSceneLaws:
 
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk."""
-        return is_cached(run_batch)
+        return run_batch.is_cached
 
     def ready(self) -> bool:
         """Whether it does, and costs nothing to have."""

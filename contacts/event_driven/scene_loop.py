@@ -70,7 +70,7 @@ from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
 from statechart.kernels.copies import put
-from statechart.kernels.jit import entry, kernel, part
+from statechart.kernels.jit import entry, kernel
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
 _PER_CONTACT = 5
@@ -104,7 +104,7 @@ class SceneBatch(NamedTuple):
     doubtful: float
 
 
-@part
+@kernel
 def _watches(
     scene: SceneBatch, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
 ) -> tuple[Watch, SceneWatch]:
@@ -144,7 +144,7 @@ def _watches(
     )  # fmt: skip
 
 
-@part
+@kernel
 def _start(
     program: Program,
     scene: SceneBatch,
@@ -177,7 +177,7 @@ def _start(
     return mode
 
 
-@part
+@kernel
 def _end(
     program: Program, reason: int, margin: int, mode: int, been: Bools, watch: Watch,
     state: Array, time: float,
@@ -210,14 +210,14 @@ def _end(
     return runs.CLOSING if judged else runs.ENDED
 
 
-@part
+@kernel
 def _put_ints(source: Ints, target: Ints) -> None:
     """Copy whole numbers (n,)."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@part
+@kernel
 def _other(values: Array, zeros: Bools) -> bool:
     """Whether other parameters are zero than these."""
     other = False
@@ -226,7 +226,7 @@ def _other(values: Array, zeros: Bools) -> bool:
     return other
 
 
-@part
+@kernel
 def _record_arc(
     block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
 ) -> None:
@@ -255,7 +255,7 @@ def _record_arc(
     used[ARCS], used[TIMES], used[TERMS] = arc + 1, at + steps + 1, place
 
 
-@part
+@kernel
 def _hold(
     program: Program,
     watch: Watch,
@@ -382,14 +382,14 @@ def _run(
             return runs.FELL, -1, 0.0
 
 
-@part
+@kernel
 def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
     """Write the tolerance of each kind of margin."""
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
 
 
-@part
+@kernel
 def _no_series(series: Array) -> None:
     for i in range(series.shape[0]):
         for k in range(WIDTH):
@@ -397,7 +397,7 @@ def _no_series(series: Array) -> None:
         series[i, HIGH] = math.nan
 
 
-@kernel
+@kernel(interpreted=False)
 def run_batch(
     program: Program,
     pace: Pace,

@@ -24,7 +24,7 @@ from contacts.solvers.mode_solver import dot
 from contacts.solvers.saddle_point import INEXACT, SOLVED, saddle
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode, SingularMode
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 ENDED, WEDGED, ENDLESS, POWERLESS, UNTRUSTED = range(5)
 """How a path ends: as it should, wedged and led on, not, nowhere, in what cannot be solved."""
@@ -51,7 +51,7 @@ RAISES = 1e-9
 _ROUNDING = 8 * 2.0**-52
 
 
-@part
+@kernel
 def _along(
     mass: Array, jacobian: Array, n: float, t: float, change: Array
 ) -> tuple[int, float, float, float, float]:
@@ -80,7 +80,7 @@ def _along(
     return POWERLESS, 0.0, 0.0, 0.0, 0.0
 
 
-@part
+@kernel
 def _guided(jacobian: Array) -> bool:
     """Whether the point can move along its normal alone: then friction has nothing to hold."""
     for i in range(jacobian.shape[1]):
@@ -89,7 +89,7 @@ def _guided(jacobian: Array) -> bool:
     return True
 
 
-@part
+@kernel
 def _piece(
     mass: Array, jacobian: Array, cone_n: float, cone_t: float, u_t: float, change: Array
 ) -> tuple[int, int, float, float, float, float]:
@@ -115,7 +115,7 @@ def _piece(
     return ENDED, WEDGE, 0.0, 0.0, 0.0, 0.0
 
 
-@part
+@kernel
 def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
     """Solve ``normal (u_n s + u_n' s^2 / 2) = left`` for s >= 0."""
     if left <= 0.0 or normal <= 0.0:
@@ -127,7 +127,7 @@ def _energetic(rate: float, normal: float, u_n: float, left: float) -> float:
     return 2.0 * share / (u_n + root) if u_n + root > 0.0 else math.inf
 
 
-@seldom
+@kernel
 def strike(
     mass: Array,
     jacobian: Array,

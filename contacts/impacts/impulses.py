@@ -30,7 +30,7 @@ from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
 _MAX_ENUMERATED = 4
@@ -65,7 +65,7 @@ class ImpactProblem(NamedTuple):
     plastic: bool  # Whether nothing rebounds: then no impulses can raise the energy
 
 
-@seldom
+@kernel
 def velocities_after(problem: ImpactProblem, change: Array, after: Array, terms: Array) -> float:
     """Write the velocities (g, 2) after a change, and the sizes of the terms they consist of.
 
@@ -87,7 +87,7 @@ def velocities_after(problem: ImpactProblem, change: Array, after: Array, terms:
     return most
 
 
-@seldom
+@kernel
 def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest: float) -> float:
     """Return the largest change of momentum that no impulse explains, relative to its terms.
 
@@ -116,7 +116,7 @@ def unexplained(problem: ImpactProblem, change: Array, impulses: Array, fastest:
     return worst
 
 
-@seldom
+@kernel
 def work_of(problem: ImpactProblem, change: Array, impulses: Array) -> tuple[float, float]:
     """Return the work of impulses against the surfaces, and the size of the terms it is made of.
 
@@ -150,7 +150,7 @@ def work_of(problem: ImpactProblem, change: Array, impulses: Array) -> tuple[flo
     return of_momenta, size_of
 
 
-@part
+@kernel
 def _judge_impact(
     problem: ImpactProblem, code: Ints, change: Array, impulses: Array
 ) -> tuple[float, float]:
@@ -199,7 +199,7 @@ def _judge_impact(
     return worst, edge
 
 
-@seldom
+@kernel
 def solve_impacts(
     problem: ImpactProblem,
     codes: Ints,
@@ -232,7 +232,7 @@ def solve_impacts(
                 violations[k] = edges[k] = math.inf
 
 
-@seldom
+@kernel
 def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
     """List what a contact may do in an impact; return how many."""
     modes[0] = FREE
@@ -246,7 +246,7 @@ def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
     return 5 if cone[1] > _STEEP * cone[0] else 4
 
 
-@part
+@kernel
 def strike_group(
     rules: ModeRules, numbers: Array, restitution: Array, group: Ints, velocity: Array,
     impulse: Array,

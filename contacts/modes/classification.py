@@ -48,7 +48,7 @@ from statechart.automaton.laws import roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Key, Roles
 from statechart.errors import AmbiguousMode, NoConsistentMode, NonFinite
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 _WORDS = {
     INTO: "it would accelerate at {:.3g} into the surface",
@@ -349,7 +349,7 @@ ENDLESS = 1e13
 _MAX_COMBINATIONS = 64
 
 
-@part
+@kernel
 def _doubted(
     codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
 ) -> bool:
@@ -362,7 +362,7 @@ def _doubted(
     return False
 
 
-@seldom
+@kernel
 def classify(
     rules: ModeRules,
     numbers: Array,

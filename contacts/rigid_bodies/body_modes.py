@@ -29,7 +29,7 @@ from contacts.time_stepping.settling import (
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 # A normal this near to that of a plate is that of its face, not of its end.
 _PARALLEL = 1e-9
@@ -38,7 +38,7 @@ HOVERS = 2
 """In the place of 1 in `Memory.shown`: the body falls over the gap at which it landed."""
 
 
-@part
+@kernel
 def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
     """Let bodies settle whose mode changes in step k; return whether there are."""
     found = False
@@ -50,7 +50,7 @@ def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
     return found
 
 
-@part
+@kernel
 def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
     """Return the piece and the surface of a contact with this key."""
     count = len(numbers.pieces.sizes)
@@ -58,7 +58,7 @@ def _piece_on_surface(numbers: BodyNumbers, key: int) -> tuple[int, int]:
     return key // others, key % others - count
 
 
-@part
+@kernel
 def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
     """Return whether a contact is that of a corner or a disc on a straight surface at rest."""
     _, s = _piece_on_surface(numbers, key)
@@ -74,7 +74,7 @@ def _is_straight(numbers: BodyNumbers, key: int, normal: Array) -> bool:
     return abs(normal[0] * x + normal[1] * y) <= _PARALLEL * (abs(x) + abs(y))
 
 
-@part
+@kernel
 def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, counts: Ints) -> None:
     """Write how many contacts bodies (b,) have; -1: some that are not read from accelerations."""
     for b in range(len(counts)):
@@ -94,7 +94,7 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
             counts[b] += 1
 
 
-@part
+@kernel
 def _write_accelerations(
     numbers: BodyNumbers, active: ActiveContacts, i: int, turning: float, h: float, found: Array,
     sizes: Array,
@@ -108,7 +108,7 @@ def _write_accelerations(
         found[d], sizes[d] = forced + bias, abs(forced) + abs(bias)
 
 
-@part
+@kernel
 def _remember_landing(
     numbers: BodyNumbers,
     memory: Memory,
@@ -134,7 +134,7 @@ def _remember_landing(
     landed[4], landed[5] = c * u + s * v, c * v - s * u
 
 
-@part
+@kernel
 def _hovers(memory: Memory, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
     """Return whether a corner falls over no more than the gap at which it landed.
 
@@ -157,7 +157,7 @@ def _hovers(memory: Memory, space: Workspace, rates: Array, b: int, h: float, al
     return falls and gap <= above + near and (alone or gap > near)
 
 
-@beside
+@kernel
 def settle_bodies(
     numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, k: int,
     chunk: Chunk,
@@ -194,7 +194,7 @@ def settle_bodies(
         chunk.modes[k, b] = mode
 
 
-@part
+@kernel
 def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
     """End the settling of bodies whose impulses in step k agree with the modes shown."""
     for b in range(len(memory.shown)):
@@ -205,7 +205,7 @@ def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
             memory.landed[b, 0] = 0.0
 
 
-@part
+@kernel
 def _body_mode(
     numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, b: int,
     most: int, k: int, chunk: Chunk,

@@ -30,7 +30,7 @@ from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
 from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import beside, late, part, stepwise
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import BLOCK, filled
 
 # Impacts are no later after the middle of a step than this part of it: something is after them.
@@ -42,7 +42,7 @@ LEAST = 1e-9
 """Impulses are known to this part of the largest on a body, whatever is allowed."""
 
 
-@beside
+@kernel
 def _store(
     numbers: BodyNumbers, memory: Memory, space: Workspace, seen: DetectionResult, allowed: float,
     rates: Array, k: int, chunk: Chunk,
@@ -103,7 +103,7 @@ def _store(
                 chunk.codes[k, b] = SLIDE
 
 
-@part
+@kernel
 def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
     """Whether all that is struck in a step may land, after the middle of the step."""
     found = False
@@ -115,7 +115,7 @@ def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
     return found
 
 
-@part
+@kernel
 def _without_impacts(
     numbers: BodyNumbers, active: ActiveContacts, loose: Array, count: int, early: Array
 ) -> None:
@@ -130,7 +130,7 @@ def _without_impacts(
                 push(active.bodies, active.rows, numbers.inverse, early, i, d, active.pushes[i, d])
 
 
-@part
+@kernel
 def _landing(
     space: Workspace, rates: Array, early: Array, h: float, fall: float, count: int
 ) -> float:
@@ -156,7 +156,7 @@ def _landing(
     return first
 
 
-@late
+@kernel
 def _store_joints(
     numbers: BodyNumbers, memory: Memory, space: Workspace, first: int, k: int, rates: Array,
     chunk: Chunk,
@@ -198,7 +198,7 @@ def _store_joints(
     memory.many[0] = first + len(holds)
 
 
-@part
+@kernel
 def _shown(rates: Array, old: Array, forced: Array) -> None:
     """Bound what forces make of rates by what a step makes of them.
 
@@ -211,7 +211,7 @@ def _shown(rates: Array, old: Array, forced: Array) -> None:
             forced[b, d] = min(max(forced[b, d], old[b, d] - most), old[b, d] + most)
 
 
-@part
+@kernel
 def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: int) -> float:
     """Return how fast what is hit in the middle of a step approaches as it is shown until then."""
     fastest = 0.0
@@ -223,7 +223,7 @@ def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: in
     return fastest
 
 
-@part
+@kernel
 def _remember(memory: Memory, kept: Memory) -> None:
     """Copy what is remembered, in place."""
     count = memory.many[0]
@@ -237,7 +237,7 @@ def _remember(memory: Memory, kept: Memory) -> None:
         kept.shown[b, 0], kept.shown[b, 1] = memory.shown[b]
 
 
-@part
+@kernel
 def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
     """Whether a body goes far in a step, beside the smallest."""
     count, least, most = len(numbers.sizes), math.inf, 0.0
@@ -250,7 +250,7 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
     return h * most > _FAR * least
 
 
-@stepwise
+@kernel
 def step_bodies(
     numbers: BodyNumbers,
     around: Prescribed,

@@ -17,7 +17,6 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
-from contacts.rigid_bodies.body_step import step_bodies
 from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
     closed_joints,
@@ -44,7 +43,6 @@ from statechart.automaton.regions import Region, State, StopCondition, stop_cond
 from statechart.automaton.time_stepper import USUAL
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
-from statechart.kernels.jit import by_python, is_ready
 
 # Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
 _START_DEPTH = 1e-6
@@ -269,11 +267,7 @@ class BodyStepper(Stepper):
         bodies = bodies._replace(joints=joints)
 
         def detect(numbers: BodyNumbers, start: Array) -> DetectedContacts:
-            run = run_of(numbers)
-            # One step does not pay to compile it.
-            if is_ready(step_bodies):
-                return run.detect(start, 0.0, 1e-9 * length / speed)
-            return by_python(lambda: run.detect(start, 0.0, 1e-9 * length / speed))
+            return run_of(numbers).detect(start, 0.0, 1e-9 * length / speed)
 
         near = _START_DEPTH * length
         try:

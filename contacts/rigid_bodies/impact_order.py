@@ -12,13 +12,13 @@ from contacts.solvers.contact_rows import ContactRows, slope
 from contacts.solvers.impact_sequence import in_turn
 from contacts.time_stepping.chunk import LIVELY, SLOW
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 PLASTIC, CAPPED, SEQUENTIAL = range(3)
 """What is hit together does, as `contacts.scene.parts.Simultaneous` names it."""
 
 
-@part
+@kernel
 def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     """Return a number of the two things that touch at a contact, whichever pieces of them do."""
     one, other = active.bodies[i]
@@ -29,14 +29,14 @@ def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     return int((bodies + one) * (bodies + surfaces) + active.keys[i, 0] % (pieces + surfaces))
 
 
-@part
+@kernel
 def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> float:
     """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`."""
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     return SLOW * max(fall, abs(active.free[i, 0] - active.before[i, 0]))
 
 
-@late
+@kernel
 def impacts_in_turn(
     numbers: BodyNumbers, active: ActiveContacts, members: Ints, contacts: ContactRows, h: float,
     start: Array, unforced: Array, asked: Array, rebounds: Bools, sudden: Array, allowed: float,
@@ -90,7 +90,7 @@ def impacts_in_turn(
     return done, missed, left
 
 
-@part
+@kernel
 def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> bool:
     """Return whether a body is struck at once at several of the things that it touches."""
     for a in range(len(pairs)):
@@ -109,7 +109,7 @@ def order_matters(bodies: Ints, pairs: Ints, lively: Bools, struck: Ints) -> boo
     return False
 
 
-@late
+@kernel
 def is_ambiguous(
     numbers: BodyNumbers, active: ActiveContacts, members: Ints, contacts: ContactRows, h: float,
     impulses: Array, struck: Ints,

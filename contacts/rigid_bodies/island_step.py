@@ -32,14 +32,14 @@ from contacts.time_stepping.chunk import (
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import beside, late, part
+from statechart.kernels.jit import kernel
 
 # Contacts that are next to each other are of the same body: where they are solved so many apart
 # impulses get through an island in a tenth fewer sweeps, and none waits for the one before.
 _STRIDE = 5
 
 
-@part
+@kernel
 def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: Ints) -> None:
     """Write which contacts belong together, by a counting sort.
 
@@ -75,7 +75,7 @@ def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: I
     begins[len(parents)] = count
 
 
-@part
+@kernel
 def spread(members: Ints, spare: Ints) -> None:
     """Put the contacts of an island in the order in which they are solved, in place."""
     count, at = len(members), 0
@@ -89,7 +89,7 @@ def spread(members: Ints, spare: Ints) -> None:
             at += 1
 
 
-@part
+@kernel
 def island_rows(
     members: Ints, bodies: Ints, rows: Array, inverse: Array, cones: Array, local: Ints,
     space: ContactRows,
@@ -141,7 +141,7 @@ def island_rows(
     return contacts
 
 
-@part
+@kernel
 def push(
     bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
 ) -> None:
@@ -161,7 +161,7 @@ _ROUNDING = 64.0 * 2.0**-52
 _HOLDS_NOTHING = 0.1
 
 
-@late
+@kernel
 def note_worst(inverse: Array, bodies: Ints, members: Ints, missed: float, worst: Array) -> None:
     """Note an island if its masses differ by more than those of islands noted before.
 
@@ -212,7 +212,7 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
 _NEAR = 1e-2
 
 
-@part
+@kernel
 def _near(allowed: float, slow: float, fast: float) -> float:
     """Return a residual for what approaches slower than others in a step.
 
@@ -221,7 +221,7 @@ def _near(allowed: float, slow: float, fast: float) -> float:
     return min(allowed * fast / slow, max(allowed, _NEAR)) if slow > 0.0 else allowed
 
 
-@part
+@kernel
 def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array) -> int:
     """Add the impulses of impacts in turn to those after them; return how many are not struck."""
     active, quiet = space.active, 0
@@ -236,7 +236,7 @@ def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array)
     return quiet
 
 
-@beside
+@kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     allowed: float, effort: Array,
@@ -344,7 +344,7 @@ def solve_islands(
         effort[WORK] += done * size
 
 
-@beside
+@kernel
 def _forces(
     numbers: BodyNumbers, space: Workspace, members: Ints, quiet: int, allowed: float, fast: float
 ) -> None:

@@ -13,7 +13,7 @@ from contacts.solvers.contact_rows import HELD, ContactRows, add, joint_work, mo
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import late
+from statechart.kernels.jit import kernel
 
 # Fixed-point iterations that close joints; they end when the remaining work has not shrunk by this
 # factor in so many. Joints stay open where that work, or the work of their impulses, is more than
@@ -21,7 +21,7 @@ from statechart.kernels.jit import late
 _TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
 
 
-@late
+@kernel
 def _followed(
     numbers: BodyNumbers, space: Workspace, members: Ints, contacts: ContactRows, h: float,
     impulses: Array, sudden: Array, in_turn: bool, turns: Array,
@@ -82,7 +82,7 @@ def _followed(
     return most, fastest, work, energy
 
 
-@late
+@kernel
 def close_joints(
     numbers: BodyNumbers, space: Workspace, members: Ints, contacts: ContactRows, h: float,
     rebounds: Bools, sudden: Array, in_turn: bool, near: float, bound: float, allowed: float,

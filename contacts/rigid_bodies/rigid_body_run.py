@@ -419,7 +419,7 @@ class RigidBodyRun(SteppedSystem):
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():
                 break
-            some = chunk.after(done).first(step_bodies.together(count - done))
+            some = chunk.after(done).first(count - done)
             taken, status = step_bodies(
                 self.numbers, ahead.after(done), start, done, self._law,
                 self._forces, self._memory, self._workspace, (self._allowed, deepest), some,

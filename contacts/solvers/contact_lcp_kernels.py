@@ -13,7 +13,7 @@ import numpy as np
 from contacts.solvers.lemke import FOUND, lemke, on_support, row_residual
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, late, part
+from statechart.kernels.jit import kernel
 
 STEEPEST = 2.0**-12
 """No cone's edge is steeper: its normal part, of 1, counts as at least this."""
@@ -89,7 +89,7 @@ def step_residual(matrix: Array, vector: Array, z: Array) -> float:
     return row_residual(matrix, vector, z, UNKNOWNS, 1e-3 * ROUNDING / RESIDUAL)
 
 
-@part
+@kernel
 def _settled(z: Array) -> Array:
     """Return z without what is rounding: of impulses, and of slip speeds."""
     largest = np.zeros(2)
@@ -103,7 +103,7 @@ def _settled(z: Array) -> Array:
     return result
 
 
-@part
+@kernel
 def _scales(matrix: Array) -> Array:
     """Return powers of two that make what depends on units near 1: impulses, and slip speeds.
 
@@ -118,7 +118,7 @@ def _scales(matrix: Array) -> Array:
     return scales
 
 
-@part
+@kernel
 def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, Array, Bools]:
     """Improve a basis until it solves the problem; return (solved, regular, z, basis)."""
     size = len(vector)
@@ -151,7 +151,7 @@ def _improved(matrix: Array, vector: Array, guess: Bools) -> tuple[bool, bool, A
     return False, True, z, basis
 
 
-@late
+@kernel
 def _by_lemke(matrix: Array, vector: Array, limit: int, z: Array) -> bool:
     """Solve by Lemke's algorithm; write z, zero where it finds none."""
     size = len(vector)
@@ -165,7 +165,7 @@ def _by_lemke(matrix: Array, vector: Array, limit: int, z: Array) -> bool:
     return regular
 
 
-@late
+@kernel
 def _proximal(matrix: Array, vector: Array, guess: Bools, limit: int, z: Array) -> bool:
     """Solve with delta (z - z_before) added to w, until it comes no closer (Rockafellar 1976).
 
@@ -243,7 +243,7 @@ def solve_contacts(
     return False, np.zeros(size), basis
 
 
-@part
+@kernel
 def impulses_by_lemke(
     delassus: Array, least: Array, cones: Array, slides: Array, by_scales: bool
 ) -> tuple[bool, Array]:
@@ -272,7 +272,7 @@ def impulses_by_lemke(
     return outcome == FOUND, _along_edges(impulses_of(most * scales * z), cones, slides)
 
 
-@part
+@kernel
 def forces_near(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools
 ) -> tuple[bool, Array]:
@@ -300,7 +300,7 @@ def forces_near(
     return solved, forces
 
 
-@part
+@kernel
 def _along_edges(impulses: Array, cones: Array, slides: Array) -> Array:
     """Return impulses (m, 2); of what slides they are those along its edge, in place."""
     for i in range(len(cones)):
@@ -310,7 +310,7 @@ def _along_edges(impulses: Array, cones: Array, slides: Array) -> Array:
     return impulses
 
 
-@part
+@kernel
 def pivots(contacts: int) -> int:
     """Return how many pivots are allowed."""
     return 50 + 20 * UNKNOWNS * contacts

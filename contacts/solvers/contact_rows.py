@@ -16,7 +16,7 @@ from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 HELD, GUIDED = -1.0, -2.0
 """In the place of the first number of a cone: both directions of a row are held, whatever it takes;
@@ -74,7 +74,7 @@ class ContactRows(NamedTuple):
         )
 
 
-@part
+@kernel
 def complete(contacts: ContactRows) -> None:
     """Write what a contact's own impulses do to its velocity, and how it is solved alone."""
     rows, columns, own = contacts.rows, contacts.columns, contacts.own
@@ -87,7 +87,7 @@ def complete(contacts: ContactRows) -> None:
         law_of(own[i], slope(contacts.cones[i]), contacts.laws[i])
 
 
-@part
+@kernel
 def slope(cone: Array) -> float:
     """Return the coefficient of friction, which `STEEPEST` bounds; or `HELD`, or `GUIDED`."""
     if cone[0] < 0.0:
@@ -95,7 +95,7 @@ def slope(cone: Array) -> float:
     return cone[1] / max(cone[0], STEEPEST)
 
 
-@part
+@kernel
 def rates_of(contacts: ContactRows, which: int) -> Array:
     """Return rates of all bodies, and of what nothing moves, of those to work with: none."""
     rates = contacts.rates[which, : 3 * contacts.moving + 3]
@@ -104,7 +104,7 @@ def rates_of(contacts: ContactRows, which: int) -> Array:
     return rates
 
 
-@part
+@kernel
 def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: Array) -> None:
     """Add to the rates what an impulse of contact i does to them."""
     bodies, columns = contacts.bodies, contacts.columns
@@ -115,7 +115,7 @@ def add(contacts: ContactRows, i: int, normal: float, tangential: float, rates: 
         rates[at + 2] += columns[i, 0, k + 2] * normal + columns[i, 1, k + 2] * tangential
 
 
-@part
+@kernel
 def without(contacts: ContactRows, i: int, rates: Array) -> None:
     """Write that what contact i moves is at rest."""
     for side in range(contacts.bodies.shape[1]):
@@ -123,7 +123,7 @@ def without(contacts: ContactRows, i: int, rates: Array) -> None:
             rates[3 * contacts.bodies[i, side] + k] = 0.0
 
 
-@part
+@kernel
 def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
     """Return what rates are as a velocity of contact i, normal (0) or tangential (1)."""
     bodies, rows, total = contacts.bodies, contacts.rows, 0.0
@@ -134,7 +134,7 @@ def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
     return total
 
 
-@part
+@kernel
 def seen(contacts: ContactRows, i: int, least: Array, rates: Array) -> tuple[float, float]:
     """Return the velocity of contact i, normal and tangential."""
     bodies, rows = contacts.bodies, contacts.rows
@@ -147,7 +147,7 @@ def seen(contacts: ContactRows, i: int, least: Array, rates: Array) -> tuple[flo
     return normal, slip
 
 
-@part
+@kernel
 def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
     """Write how impulses (m, 2) change the rates."""
     for k in range(len(rates)):
@@ -157,7 +157,7 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
             add(contacts, i, impulses[i, 0], impulses[i, 1], rates)
 
 
-@late
+@kernel
 def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
     """Return the work of joints in a step, if they do any: what they took, as their arms turn."""
     rates, work = rates_of(contacts, 0), 0.0
@@ -170,7 +170,7 @@ def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Arra
     return max(work, 0.0)
 
 
-@part
+@kernel
 def law_of(own: Array, mu: float, law: Array) -> None:
     """Write what `one_contact` needs to solve a contact's law, whatever its velocity."""
     wn, wt, wx = own
@@ -183,7 +183,7 @@ def law_of(own: Array, mu: float, law: Array) -> None:
         law[at], law[at + 1] = 1.0 / (whole if whole > 0.0 else wn), edge
 
 
-@part
+@kernel
 def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
     """Return the impulses of a single contact whose velocities are these without any."""
     mu = law[0]
@@ -199,7 +199,7 @@ def one_contact(law: Array, normal: float, slip: float) -> tuple[float, float]:
     return pn, law[at + 1] * pn
 
 
-@part
+@kernel
 def _to_stop(cone: Array, normal: float, slip: float) -> float:
     """Return what impulses of a contact are for: its approach, or a part of its slip."""
     mu = slope(cone)
@@ -208,7 +208,7 @@ def _to_stop(cone: Array, normal: float, slip: float) -> float:
     return max(-normal, _RESTING * abs(slip) if mu > 0.0 else 0.0)
 
 
-@part
+@kernel
 def scale(contacts: ContactRows, least: Array) -> float:
     """Return what residuals are parts of: the fastest approach without impulses (m, 2).
 
@@ -220,7 +220,7 @@ def scale(contacts: ContactRows, least: Array) -> float:
     return size
 
 
-@part
+@kernel
 def scale_beside(contacts: ContactRows, free: Array, wanted: Array) -> float:
     """Return the `scale` of the sum of both."""
     size = 0.0
@@ -230,7 +230,7 @@ def scale_beside(contacts: ContactRows, free: Array, wanted: Array) -> float:
     return size
 
 
-@part
+@kernel
 def residual(
     contacts: ContactRows, least: Array, size: float, impulses: Array, rates: Array
 ) -> float:
@@ -261,7 +261,7 @@ def residual(
     return missed / size if size > 0.0 else math.inf
 
 
-@part
+@kernel
 def measured(contacts: ContactRows, least: Array, size: float, impulses: Array) -> float:
     """Return the `residual` of impulses, whose rates the first of `ContactRows.rates` then are."""
     rates = rates_of(contacts, 0)
@@ -269,7 +269,7 @@ def measured(contacts: ContactRows, least: Array, size: float, impulses: Array) 
     return residual(contacts, least, size, impulses, rates)
 
 
-@part
+@kernel
 def _sweep(
     contacts: ContactRows, least: Array, impulses: Array, rates: Array, change: Array
 ) -> tuple[float, float]:
@@ -296,7 +296,7 @@ def _sweep(
     return total, most
 
 
-@late
+@kernel
 def swept(
     contacts: ContactRows, least: Array, size: float, lowest: float, impulses: Array,
     allowed: float, most: int,

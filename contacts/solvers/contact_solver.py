@@ -33,7 +33,7 @@ from contacts.solvers.contact_rows import (
 from contacts.solvers.proximal_points import VERIFIED, by_proximal_points
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import beside, kernel, late
+from statechart.kernels.jit import kernel
 
 # Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
 _SMALL = 8
@@ -43,7 +43,7 @@ _SWEEPS = 64
 _LEMKE = 64
 
 
-@beside
+@kernel
 def solve_rows(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool, last: bool
 ) -> tuple[float, int]:
@@ -130,7 +130,7 @@ def dense_impulses(
     return left, impulses
 
 
-@late
+@kernel
 def _by_lemke(
     contacts: ContactRows, least: Array, allowed: float, impulses: Array
 ) -> tuple[float, int]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.solvers.saddle_point import SMALLEST, largest_in_column, largest_size, power_of_two
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 
 CANCELLING = 1e-10
 """Of rows that are solved with: nearer, the forces and accelerations are huge and cancel, and of
@@ -24,7 +24,7 @@ DEAD_POINT = 1e-5
 leaving its way on to rounding."""
 
 
-@seldom
+@kernel
 def independent(rows: Array, near: float = CANCELLING) -> tuple[int, Ints, Ints]:
     """Return the rank, and the orders of rows and columns: the first `rank` are independent.
 

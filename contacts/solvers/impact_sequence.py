@@ -13,7 +13,7 @@ from contacts.solvers.island_impulses import island_impulses
 from contacts.solvers.step_impulses import LONGEST_SEQUENCE
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 # Impacts that approach as fast but for this part of it are one: nothing says which of them is
 # first, and the order of bodies is to decide nothing.
@@ -24,7 +24,7 @@ _ROUNDING = 64.0 * 2.0**-52
 _STOPPED = 0.5
 
 
-@part
+@kernel
 def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) -> Ints:
     """Return who takes part in the impact of a contact: what shares bodies, and is hit with it."""
     count = len(pairs)
@@ -45,7 +45,7 @@ def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) 
     return order[:many]
 
 
-@part
+@kernel
 def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
     """Return some of the contacts."""
     count = len(chosen)
@@ -66,7 +66,7 @@ def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
     return room
 
 
-@part
+@kernel
 def _hit(
     contacts: ContactRows, chosen: Ints, now: Array, restitution: Array, slow: Array,
     allowed: float, impulses: Array, rates: Array,
@@ -100,7 +100,7 @@ def _hit(
     return done, left
 
 
-@late
+@kernel
 def in_turn(
     contacts: ContactRows, pairs: Ints, now: Array, restitution: Array, slow: Array,
     allowed: float, impulses: Array,

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 
-@part
+@kernel
 def root(parents: Ints, node: int) -> int:
     """Return the node that stands for a connected component (union-find, paths halved in place)."""
     while parents[node] != node:
@@ -21,14 +21,14 @@ def root(parents: Ints, node: int) -> int:
     return node
 
 
-@part
+@kernel
 def _unite(parents: Ints, one: int, other: int) -> None:
     """Join two components; the smallest node stands for them."""
     one, other = root(parents, one), root(parents, other)
     parents[max(one, other)] = min(one, other)
 
 
-@part
+@kernel
 def _unite_row(parents: Ints, row: Array, count: int) -> int:
     """Join the coordinates of the first `count` entries; return one of them, -1 for none."""
     n, first = len(parents), -1

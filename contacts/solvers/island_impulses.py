@@ -24,7 +24,7 @@ from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.step_impulses import capped, part_within
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import beside, late, part
+from statechart.kernels.jit import kernel
 
 # How often the part of a push-out is looked for whose work is within the bound; what it then is
 # above that, in parts of the impulses, is rounding, and taken from them.
@@ -33,7 +33,7 @@ _NEARER, _AT_BOUND = 3, 1e-12
 _GOOD = 1e-8
 
 
-@part
+@kernel
 def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
     """Write, and return, how impulses change the velocities (m, 2) of the contacts."""
     rates = rates_of(contacts, 0)
@@ -44,13 +44,13 @@ def _changed(contacts: ContactRows, impulses: Array, changes: Array) -> Array:
     return changes
 
 
-@part
+@kernel
 def _velocities(contacts: ContactRows, impulses: Array) -> Array:
     """Return how impulses change the velocities (m, 2) of the contacts."""
     return _changed(contacts, impulses, np.empty((len(impulses), 2)))
 
 
-@part
+@kernel
 def _within(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
@@ -59,7 +59,7 @@ def _within(
     return part_within(impulses, before, free, changes, bound)
 
 
-@part
+@kernel
 def _rebounding(
     contacts: ContactRows, before: Array, free: Array, wanted: Array, rebounds: Bools,
     impulses: Array, allowed: float, rests: bool, last: bool,
@@ -92,14 +92,14 @@ def _rebounding(
     return left if share == 1.0 else max(left, calm), done + further, False
 
 
-@part
+@kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
     """Whether a contact is to be pushed out, or back along its surface."""
     asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
 
-@part
+@kernel
 def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool) -> Array:
     """Return what is wanted without pushing out, or without bringing `joints` back either."""
     result = wanted.copy()
@@ -111,7 +111,7 @@ def _calmer(contacts: ContactRows, wanted: Array, rebounds: Bools, joints: bool)
     return result
 
 
-@late
+@kernel
 def _pushed_in_part(
     contacts: ContactRows, before: Array, free: Array, calmer: Array, wanted: Array,
     rebounds: Bools, full: Array, impulses: Array, allowed: float, bound: float, left: float,
@@ -150,7 +150,7 @@ def _pushed_in_part(
     return left, done, softened
 
 
-@beside
+@kernel
 def island_impulses(
     contacts: ContactRows,
     before: Array,

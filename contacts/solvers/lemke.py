@@ -9,7 +9,7 @@ import numpy as np
 from contacts.solvers.saddle_point import SOLVED, solve_refined
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put_rows
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 FOUND, RAY, SPENT = range(3)
 # Of a pivot relative to the largest entry of its column: smaller ones are rounding.
@@ -102,7 +102,7 @@ def enumerate_bases(matrix: Array, vector: Array, tolerance: float) -> list[int]
     return found
 
 
-@part
+@kernel
 def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
     """Exchange the basic variable of row r with the nonbasic one of column c.
 
@@ -131,7 +131,7 @@ def _pivot(table: Array, right: Array, r: int, c: int, feasible: bool) -> None:
             right[i] = 0.0
 
 
-@part
+@kernel
 def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> int:
     """Note that row and column have exchanged their variables; return the one that left."""
     leaving, entering = basic[r], nonbasic[c]
@@ -140,7 +140,7 @@ def _exchanged(basic: Ints, nonbasic: Ints, column_of: Ints, r: int, c: int) -> 
     return leaving
 
 
-@part
+@kernel
 def _begin(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
@@ -154,7 +154,7 @@ def _begin(
     nonbasic[size], column_of[2 * size] = 2 * size, size
 
 
-@part
+@kernel
 def _made_anew(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
@@ -181,7 +181,7 @@ def _made_anew(
         right[i] = max(right[i], 0.0)
 
 
-@part
+@kernel
 def _lexicographic(
     table: Array, basic: Ints, column_of: Ints, c: int, one: int, other: int
 ) -> bool:

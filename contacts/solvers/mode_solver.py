@@ -19,14 +19,14 @@ from contacts.solvers.saddle_point import (
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 INTO, PULLS, OUTSIDE, AGAINST = range(4)
 # Constraints that others imply are contradicted when the accelerations miss them by this.
 _CONTRADICTED = 1e-9
 
 
-@part
+@kernel
 def dot(a: Array, b: Array) -> float:
     """Return the sum of the products of two rows."""
     total = 0.0
@@ -35,18 +35,18 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
-@part
+@kernel
 def _direction(code: int) -> float:
     return 1.0 if code == SLIDE_PLUS else -1.0 if code == SLIDE_MINUS else 0.0
 
 
-@part
+@kernel
 def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
 
 
-@part
+@kernel
 def _judge(
     verdict: Array,
     accelerations: Array,
@@ -68,7 +68,7 @@ def _judge(
             _worse(verdict, -along / scale, c, AGAINST, along)
 
 
-@seldom
+@kernel
 def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale: float) -> None:
     """Judge the forces of a combination; see `solve_modes`."""
     for c in range(len(code)):
@@ -83,7 +83,7 @@ def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale:
             _worse(verdict, -edge / scale, c, PULLS, V)
 
 
-@part
+@kernel
 def _write_rows(
     rows: Array,
     columns: Array,
@@ -102,7 +102,7 @@ def _write_rows(
             matrix[n + k, n + i] = 0.0
 
 
-@part
+@kernel
 def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
     """Whether accelerations contradict a constraint that others imply."""
     terms, missed = scale, -constant
@@ -112,7 +112,7 @@ def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> 
     return abs(missed) > _CONTRADICTED * terms
 
 
-@seldom
+@kernel
 def solve_modes(
     mass: Array,
     right: Array,

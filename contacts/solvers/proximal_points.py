@@ -28,7 +28,7 @@ from contacts.solvers.contact_rows import (
 from contacts.solvers.sparse_blocks import Equations, equations_of, factored, solved
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put_rows
-from statechart.kernels.jit import late, part
+from statechart.kernels.jit import kernel
 
 OPEN, STICKS, SLIDES = range(3)
 """The status of a contact."""
@@ -41,9 +41,9 @@ round-off ends the fall of the residual: what rests does not creep."""
 # settle, and grows where they do not.
 _FIRST, _LEAST, _LARGEST = 1e-2, 1e-8, 1.0
 _FALLS, _GROWS = 0.5, 4.0
-# A centre that misses less than this part of what the one before did is worth another one, but for
-# a residual that is round-off.
-_FURTHER, _ROUNDED = 0.5, 3e-15
+# A centre that misses less than this part of what the one before did is worth another one; at the
+# least compliance, which impulses begin at that nearly solve the problem, the first is the last.
+_FURTHER = 0.9
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
@@ -53,7 +53,7 @@ _CHANGES, _TURNS = 160, 40
 _ONE, _OTHER = 0, 1
 
 
-@part
+@kernel
 def _add(
     contacts: ContactRows, i: int, d: int, share: float, edge: float, one: int, other: int,
     block: Array,
@@ -66,7 +66,7 @@ def _add(
             block[3 * r + c] += column * rows[3 * other + c]
 
 
-@part
+@kernel
 def eliminated(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array
 ) -> bool:
@@ -112,7 +112,7 @@ def eliminated(
     return factored(equations)
 
 
-@part
+@kernel
 def step(
     contacts: ContactRows, equations: Equations, compliance: float, status: Ints, edges: Array,
     impulses: Array,
@@ -163,7 +163,7 @@ def step(
             impulses[i, 1] += edges[i] * normal
 
 
-@part
+@kernel
 def _find_status(
     contacts: ContactRows, least: Array, now: Array, centre: Array, compliance: float,
     rates: Array, status: Ints, edges: Array,
@@ -190,7 +190,7 @@ def _find_status(
     return different
 
 
-@part
+@kernel
 def _take_step(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
@@ -205,7 +205,7 @@ def _take_step(
     moved(contacts, now, rates)
 
 
-@part
+@kernel
 def _settled(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     compliance: float, rates: Array, status: Ints, edges: Array,
@@ -229,7 +229,7 @@ def _settled(
     return False, _SETTLING
 
 
-@part
+@kernel
 def _kept(
     mu: float, status: int, edge: float, which: int, impulse: Array, normal: float, slip: float
 ) -> float:
@@ -247,7 +247,7 @@ def _kept(
     return -slip if edge > 0.0 else slip
 
 
-@part
+@kernel
 def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: float) -> int:
     """Give a contact its next status, in place; return which of its bounds it then begins at."""
     if status[i] == OPEN:
@@ -263,7 +263,7 @@ def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: flo
     return _ONE if edges[i] > 0.0 else _OTHER
 
 
-@late
+@kernel
 def followed(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     shift: Array, compliance: float, rates: Array, status: Ints, edges: Array,
@@ -352,7 +352,7 @@ def followed(
     return False, _CHANGES
 
 
-@late
+@kernel
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
@@ -390,7 +390,7 @@ def by_proximal_points(
             moved(contacts, now, rates)
             left = residual(contacts, least, size, now, rates)
             idle += 1 if compliance == _LEAST else 0
-            falls = exact and _ROUNDED < left < _FURTHER * lowest
+            falls = exact and compliance > _LEAST and left < _FURTHER * lowest
             if left < lowest:
                 lowest, idle = left, 0
                 put_rows(now, impulses)

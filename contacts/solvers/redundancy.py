@@ -13,10 +13,10 @@ from contacts.solvers.smallest_forces import springs
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 
 
-@seldom
+@kernel
 def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> tuple[Array, Ints]:
     """Return what contacts' forces do to the coordinates (m, n), and whose they are (m,)."""
     rows = np.empty((2 * len(codes), jacobians.shape[2]))
@@ -42,7 +42,7 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
     return rows[:m], owners[:m]
 
 
-@seldom
+@kernel
 def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) -> Bools:
     """Return which contacts can stand in for others: without them there is still what they do.
 
@@ -61,7 +61,7 @@ def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) 
     return found
 
 
-@seldom
+@kernel
 def shared_forces(
     codes: Ints, cones: Array, jacobians: Array, forces: Array
 ) -> tuple[Bools, Array]:
@@ -114,7 +114,7 @@ def smallest(
     return given, shared.tolist()
 
 
-@seldom
+@kernel
 def connected(linked: Bools) -> Ints:
     """Label the connected parts of a symmetric relation (n, n)."""
     labels = np.full(len(linked), -1)

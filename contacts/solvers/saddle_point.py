@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import kernel, part, seldom
+from statechart.kernels.jit import kernel
 
 SOLVED, SINGULAR, INEXACT, REDUNDANT, CONTRADICTORY, UNDETERMINED = range(6)
 
@@ -28,7 +28,7 @@ def power_of_two(size: float) -> float:
     return 1.0
 
 
-@part
+@kernel
 def largest_size(values: Array) -> float:
     """Return the largest absolute value."""
     largest = 0.0
@@ -37,7 +37,7 @@ def largest_size(values: Array) -> float:
     return largest
 
 
-@part
+@kernel
 def largest_in_column(matrix: Array, k: int) -> float:
     """Return the largest absolute value in a column."""
     largest = 0.0
@@ -59,7 +59,7 @@ class Room(NamedTuple):
     order: Ints  # shape (s,)
 
 
-@part
+@kernel
 def room(size: int) -> Room:
     """Return memory for systems of up to so many unknowns."""
     return Room(
@@ -72,7 +72,7 @@ def room(size: int) -> Room:
     )
 
 
-@part
+@kernel
 def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> None:
     """Bring rows and columns to size 1, in place, by powers of two; write those of the columns."""
     # Columns first: masses may span many decades.
@@ -94,7 +94,7 @@ def _equilibrate(scaled: Array, b: Array, size: int, column_scale: Array) -> Non
         b[i] *= scale
 
 
-@part
+@kernel
 def factorise(factors: Array, order: Ints, errors: Array) -> bool:
     """Eliminate with partial pivoting, in place; False where no pivot is left.
 
@@ -131,7 +131,7 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
     return True
 
 
-@part
+@kernel
 def eliminated(factors: Array, order: Ints) -> bool:
     """Eliminate with partial pivoting, in place, what is regular as it was made."""
     size = len(order)
@@ -156,7 +156,7 @@ def eliminated(factors: Array, order: Ints) -> bool:
     return True
 
 
-@part
+@kernel
 def substitute(factors: Array, order: Ints, right: Array, y: Array) -> None:
     """Solve with the factors, forwards and backwards."""
     size = len(order)
@@ -172,7 +172,7 @@ def substitute(factors: Array, order: Ints, right: Array, y: Array) -> None:
         y[i] = total / factors[i, i]
 
 
-@part
+@kernel
 def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     """Solve ``scaled x = b`` with partial pivoting and two refinements.
 
@@ -181,7 +181,7 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
     return solve_in(room(len(b)), scaled, b, x, len(b))
 
 
-@part
+@kernel
 def solve_in(memory: Room, scaled: Array, b: Array, x: Array, size: int) -> int:
     """Do what `solve_refined` does, of the first unknowns of larger arrays."""
     factors, errors, column_scale, y, residual, orders = memory
@@ -219,7 +219,7 @@ def solve_in(memory: Room, scaled: Array, b: Array, x: Array, size: int) -> int:
     return SOLVED
 
 
-@seldom
+@kernel
 def saddle(
     mass: Array, right: Array, rows: Array, columns: Array, constants: Array
 ) -> tuple[int, Array]:

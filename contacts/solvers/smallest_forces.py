@@ -12,7 +12,7 @@ import numpy as np
 from contacts.solvers.dependence import independent
 from contacts.solvers.saddle_point import SOLVED, largest_size, solve_refined
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 
 INSIDE, UPPER, LOWER, APEX = range(4)
 """Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off
@@ -28,7 +28,7 @@ _LEVEL = 1e-3
 _ROUNDING = 64 * 2.0**-52
 
 
-@part
+@kernel
 def _zone(w: Array, cone: Array, sliding: float) -> int:
     side = UPPER if w[1] > 0.0 else LOWER
     if sliding != 0.0:
@@ -40,7 +40,7 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
     return side if cone[0] * w[0] + sign * cone[1] * w[1] >= 0.0 else APEX
 
 
-@part
+@kernel
 def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
     """Project `w` as its zone says."""
     if zone == INSIDE:
@@ -53,7 +53,7 @@ def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
         force[0], force[1] = cone[0] * along, edge * along
 
 
-@part
+@kernel
 def _displaced(reach: Array, y: Array, w: Array) -> None:
     for g in range(len(reach)):
         for d in range(2):
@@ -62,7 +62,7 @@ def _displaced(reach: Array, y: Array, w: Array) -> None:
                 w[g, d] += reach[g, d, i] * y[i]
 
 
-@part
+@kernel
 def _missing(reach: Array, forces: Array, load: Array) -> Array:
     left = load.copy()
     for g in range(len(reach)):
@@ -72,7 +72,7 @@ def _missing(reach: Array, forces: Array, load: Array) -> Array:
     return left
 
 
-@part
+@kernel
 def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     size = reach.shape[2]
     result = np.zeros((size, size))
@@ -86,7 +86,7 @@ def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     return result
 
 
-@part
+@kernel
 def _solved(
     stiffness: Array, zones: Ints, cones: Array, reach: Array, load: Array, w: Array, forces: Array
 ) -> bool:
@@ -105,7 +105,7 @@ def _solved(
     return True
 
 
-@part
+@kernel
 def _borne(
     reach: Array, cones: Array, sliding: Array, load: Array, y: Array, w: Array, forces: Array
 ) -> Array:
@@ -116,7 +116,7 @@ def _borne(
     return _missing(reach, forces, load)
 
 
-@part
+@kernel
 def _along(left: Array, step: Array) -> float:
     rise = 0.0
     for i in range(len(step)):
@@ -124,7 +124,7 @@ def _along(left: Array, step: Array) -> float:
     return rise
 
 
-@part
+@kernel
 def _length(
     reach: Array,
     cones: Array,
@@ -164,7 +164,7 @@ def _length(
     return long
 
 
-@part
+@kernel
 def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     """Return how far the worst `w` is outside its zone."""
     worst = -np.inf
@@ -185,7 +185,7 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     return worst
 
 
-@seldom
+@kernel
 def springs(
     cones: Array, sliding: Array, reach: Array, load: Array, inward: float
 ) -> tuple[bool, Array, Ints, float]:

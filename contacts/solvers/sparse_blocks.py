@@ -17,7 +17,7 @@ import numpy as np
 
 from contacts.solvers.contact_rows import ContactRows
 from statechart.arrays import Array, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 # Entries of the elimination that there is place for at first, for each body.
 _ENTRIES = 16
@@ -41,14 +41,14 @@ class Equations(NamedTuple):
     right: Array  # (m, 2): changes of the velocities of contacts that are asked for.
 
 
-@part
+@kernel
 def _body(contacts: ContactRows, i: int, side: int) -> int:
     """Return a body of a contact by its number; -1 where nothing moves."""
     body = contacts.bodies[i, side]
     return body if body < contacts.moving else -1
 
 
-@part
+@kernel
 def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
     """Return the neighbours of the bodies one after the other, and write where each one's begin."""
     count, sides = contacts.bodies.shape
@@ -86,7 +86,7 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
     return found
 
 
-@part
+@kernel
 def equations_of(contacts: ContactRows) -> Equations:
     """Return place for the equations of contacts, whatever their status."""
     bodies = contacts.moving
@@ -144,7 +144,7 @@ def equations_of(contacts: ContactRows) -> Equations:
     )  # fmt: skip
 
 
-@part
+@kernel
 def _targets(begins: Ints, others: Ints) -> Ints:
     """Put the entries of each body in order; return `Equations.targets`."""
     bodies, pairs = len(begins) - 1, 0
@@ -169,7 +169,7 @@ def _targets(begins: Ints, others: Ints) -> Ints:
     return targets
 
 
-@part
+@kernel
 def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> tuple[Ints, Ints]:
     """Return `Equations.ends` and `Equations.entries`."""
     count, sides = contacts.bodies.shape
@@ -189,7 +189,7 @@ def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> 
     return ends, entries
 
 
-@part
+@kernel
 def _longer(array: Ints, needed: int) -> Ints:
     """Return a copy with place for twice as much as is needed."""
     result = np.empty(2 * needed, np.int64)
@@ -198,7 +198,7 @@ def _longer(array: Ints, needed: int) -> Ints:
     return result
 
 
-@part
+@kernel
 def _inverted(block: Array) -> bool:
     """Invert a block in place (Gauss and Jordan); False where a pivot fails."""
     for k in range(3):
@@ -217,7 +217,7 @@ def _inverted(block: Array) -> bool:
     return True
 
 
-@part
+@kernel
 def _less(block: Array, left: Array, right: Array) -> None:
     """Take a product of two blocks from one."""
     for r in range(3):
@@ -226,7 +226,7 @@ def _less(block: Array, left: Array, right: Array) -> None:
             block[3 * r + k] -= a * right[k] + b * right[3 + k] + c * right[6 + k]
 
 
-@part
+@kernel
 def factored(equations: Equations) -> bool:
     """Eliminate blocks in place: inverses of the pivots, and the factors; False if one fails."""
     begins, others, targets = equations.begins, equations.others, equations.targets
@@ -252,7 +252,7 @@ def factored(equations: Equations) -> bool:
     return True
 
 
-@part
+@kernel
 def solved(equations: Equations) -> None:
     """Solve factored equations; `Equations.rates` are the right side, and become the solution."""
     begins, others, right = equations.begins, equations.others, equations.rates

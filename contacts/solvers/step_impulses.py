@@ -19,7 +19,7 @@ from contacts.solvers.contact_lcp_kernels import (
 from contacts.solvers.saddle_point import largest_size
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import beside, kernel, late, part
+from statechart.kernels.jit import kernel
 
 LONGEST_SEQUENCE = 10_000
 """So many impacts follow each other at an instant: a ball between the floor and one a thousand
@@ -33,7 +33,7 @@ AS_ASKED, SOFTENED, AS_GIVEN = range(3)
 nothing, where no impulses were found that do even that: the best ones are taken."""
 
 
-@part
+@kernel
 def _without_rounding(velocities: Array, size: float) -> None:
     """Set to zero what is rounding of velocities as large as `size`."""
     for i in range(len(velocities)):
@@ -42,7 +42,7 @@ def _without_rounding(velocities: Array, size: float) -> None:
                 velocities[i, d] = 0.0
 
 
-@part
+@kernel
 def _known(
     delassus: Array, free: Array, cones: Array, guess: Bools, limit: int, given: Array
 ) -> tuple[bool, Array, Bools]:
@@ -126,7 +126,7 @@ def solve_impacts(
     return good, z, basis, pushes, least
 
 
-@late
+@kernel
 def _cap(
     delassus: Array, groups: Ints, before: Array, free: Array, rebounds: Bools, rest: Array,
     pushes: Array,
@@ -152,7 +152,7 @@ def smoothed(cones: Array) -> Array:
     return result
 
 
-@part
+@kernel
 def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
     """Return the work of impulses that change the velocities of the contacts by `moved`."""
     # In the place of sums and products of whole arrays, which take seconds to compile.
@@ -163,7 +163,7 @@ def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float
     return 0.5 * work
 
 
-@part
+@kernel
 def _sizes(before: Array, free: Array, impulses: Array) -> float:
     """Return the sizes of what the work of impulses is summed from."""
     begin = end = 0.0
@@ -174,7 +174,7 @@ def _sizes(before: Array, free: Array, impulses: Array) -> float:
     return begin + end
 
 
-@part
+@kernel
 def moved_by(delassus: Array, impulses: Array) -> Array:
     """Return the changes (m, 2) of the contacts' velocities under impulses (m, 2)."""
     flat = impulses.ravel()
@@ -198,7 +198,7 @@ def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
     return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
 
 
-@part
+@kernel
 def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound: float) -> float:
     """Return the largest part of impulses (m, 2), up to 1, whose work is within a bound.
 
@@ -261,7 +261,7 @@ def capped(
     return chosen, share
 
 
-@part
+@kernel
 def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
     """Whether one of those chosen (m,) is of a group."""
     found = False
@@ -270,7 +270,7 @@ def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
     return found
 
 
-@part
+@kernel
 def _part_left(push: Array, force: Array, cone: Array) -> float:
     """Return the largest part of `force`, up to 1, without which `push` is still in its cone."""
     part = 1.0
@@ -299,7 +299,7 @@ def into_cone(impulse: Array, cone: Array) -> Array:
     return result
 
 
-@beside
+@kernel
 def steady_impulses(
     delassus: Array, least: Array, cones: Array, z: Array, pushes: Array, sudden: Bools
 ) -> tuple[Array, Bools]:
@@ -328,7 +328,7 @@ def steady_impulses(
     return steady, slides
 
 
-@part
+@kernel
 def relieve(
     groups: Ints,
     cones: Array,

@@ -19,7 +19,7 @@ from contacts.solvers.step_impulses import AS_ASKED, AS_GIVEN, SOFTENED
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import NonFinite, SimulationError
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 DONE, HARD, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(6)
 """How a chunk ended: with its last step, before a contact problem that was not solved, an inertia
@@ -160,7 +160,7 @@ class SteppedSystem(ABC):
         """
 
 
-@part
+@kernel
 def arriving(
     gap: float, level: float, lasting: bool, nearing: float, ahead: float, slow: float,
     early: float, near: float, h: float,
@@ -197,7 +197,7 @@ def arriving(
     return APART, level, above
 
 
-@part
+@kernel
 def pressed_guess(guess: Bools, slip: float, rough: bool) -> None:
     """Write which unknowns (4,) a contact has that presses and would slip at this speed."""
     guess[0] = True

@@ -10,7 +10,7 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.saddle_point import factorise, substitute
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 HOLDING = 3
 """So many steps hold an impulse: that of a landing; the next, as the motion turned the contact off
@@ -181,7 +181,7 @@ JOINT = 4
 _LIGHTEST = 1e-9
 
 
-@part
+@kernel
 def solve_factored(factors: Array, order: Ints, right: Array) -> Array:
     """Return the solution for one right side (m,)."""
     x = np.empty(len(right))
@@ -189,7 +189,7 @@ def solve_factored(factors: Array, order: Ints, right: Array) -> Array:
     return x
 
 
-@part
+@kernel
 def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     """Return the least inertia (n,) of every coordinate: small beside the bodies' at its levers."""
     reach = np.zeros(n)
@@ -205,7 +205,7 @@ def _lightest(numbers: Array, n: int, first: int, contacts: int) -> Array:
     return _LIGHTEST * heaviest * reach**2
 
 
-@part
+@kernel
 def factor_equations(
     numbers: Array, n: int, h: float, damped: bool, held: Ints, joints: int, light: bool
 ) -> tuple[bool, Array, Ints, Array]:

@@ -12,7 +12,7 @@ import numpy as np
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import prepare
 from statechart.kernels.intervals import INF
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import at, look, ready
 from statechart.kernels.tapes import filled
@@ -25,7 +25,7 @@ _PIECES = 128
 _NARROW = 2.0**-20  # of a step, likewise
 
 
-@seldom
+@kernel
 def force_quadrature_error(
     code: Ints32,
     constants: Array,

@@ -12,7 +12,7 @@ import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.boxes import enclose, prepare
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.resolution import ready
 from statechart.kernels.tapes import filled
 
@@ -21,7 +21,7 @@ _BOXES = 256
 _NARROW = 2.0**-32  # of a line, likewise
 
 
-@seldom
+@kernel
 def passed(
     code: Ints32,
     constants: Array,

@@ -52,7 +52,7 @@ from contacts.time_stepping.step_contacts import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import beside, late, part, stepwise
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 # A point that slides off a surface has left it when it is so many times as deep as it lay in it,
@@ -60,7 +60,7 @@ from statechart.kernels.tapes import tape_values
 _LEFT_BEHIND, _STEPS = 2.0, 4.0
 
 
-@part
+@kernel
 def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float) -> float:
     """Return at most which gap a contact has between the middles of two steps.
 
@@ -70,7 +70,7 @@ def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float)
     return found
 
 
-@part
+@kernel
 def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
     """Return the least gap that contact i has where a point comes from the surfaces it lies on.
 
@@ -94,7 +94,7 @@ def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
     return found
 
 
-@part
+@kernel
 def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
     """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
     if off and holds:
@@ -106,7 +106,7 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
     missed[0] = missed[1] = 0.0
 
 
-@part
+@kernel
 def switch_contacts(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, k: int, met: ContactRoles, chunk:
     Chunk
@@ -162,7 +162,7 @@ _BENT = 0.01
 _AT_REST = 1e-9
 
 
-@part
+@kernel
 def _free_change(
     scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
 ) -> tuple[bool, Array, Array, Ints]:
@@ -178,7 +178,7 @@ def _free_change(
     return regular, solve_factored(factors, order, right) if regular else right, factors, order
 
 
-@part
+@kernel
 def _write_forces(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, problem: ContactProblem,
     answer: ContactForces, met: ContactRoles, rates: Array, k: int, total: Array, lasting: Array,
@@ -211,7 +211,7 @@ def _write_forces(
     return blurred
 
 
-@part
+@kernel
 def _write_held(
     scene: StepConstants, n: int, total: Array, lasting: Array, blurred: bool, k: int, chunk: Chunk
 ) -> None:
@@ -230,7 +230,7 @@ def _write_held(
         chunk.solved[k, n + i] = math.nan if blurred else lasting[at + i] / h
 
 
-@part
+@kernel
 def _flow_memory(scene: StepConstants, time: float, there: Array, h: float, state: Array) -> None:
     """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
     count = len(state) - 2 * scene.size
@@ -242,7 +242,7 @@ def _flow_memory(scene: StepConstants, time: float, there: Array, h: float, stat
         state[2 * scene.size + i] += h * rates[i]
 
 
-@part
+@kernel
 def _follow(
     scene: StepConstants,
     memory: ContactMemory,
@@ -264,7 +264,7 @@ def _follow(
             memory.off[i] = False
 
 
-@late
+@kernel
 def keep_leaving(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, factors: Array,
     order: Ints, middle: Array, state: Array, time: float, k: int, met: ContactRoles, chunk: Chunk,
@@ -345,7 +345,7 @@ def keep_leaving(
     return stays
 
 
-@beside
+@kernel
 def _settle(
     scene: StepConstants, memory: ContactMemory, time: float, middle: Array, state: Array,
     tape: TapeValues, factors: Array, order: Ints, k: int, chunk: Chunk,
@@ -357,7 +357,7 @@ def _settle(
     settle(scene, memory, tape, factors, order, k, chunk)
 
 
-@part
+@kernel
 def _age_contacts(memory: ContactMemory, active: Bools) -> None:
     """Let contacts grow older by a step."""
     for i in range(len(active)):
@@ -366,7 +366,7 @@ def _age_contacts(memory: ContactMemory, active: Bools) -> None:
             memory.closed[i] = False
 
 
-@stepwise
+@kernel
 def step_scene(
     scene: StepConstants, memory: ContactMemory, start: float, done: int, given: Array, how: int,
     chunk: Chunk,

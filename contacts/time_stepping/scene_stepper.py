@@ -34,7 +34,6 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
-from statechart.kernels.jit import by_python
 
 # A point that goes no deeper between two midpoints, relative to a step at the scene's speed,
 # grazes.
@@ -198,8 +197,7 @@ class SteppedScene(SteppedSystem):
         def step(
             left: Chunk, done: int, given: Array, how: int
         ) -> tuple[int, int, Array, Array, Array]:
-            some = left.first(step_scene.together(len(left.codes)))
-            return step_scene(scene, memory, start, done, given, how, some)
+            return step_scene(scene, memory, start, done, given, how, left)
 
         done = stepped(step, _failure, chunk, self._allowed)
         followed = self._followed(chunk.first(done), start)
@@ -435,13 +433,13 @@ class SceneStepper(Stepper):
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
-        trial, first = by_python(lambda: tried(np.zeros_like(off)))
+        trial, first = tried(np.zeros_like(off))
         codes = first.codes[0]
         # Contacts that strike at once are free before; those that jam slide before.
         resting = first.struck[0] & slow
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
-        if sliding.any() and by_python(lambda: tried(sliding))[1].efforts[0, CHOSEN]:
+        if sliding.any() and tried(sliding)[1].efforts[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:
             warnings.append(

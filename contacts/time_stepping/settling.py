@@ -35,7 +35,7 @@ from contacts.time_stepping.equations import (
 from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import beside, part
+from statechart.kernels.jit import kernel
 
 # Number of steps of the accelerations that explain a velocity, and of that velocity a gap.
 LEFT = 4.0
@@ -44,7 +44,7 @@ LEFT = 4.0
 ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
-@part
+@kernel
 def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     """Let all contacts settle where the mode of one changes; return whether they do."""
     changes = False
@@ -56,7 +56,7 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
     return changes
 
 
-@part
+@kernel
 def _free_accelerations(
     scene: StepConstants, tape: TapeValues, factors: Array, order: Ints
 ) -> Array:
@@ -77,7 +77,7 @@ def _free_accelerations(
     return solve_factored(factors, order, right)
 
 
-@part
+@kernel
 def _write_accelerations(
     tape: TapeValues, i: int, moving: Array, found: Array, sizes: Array
 ) -> None:
@@ -94,7 +94,7 @@ def _write_accelerations(
         sizes[d] += abs(along)
 
 
-@part
+@kernel
 def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: float) -> bool:
     """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
     row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
@@ -102,7 +102,7 @@ def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: fl
     return gap <= LEFT * h * left and rate <= left
 
 
-@part
+@kernel
 def solve_accelerations(
     delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
     sizes: Array, found: Array, sums: Array,
@@ -137,7 +137,7 @@ def solve_accelerations(
     return solved, forces
 
 
-@part
+@kernel
 def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
     """Clear accelerations (2,) that are zero to the first order of the step.
 
@@ -149,7 +149,7 @@ def clear_alike(accelerations: Array, sums: Array, per_speed: float) -> None:
             accelerations[d] = 0.0
 
 
-@part
+@kernel
 def end_slips(
     slips: Array, accelerations: Array, against: Bools, sizes: Array, h: float, slides: Array
 ) -> bool:
@@ -167,12 +167,12 @@ def end_slips(
     return found
 
 
-@part
+@kernel
 def _direction(mode: int) -> float:
     return 1.0 if mode == SLIDE_PLUS else -1.0 if mode == SLIDE_MINUS else 0.0
 
 
-@part
+@kernel
 def mode_of_acceleration(
     acceleration: Array, slip: float, still: bool, cone: Array, directed: bool
 ) -> int:
@@ -187,7 +187,7 @@ def mode_of_acceleration(
     return SLIDE_PLUS if along > 0.0 else SLIDE_MINUS
 
 
-@beside
+@kernel
 def settle(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, factors: Array, order: Ints,
     k: int, chunk: Chunk,
@@ -254,7 +254,7 @@ def settle(
     _show(memory, n + scene.joints, k, chunk)
 
 
-@part
+@kernel
 def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
     """End the settling where the impulses of step k agree with the modes shown.
 

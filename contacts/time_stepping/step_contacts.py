@@ -39,10 +39,10 @@ from contacts.time_stepping.equations import (
 )
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 
-@part
+@kernel
 def energy_added(
     numbers: Array,
     rates: Array,
@@ -105,7 +105,7 @@ def energy_added(
 ROUNDING = 1e-9
 
 
-@part
+@kernel
 def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact that bears an impulse.
 
@@ -131,7 +131,7 @@ def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, dir
     return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
 
 
-@part
+@kernel
 def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
     """Return the velocity of contact `a` after a step, 0 where that is rounding.
 
@@ -147,7 +147,7 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
     return after if abs(after) > ROUNDING * terms else 0.0
 
 
-@part
+@kernel
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
     """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
@@ -160,7 +160,7 @@ _OPPOSITE = 1e-9
 _BENT = 1.01
 
 
-@part
+@kernel
 def close_opposed(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, h: float, met: ContactRoles
 ) -> None:
@@ -191,7 +191,7 @@ def close_opposed(
                 break
 
 
-@part
+@kernel
 def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
     """Return how far contact `i` closes where `other` opens by 1; 0 where they do not face."""
     n, own, its = tape.size, tape.first + tape.per * i, tape.first + tape.per * other
@@ -215,7 +215,7 @@ _FELT = 1e-3
 _LATE = 1e-9
 
 
-@part
+@kernel
 def find_active(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
@@ -259,7 +259,7 @@ def find_active(
             chunk.closing[k] = max(chunk.closing[k], -gap)
 
 
-@part
+@kernel
 def _alone(groups: Ints, a: int) -> bool:
     """Whether a contact is the only one of its group."""
     alone = True
@@ -268,7 +268,7 @@ def _alone(groups: Ints, a: int) -> bool:
     return alone
 
 
-@part
+@kernel
 def unit_responses(tape: TapeValues, factors: Array, order: Ints, which: Ints) -> Array:
     """Return what unit impulses of contacts do to all that moves (2 m, s)."""
     n = tape.size
@@ -282,7 +282,7 @@ def unit_responses(tape: TapeValues, factors: Array, order: Ints, which: Ints) -
     return columns
 
 
-@part
+@kernel
 def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
     """Return what unit impulses of contacts do to their velocities."""
     m, n = len(which), tape.size
@@ -298,7 +298,7 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
     return result
 
 
-@part
+@kernel
 def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
     numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
@@ -316,7 +316,7 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
     )
 
 
-@part
+@kernel
 def contact_problem(
     scene: StepConstants,
     tape: TapeValues,
@@ -350,7 +350,7 @@ def contact_problem(
     )  # fmt: skip
 
 
-@part
+@kernel
 def initial_guess(problem: ContactProblem, bases: Bools) -> Bools:
     """Return which unknowns (4 m,) are positive: those of the last problem; what is new presses."""
     m = len(problem.which)
@@ -365,7 +365,7 @@ def initial_guess(problem: ContactProblem, bases: Bools) -> Bools:
     return guess
 
 
-@part
+@kernel
 def split_forces(
     scene: StepConstants, memory: ContactMemory, problem: ContactProblem, z: Array, basis: Bools,
     least: Array, pushes: Array,
@@ -393,7 +393,7 @@ def split_forces(
     return ContactForces(z, basis, least, pushes, steady, slides, several, jammed)
 
 
-@part
+@kernel
 def largest_energy_gain(
     scene: StepConstants, tape: TapeValues, problem: ContactProblem, pushes: Array, rates: Array
 ) -> float:
@@ -412,7 +412,7 @@ def largest_energy_gain(
     return energy_added(tape.numbers, rates, rows, problem.groups, work, moving, scene.negligible)
 
 
-@part
+@kernel
 def mixed_with_impacts(
     memory: ContactMemory, tape: TapeValues, problem: ContactProblem, pushes: Array, h: float
 ) -> Bools:
@@ -436,7 +436,7 @@ def mixed_with_impacts(
     return mixed
 
 
-@part
+@kernel
 def write_modes(
     scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
     met: ContactRoles, k: int, chunk: Chunk,
@@ -475,7 +475,7 @@ def write_modes(
     return modes
 
 
-@part
+@kernel
 def coupled_order_matters(
     bodies: Ints, pairs: Ints, lively: Bools, delassus: Array, cones: Array, impulses: Array
 ) -> bool:
@@ -498,7 +498,7 @@ def coupled_order_matters(
     return False
 
 
-@part
+@kernel
 def _share_body(bodies: Ints, a: int, b: int) -> bool:
     shared = False
     for i in range(2):
@@ -507,7 +507,7 @@ def _share_body(bodies: Ints, a: int, b: int) -> bool:
     return shared
 
 
-@part
+@kernel
 def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: Chunk) -> bool:
     """Return whether the impacts of step k, one after another, would have another outcome."""
     m, which = len(problem.which), problem.which
@@ -523,7 +523,7 @@ def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: 
     )
 
 
-@part
+@kernel
 def share_forces(
     memory: ContactMemory, tape: TapeValues, problem: ContactProblem, modes: Ints, steady: Array,
     k: int, chunk: Chunk,
@@ -550,7 +550,7 @@ def share_forces(
     return result
 
 
-@part
+@kernel
 def clear_contacts(off: Bools, before: int, k: int, chunk: Chunk) -> None:
     """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
     for i in range(len(off)):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.search_memory import Memory, room
 from statechart.kernels.tapes import tape_values
 
@@ -54,7 +54,7 @@ class Program(NamedTuple):
     modes: NDArray[np.int64]  # (m, `COLUMNS`): rows of zeros are modes that have not been compiled.
 
 
-@part
+@kernel
 def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
     """Code, constants, outputs, reads and n_fixed of a tape."""
     ints, floats = program.ints, program.floats
@@ -67,7 +67,7 @@ def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, In
     )
 
 
-@part
+@kernel
 def evaluate(
     program: Program,
     row: NDArray[np.int64],
@@ -81,7 +81,7 @@ def evaluate(
     tape_values(code, constants, outputs[: result.shape[0]], state, parameters, time, result)
 
 
-@part
+@kernel
 def stands(
     program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
 ) -> bool:
@@ -175,7 +175,7 @@ class Watch(NamedTuple):
     room: float  # How far what is to stay above zero may fall.
 
 
-@part
+@kernel
 def usual_tolerances(
     program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array
 ) -> None:
@@ -185,7 +185,7 @@ def usual_tolerances(
         tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
 
 
-@part
+@kernel
 def first_tolerances(
     program: Program,
     row: NDArray[np.int64],

@@ -9,7 +9,7 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.engines.heyoka_step import call_step
 from statechart.kernels.copies import put
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
 
@@ -30,7 +30,7 @@ Integrator = tuple[int, Array, Array, Array, Array, float, float]
 the integration began and its rounding, series (n, d + 1), tolerance, longest step."""
 
 
-@part
+@kernel
 def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
     """How far the slope at the end of a step is off the rate there, in parts of the motion.
 
@@ -52,7 +52,7 @@ def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> f
     return worst / size
 
 
-@part
+@kernel
 def expand(series: Array, h: float, row: Array, powers: Array) -> None:
     """Write a series in time as a polynomial in s = time / h, and the powers (d + 1,) of h.
 
@@ -69,7 +69,7 @@ def expand(series: Array, h: float, row: Array, powers: Array) -> None:
             row[v, k] = 0.0 if series[v, k] == 0.0 else value
 
 
-@part
+@kernel
 def _finite(row: Array) -> bool:
     """Whether all terms of a step are."""
     bounded = True
@@ -79,7 +79,7 @@ def _finite(row: Array) -> bool:
     return bounded
 
 
-@part
+@kernel
 def let_pass(clock: Array, h: float) -> None:
     """Let the time `h` pass (Knuth's two-sum)."""
     later = clock[0] + h
@@ -88,7 +88,7 @@ def let_pass(clock: Array, h: float) -> None:
     clock[0] = later
 
 
-@seldom
+@kernel
 def taylor_steps(
     integrator: Integrator,
     duration: float,

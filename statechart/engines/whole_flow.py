@@ -44,7 +44,7 @@ from statechart.kernels.boxes import Along
 from statechart.kernels.constraints import off_by
 from statechart.kernels.copies import put
 from statechart.kernels.defect import rough_in, unseen
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.reconstruction import Program as Following
 from statechart.kernels.reconstruction import reconstruct_any, reconstruction_program
@@ -63,7 +63,7 @@ WHOLE, AT_EVENT, IN_VAIN = range(3)
 """How a flow ends: at the end of its duration, at an event, or not in this way."""
 
 
-@part
+@kernel
 def _enter(
     program: Program,
     row: NDArray[np.int64],
@@ -81,7 +81,7 @@ def _enter(
         evaluate(program, fixed, state, watch.parameters, now, memory.pars[1 : row[PARS]])
 
 
-@part
+@kernel
 def _following(
     program: Program, row: NDArray[np.int64], watch: Watch, state: Array, start: float
 ) -> Following:
@@ -96,7 +96,7 @@ def _following(
     )
 
 
-@part
+@kernel
 def _level(ready: Ready, registers: int, jets: Array) -> None:
     """Write ranges of what does not change along a flow: all their slopes are zero."""
     for r in range(registers):
@@ -104,7 +104,7 @@ def _level(ready: Ready, registers: int, jets: Array) -> None:
         jets[r, 2] = jets[r, 3] = jets[r, 4] = jets[r, 5] = 0.0
 
 
-@part
+@kernel
 def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
     """Whether a state is so far off its constraints that it has to be brought back."""
     code, constants, outputs, _, _ = tape_of(program, watch.off)
@@ -116,7 +116,7 @@ def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
     )
 
 
-@part
+@kernel
 def flow_to_event(
     program: Program,
     mode: int,
@@ -249,7 +249,7 @@ def flow_to_event(
     return AT_EVENT, guard, count, boxes
 
 
-@part
+@kernel
 def _strays(
     along: Along,
     rates: Ints32,
@@ -269,7 +269,7 @@ def _strays(
     return False
 
 
-@part
+@kernel
 def _rates_at_end(ready: Ready, rates: Ints32, step: int, series: Array) -> None:
     """Write the rates where a step ends, as a series from there begins with them."""
     along, regs = ready[0], ready[3]
@@ -278,7 +278,7 @@ def _rates_at_end(ready: Ready, rates: Ints32, step: int, series: Array) -> None
         series[v, 1] = regs[rates[v], 0]
 
 
-@part
+@kernel
 def _followed(
     along: Along,
     rates: Ints32,
@@ -302,7 +302,7 @@ def _followed(
     return followed and not rough_in(rates, jets, length, pace.allowed, reaches)
 
 
-@part
+@kernel
 def _missed(
     program: Program,
     row: NDArray[np.int64],

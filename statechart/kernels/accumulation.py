@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 
 # Intervals that must shrink by one ratio before their sum is taken as geometric; half as many
 # where they have shrunk to less than this part.
@@ -31,7 +31,7 @@ turn time could not tell apart, how many intervals are kept, and these, the olde
 number as `HIGH`: there was no jump."""
 
 
-@seldom
+@kernel
 def follow(series: Array, high: float, low: float, flowed: bool, short: float) -> float:
     """Add a jump to a series (`WIDTH`,); return the time from there to the accumulation.
 

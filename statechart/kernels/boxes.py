@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints32
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
 """What is evaluated along what: code, the register of its first operation, the operations to run
@@ -34,7 +34,7 @@ def prepare(coeffs: Array, step: int, reads: Ints32, bounds: Array) -> bool:
     return finite
 
 
-@part
+@kernel
 def place(
     along: Along, step: int, bounds: Array, m: float, w: float, order: int, jets: Array
 ) -> None:
@@ -89,7 +89,7 @@ def place(
             row[4], row[5] = whole(wide((p2 - radius, p2 + radius), EPS))
 
 
-@part
+@kernel
 def place_whole(along: Along, step: int, jets: Array) -> bool:
     """Values of the variables and of time over a whole step; False if one is not finite.
 
@@ -136,7 +136,7 @@ def enclose(
     run_jets(code, first, last, base, jets, order)
 
 
-@part
+@kernel
 def _lower(value: Array, middle: Array, slope: float, w: float) -> float:
     """Lower bound of an output over a box of half width w.
 
@@ -155,7 +155,7 @@ def _lower(value: Array, middle: Array, slope: float, w: float) -> float:
     return bound if bound > least else least
 
 
-@part
+@kernel
 def _least_parabola(slope: float, bend: float, length: float) -> float:
     """Return the least of ``slope t + bend t^2 / 2`` over [0, length], for a slope <= 0."""
     if bend > 0.0 and -slope < bend * length:
@@ -209,7 +209,7 @@ def judge(
                 row[4] = bound
 
 
-@part
+@kernel
 def unclear_by_values(
     along: Along,
     outputs: Ints32,
@@ -235,7 +235,7 @@ def unclear_by_values(
     return unclear
 
 
-@part
+@kernel
 def unclear_by_slopes(
     along: Along,
     outputs: Ints32,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
 
-@seldom
+@kernel
 def off_by(
     code: Ints32,
     constants: Array,

@@ -9,17 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 
 
-@part
+@kernel
 def put(source: Array, target: Array) -> None:
     """Copy numbers (n,) to the first n places of a row."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
-@part
+@kernel
 def put_rows(source: Array, target: Array) -> None:
     """Copy rows (m, n) to the first n places of the first m rows."""
     for i in range(source.shape[0]):
@@ -27,7 +27,7 @@ def put_rows(source: Array, target: Array) -> None:
             target[i, k] = source[i, k]
 
 
-@part
+@kernel
 def indices(chosen: Bools) -> Ints:
     """Return where an array (n,) is true."""
     count = 0

@@ -7,7 +7,7 @@ import numpy as np
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, prepare
 from statechart.kernels.intervals import INF
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import reaches, slopes_at
 from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
 from statechart.kernels.tapes import filled
@@ -19,7 +19,7 @@ _NEXT = 2.0**-20
 _SHARE = 1.0 / 64.0
 
 
-@part
+@kernel
 def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
     """Whether what is not resolved of rates may move a variable farther than is allowed."""
     rough = False
@@ -28,7 +28,7 @@ def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: A
     return rough
 
 
-@seldom
+@kernel
 def unseen(
     code: Ints32,
     constants: Array,
@@ -117,7 +117,7 @@ def unseen(
     return -1, 0.0, 0.0, boxes
 
 
-@part
+@kernel
 def _defect(
     along: Along,
     outputs: Ints32,
@@ -145,7 +145,7 @@ def _defect(
     return worst
 
 
-@part
+@kernel
 def _round(
     along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
 ) -> None:

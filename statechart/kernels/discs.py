@@ -13,7 +13,7 @@ import math
 
 from statechart.arrays import Array, Complexes, Ints32
 from statechart.kernels.intervals import INF
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import (
     ABS,
     ACOS,
@@ -51,22 +51,22 @@ _I = 1j
 _MOST = 1024.0  # whole exponents beyond have no use
 
 
-@part
+@kernel
 def _add(a: Disc, b: Disc) -> Disc:
     return a[0] + b[0], a[1] + b[1]
 
 
-@part
+@kernel
 def _neg(a: Disc) -> Disc:
     return -a[0], a[1]
 
 
-@part
+@kernel
 def _mul(a: Disc, b: Disc) -> Disc:
     return a[0] * b[0], abs(a[0]) * b[1] + abs(b[0]) * a[1] + a[1] * b[1]
 
 
-@part
+@kernel
 def _inverse(a: Disc) -> Disc:
     size = abs(a[0])
     if not size > a[1]:
@@ -75,21 +75,21 @@ def _inverse(a: Disc) -> Disc:
     return a[0].conjugate() / square, a[1] / square
 
 
-@part
+@kernel
 def _exp(a: Disc) -> Disc:
     size = math.exp(a[0].real)
     y = a[0].imag
     return complex(size * math.cos(y), size * math.sin(y)), size * math.expm1(a[1])
 
 
-@part
+@kernel
 def _clear(a: Disc) -> bool:
     """Whether a disc is off zero and the negative real axis, where roots and logarithms jump."""
     reach = abs(a[0]) if a[0].real > 0.0 else abs(a[0].imag)
     return reach > a[1]
 
 
-@part
+@kernel
 def _sqrt(a: Disc) -> Disc:
     if not _clear(a):
         return _UNKNOWN
@@ -97,7 +97,7 @@ def _sqrt(a: Disc) -> Disc:
     return cmath.sqrt(a[0]), size * (1.0 - math.sqrt(1.0 - a[1] / abs(a[0])))
 
 
-@part
+@kernel
 def _log(a: Disc) -> Disc:
     if not _clear(a):
         return _UNKNOWN
@@ -105,27 +105,27 @@ def _log(a: Disc) -> Disc:
     return complex(math.log(size), math.atan2(a[0].imag, a[0].real)), -math.log1p(-a[1] / size)
 
 
-@part
+@kernel
 def _sin(a: Disc) -> Disc:
     x, y = a[0].real, a[0].imag
     centre = complex(math.sin(x) * math.cosh(y), math.cos(x) * math.sinh(y))
     return centre, a[1] * math.cosh(abs(y) + a[1])
 
 
-@part
+@kernel
 def _cos(a: Disc) -> Disc:
     x, y = a[0].real, a[0].imag
     centre = complex(math.cos(x) * math.cosh(y), -math.sin(x) * math.sinh(y))
     return centre, a[1] * math.cosh(abs(y) + a[1])
 
 
-@part
+@kernel
 def _turned(a: Disc, by: complex) -> Disc:
     """Product with a number of size one."""
     return a[0] * by, a[1]
 
 
-@part
+@kernel
 def _tanh(a: Disc) -> Disc:
     # (1 - q) / (1 + q), q = exp(-2 z), on the side where q is small.
     left = a[0].real < 0.0
@@ -136,7 +136,7 @@ def _tanh(a: Disc) -> Disc:
     return _neg(found) if left else found
 
 
-@part
+@kernel
 def _atan(a: Disc) -> Disc:
     # The derivative is 1 / ((z - i) (z + i)); cuts run from there along the imaginary axis.
     up, down = abs(a[0] - _I) - a[1], abs(a[0] + _I) - a[1]
@@ -145,7 +145,7 @@ def _atan(a: Disc) -> Disc:
     return cmath.atan(a[0]), a[1] / (up * down)
 
 
-@part
+@kernel
 def _asin(a: Disc) -> Disc:
     # The derivative is 1 / sqrt((1 - z) (1 + z)); cuts run from there along the real axis.
     near, far = abs(a[0] - 1.0) - a[1], abs(a[0] + 1.0) - a[1]
@@ -154,7 +154,7 @@ def _asin(a: Disc) -> Disc:
     return cmath.asin(a[0]), a[1] / math.sqrt(near * far)
 
 
-@part
+@kernel
 def _whole_power(a: Disc, n: int) -> Disc:
     if n < 0:
         a, n = _inverse(a), -n
@@ -169,7 +169,7 @@ def _whole_power(a: Disc, n: int) -> Disc:
     return found, radius
 
 
-@part
+@kernel
 def _power(a: Disc, b: Disc) -> Disc:
     n = math.floor(b[0].real + 0.5)
     if b[1] <= 1e-14 * abs(n) and abs(b[0] - n) <= 1e-14 * abs(n) and abs(n) <= _MOST:
@@ -177,7 +177,7 @@ def _power(a: Disc, b: Disc) -> Disc:
     return _exp(_mul(b, _log(a)))
 
 
-@part
+@kernel
 def _angle(y: Disc, x: Disc) -> Disc:
     quarter = 0.5 * math.pi
     if x[0].real > x[1]:
@@ -188,7 +188,7 @@ def _angle(y: Disc, x: Disc) -> Disc:
     return _UNKNOWN
 
 
-@part
+@kernel
 def _two(op: int, a: Disc, b: Disc) -> Disc:
     """Operations of two operands."""
     if op == ADD:
@@ -211,7 +211,7 @@ def _two(op: int, a: Disc, b: Disc) -> Disc:
     return _sqrt(_add(_mul(a, a), _mul(b, b)))  # HYPOT
 
 
-@part
+@kernel
 def _one(op: int, exponent: int, a: Disc) -> Disc:
     """Operations of one operand."""
     if op == NEG:
@@ -252,7 +252,7 @@ def _one(op: int, exponent: int, a: Disc) -> Disc:
     return _UNKNOWN
 
 
-@part
+@kernel
 def run_discs(
     code: Ints32, first: int, last: int, base: int, centres: Complexes, radii: Array
 ) -> None:

@@ -21,7 +21,7 @@ from statechart.kernels.copies import put
 from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import reaches
 from statechart.kernels.resolution import NARROW
 from statechart.kernels.tapes import filled, run_tape
@@ -69,7 +69,7 @@ _PLACES, _WEIGHTS, _BOUNDS = _quadrature()
 _ALL = float(_BOUNDS.sum())
 
 
-@part
+@kernel
 def _spread(
     along: Along,
     outputs: Ints32,
@@ -112,7 +112,7 @@ def _spread(
             found[v, 0] += found[v, 1]
 
 
-@kernel
+@kernel(interpreted=False)
 def enclosed_defect(
     code: Ints32,
     constants: Array,
@@ -218,7 +218,7 @@ def enclosed_defect(
     return bounds, moments, unknown
 
 
-@part
+@kernel
 def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
     """Return registers of intervals and of discs with what does not change along steps."""
     code, base, fixed = along[:3]
@@ -235,7 +235,7 @@ def _prepared(along: Along, regs: Array) -> tuple[Array, Complexes, Array]:
     return jets, centres, radii
 
 
-@part
+@kernel
 def _at(
     along: Along,
     outputs: Ints32,

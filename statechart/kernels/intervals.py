@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
 Interval = tuple[float, float]
 
@@ -26,25 +26,25 @@ WHOLE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
 HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
 
 
-@part
+@kernel
 def wide(a: Interval, ulps: float) -> Interval:
     """Return an interval with its bounds moved outwards by so many ulp."""
     return a[0] - abs(a[0]) * ulps - TINY, a[1] + abs(a[1]) * ulps + TINY
 
 
-@part
+@kernel
 def neg(a: Interval) -> Interval:
     """Negation."""
     return -a[1], -a[0]
 
 
-@part
+@kernel
 def scaled(number: float, a: Interval) -> Interval:
     """Product with an exact number >= 0 that loses nothing (a power of two)."""
     return number * a[0], number * a[1]
 
 
-@part
+@kernel
 def add(a: Interval, b: Interval) -> Interval:
     """Sum."""
     # A sum never underflows inexactly, so that an exact 0 stays one.
@@ -52,20 +52,20 @@ def add(a: Interval, b: Interval) -> Interval:
     return low - abs(low) * EPS, high + abs(high) * EPS
 
 
-@part
+@kernel
 def sub(a: Interval, b: Interval) -> Interval:
     """Difference."""
     return add(a, neg(b))
 
 
-@part
+@kernel
 def hull(p: float, q: float, r: float, s: float) -> Interval:
     """Return the interval from the least to the greatest of four numbers."""
     a, b, c, d = min(p, q), max(p, q), min(r, s), max(r, s)
     return min(a, c), max(b, d)
 
 
-@part
+@kernel
 def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
@@ -73,7 +73,7 @@ def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     return wide(hull(p, q, r, s), EPS)
 
 
-@part
+@kernel
 def mul(a: Interval, b: Interval) -> Interval:
     """Product."""
     if (a[0] == 0.0 == a[1] and b[1] - b[0] < INF) or (b[0] == 0.0 == b[1] and a[1] - a[0] < INF):
@@ -81,7 +81,7 @@ def mul(a: Interval, b: Interval) -> Interval:
     return _hull4(a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1])
 
 
-@part
+@kernel
 def div(a: Interval, b: Interval) -> Interval:
     """Quotient; the whole line where the divisor may be zero."""
     if not (b[0] > 0.0 or b[1] < 0.0):
@@ -89,7 +89,7 @@ def div(a: Interval, b: Interval) -> Interval:
     return _hull4(a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1])
 
 
-@part
+@kernel
 def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
     """Range of an even power over `a`, from its values p and q at the ends."""
     small = 0.0 if a[0] <= 0.0 <= a[1] else min(p, q)
@@ -99,13 +99,13 @@ def even(a: Interval, p: float, q: float, ulps: float) -> Interval:
     return max(0.0, low), high
 
 
-@part
+@kernel
 def square(a: Interval) -> Interval:
     """Square."""
     return even(a, a[0] * a[0], a[1] * a[1], EPS)
 
 
-@part
+@kernel
 def sqrt(a: Interval) -> Interval:
     """Square root; the whole line where a number below zero is possible."""
     if not a[0] >= 0.0:
@@ -114,7 +114,7 @@ def sqrt(a: Interval) -> Interval:
     return max(0.0, p - p * EPS), q + q * EPS
 
 
-@part
+@kernel
 def power(a: Interval, exponent: int) -> Interval:
     """Integer power, exponent >= 0."""
     if exponent == 0:
@@ -128,14 +128,14 @@ def power(a: Interval, exponent: int) -> Interval:
     return even(a, p, q, LIBM)
 
 
-@part
+@kernel
 def exp(a: Interval) -> Interval:
     """Exponential function; what is beyond all floats lies above the largest."""
     p, q = wide((min(math.exp(a[0]), LARGEST), math.exp(a[1])), LIBM)
     return max(0.0, p), q
 
 
-@part
+@kernel
 def extrema(a: Interval, offset: float) -> tuple[float, float]:
     """How many of the points (k + offset) pi may lie in an interval (at most 2), and the last k."""
     size = max(abs(a[0]), abs(a[1])) / math.pi
@@ -167,14 +167,14 @@ def wave(a: Interval, sine: bool) -> Interval:
     return max(p, -1.0), min(q, 1.0)
 
 
-@part
+@kernel
 def sinh(a: Interval) -> Interval:
     """Hyperbolic sine."""
     low, high = min(math.sinh(a[0]), LARGEST), max(math.sinh(a[1]), -LARGEST)
     return wide((low, high), LIBM)
 
 
-@part
+@kernel
 def cosh(a: Interval) -> Interval:
     """Hyperbolic cosine."""
     p, q = math.cosh(a[0]), math.cosh(a[1])
@@ -183,7 +183,7 @@ def cosh(a: Interval) -> Interval:
     return max(1.0, p), q
 
 
-@part
+@kernel
 def whole(a: Interval) -> Interval:
     """Return the interval, or the whole line where a bound was lost."""
     if a[0] <= a[1]:

@@ -38,7 +38,7 @@ from statechart.kernels.intervals import (
     whole,
     wide,
 )
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import (
     ABS,
     ACOS,
@@ -73,7 +73,7 @@ Jet = tuple[Interval, Interval, Interval]
 _MOST = 1024.0  # whole exponents beyond have no use
 
 
-@part
+@kernel
 def _defined(op: int, a: Interval) -> Interval:
     """Return the part of an interval on which a function is defined, if there is one."""
     low, high = a
@@ -87,7 +87,7 @@ def _defined(op: int, a: Interval) -> Interval:
     return low, high
 
 
-@part
+@kernel
 def _kinked(op: int, a: Interval) -> Jet:
     """Enclosures of abs or sign and of their derivatives."""
     f = d = e = WHOLE
@@ -107,7 +107,7 @@ def _kinked(op: int, a: Interval) -> Jet:
     return f, d, e
 
 
-@part
+@kernel
 def _inverse(op: int, a: Interval) -> Jet:
     """Enclosures of atan, asin or acos and of their derivatives."""
     f = d = e = WHOLE
@@ -127,7 +127,7 @@ def _inverse(op: int, a: Interval) -> Jet:
     return f, d, e
 
 
-@part
+@kernel
 def _hyperbolic(op: int, a: Interval) -> Jet:
     """Enclosures of sinh, cosh or tanh and of their derivatives."""
     f = d = e = WHOLE
@@ -145,7 +145,7 @@ def _hyperbolic(op: int, a: Interval) -> Jet:
     return f, d, e
 
 
-@part
+@kernel
 def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
     """Enclosures over an interval of f and, if the order is above 0, of f' and f''."""
     if order < 0:
@@ -194,7 +194,7 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
     return f, d, e
 
 
-@part
+@kernel
 def _polar(op: int, y: Jet, x: Jet) -> Jet:
     """Jets of hypot(y, x) and atan2(y, x)."""
     y0, y1, y2 = y
@@ -221,7 +221,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
     return wide(hull(a, b, c, r), LIBM), d, div(sub(n, mul(scaled(2.0, d), half)), q)
 
 
-@part
+@kernel
 def _whole_power(x: Jet, n: int) -> Jet:
     """Jets of a power, whatever the sign of x."""
     x0, x1, x2 = x
@@ -240,7 +240,7 @@ def _whole_power(x: Jet, n: int) -> Jet:
     return f, mul(g, x1), add(mul(h, square(x1)), mul(g, x2))
 
 
-@part
+@kernel
 def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     """Jets of x**y = exp(y log x), x >= 0; the value from its corners, where its extremes are.
 
@@ -266,7 +266,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     return f, mul(f, w), mul(f, add(h, square(w)))
 
 
-@part
+@kernel
 def _extreme(op: int, u: Jet, v: Jet) -> Jet:
     """Jets of min(u, v) and max(u, v): one of them, or the hull with a second derivative lost."""
     if u[0][1] <= v[0][0]:
@@ -279,7 +279,7 @@ def _extreme(op: int, u: Jet, v: Jet) -> Jet:
     return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE
 
 
-@part
+@kernel
 def _jet(jets: Array, r: int) -> Jet:
     return (jets[r, 0], jets[r, 1]), (jets[r, 2], jets[r, 3]), (jets[r, 4], jets[r, 5])
 

@@ -1,144 +1,249 @@
-"""Functions that are compiled when they are called, or when that pays.
+"""Functions that Python interprets until they are hot, and that numba compiles then.
 
-Nothing of numba is imported before: what calls no kernel, as drawing a statechart, starts in half
-the time. A kernel that most runs call a few times only is `seldom` worth its compilation, which
-takes some seconds: Python runs it as it is written, to the same bits, until it took `BRIEF` in all.
-One that takes steps of a run may be run so for longer, while another process compiles it.
+Numba is imported when a kernel is compiled or loaded: what calls few kernels starts in half the
+time. Interpreted and compiled kernels give identical bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar, cast
+from functools import cached_property, update_wrapper
+from time import thread_time
+from types import FunctionType, SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeVar, cast, overload
 
-from statechart.errors import StatechartError
-from statechart.kernels.kinds import (
-    Deadline,
-    Inner,
-    Kernel,
-    Late,
-    Native,
-    Seldom,
-    Stepwise,
-    is_cached,
-    numba_is_there,
-)
+import numpy as np
+
+from statechart.kernels.cache import CodeCache
+
+if TYPE_CHECKING:
+    from statechart.arrays import Array
 
 F = TypeVar("F", bound=Callable[..., Any])
-T = TypeVar("T")
+
+LOADING = 0.15
+"""Seconds of all interpreted kernels before numba is imported to load cached ones; that takes as
+long."""
+
+LINKING = 0.02
+"""Seconds of one interpreted kernel before it is loaded from the cache, where numba is imported."""
+
+HOT = 0.25
+"""Seconds of one interpreted kernel before it is compiled, which takes one to forty."""
+
+# Python's own is rounded better than that of the C library, which compiled code calls.
+_MATH = SimpleNamespace(**{**vars(math), "hypot": lambda x, y: float(np.hypot(x, y))})
+
+_CLOCK = 32  # calls between two looks at the clock, which takes as long as a small kernel
 
 
-def kernel(function: F) -> F:
-    """Compile a function when it is first called, from Python or from other kernels; cached."""
-    return cast(F, Kernel(function, "kernel"))
+class _Interpreter:
+    """State of the interpretation of kernels.
 
-
-def seldom(function: F) -> F:
-    """Compile a function as `kernel` does, when that pays.
-
-    It must give the same bits as it is written: so no sums and products of whole arrays, which
-    numpy takes in another order, no powers but those of floats, and no complex numbers.
+    Attributes
+    ----------
+    until : float
+        CPU time at which the kernel under way is given up; infinite where none is.
+    calls : int
+        Kernels called by interpreted kernels.
+    spent : float
+        Seconds of all interpreted kernels.
+    ahead : bool
+        Whether this process runs to fill the cache.
     """
-    return cast(F, Seldom(function, "kernel"))
+
+    until, calls, spent, ahead = math.inf, 0, 0.0, False
 
 
-def stepwise(function: Callable[..., Any]) -> Stepwise:
-    """Compile a function as `kernel` does; within `meanwhile`, in another process.
+class Kernel:
+    """A kernel: called by Python interpreted or compiled, by other kernels as they are.
 
-    Its first result is how many steps it took, and it gives the same bits as it is written; see
-    `seldom`. Whoever calls it asks it how many steps it takes `together`.
+    Attributes
+    ----------
+    py_func : callable
+        The function.
     """
-    return Stepwise(function, "kernel")
+
+    def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
+        self.py_func = function
+        self._hot, self._spent = not interpreted, 0.0
+        update_wrapper(self, function)
+
+    @cached_property
+    def compiled(self) -> Any:
+        """Numba's dispatcher for calls from Python."""
+        from statechart.kernels import compiler
+
+        return compiler.whole(self)
+
+    @cached_property
+    def inner(self) -> Any:
+        """Numba's dispatcher for calls from kernels."""
+        from statechart.kernels import compiler
+
+        return compiler.part(self)
+
+    @cached_property
+    def written(self) -> Callable[..., Any]:
+        """The function with functions of the C library."""
+        space = {**self.py_func.__globals__, "math": _MATH}
+        return FunctionType(self.py_func.__code__, space, argdefs=self.py_func.__defaults__)
+
+    @cached_property
+    def cache(self) -> CodeCache:
+        """Its machine code on disk."""
+        return CodeCache(self.py_func, (Kernel, Native))
+
+    @cached_property
+    def is_cached(self) -> bool:
+        """Whether its machine code lies on disk."""
+        return self.cache.is_filled()
+
+    @cached_property
+    def below(self) -> set[Kernel]:
+        """The kernel and those that it may call, by the names in their code."""
+        found: set[Kernel] = set()
+        queue = [self]
+        while queue:
+            one = queue.pop()
+            if one not in found:
+                found.add(one)
+                function = one.py_func
+                named = (function.__globals__.get(name) for name in function.__code__.co_names)
+                queue += [kernel for kernel in named if isinstance(kernel, Kernel)]
+        return found
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the function."""
+        if _Interpreter.until < math.inf:
+            _Interpreter.calls += 1
+            if _Interpreter.calls % _CLOCK == 0 and thread_time() > _Interpreter.until:
+                raise TimeoutError
+            return self.written(*arguments)
+        if self._hot or self._is_hot():
+            return self.compiled(*arguments)
+        return self._interpret(arguments)
+
+    def _is_hot(self) -> bool:
+        loads = self._spent >= LINKING if numba_is_imported() else _Interpreter.spent >= LOADING
+        enough = LINKING if _Interpreter.ahead else HOT
+        self._hot = self._spent >= enough or (loads and self.is_cached)
+        return self._hot
+
+    def _interpret(self, arguments: tuple[Any, ...]) -> Any:
+        before = [(array, array.copy()) for array in _arrays(arguments) if array.flags.writeable]
+        began = thread_time()
+        _Interpreter.until = began + HOT - self._spent
+        try:
+            with np.errstate(all="ignore"):
+                return _python_numbers(self.written(*arguments))
+        except Exception:
+            # It took too long, or only compiled code gives an infinity or no number.
+            self._hot = True
+        finally:
+            took = thread_time() - began
+            self._spent += took
+            _Interpreter.spent += took
+            _Interpreter.until = math.inf
+        for array, content in before:
+            array[...] = content
+        return self.compiled(*arguments)
+
+    def __reduce__(self) -> str:
+        """Travel by name, as functions do."""
+        return self.py_func.__qualname__
 
 
-def late(function: F) -> F:
-    """Compile a function as `kernel` does, but when it is entered, and not with those that call it.
+class Native:
+    """A function of kernels that writes its own LLVM code, as `numba.extending.intrinsic`."""
 
-    For what many runs never do; only kernels call it. It returns numbers or tuples of numbers,
-    which its annotation says.
+    def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
+        self.py_func, self._as_written = function, as_written
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the function that Python has in its place."""
+        return self._as_written(*arguments)
+
+    @cached_property
+    def inner(self) -> Any:
+        """What numba makes of it."""
+        from statechart.kernels import compiler
+
+        return compiler.native(self.py_func)
+
+
+@overload
+def kernel(function: F) -> F: ...
+@overload
+def kernel(*, interpreted: bool) -> Callable[[F], F]: ...
+def kernel(function: Any = None, *, interpreted: bool = True) -> Any:
+    """Let Python interpret a function until it has taken `HOT` seconds; then compile it.
+
+    Arrays are arguments, or stand in tuples of arguments. For identical bits a kernel has no sums
+    and products of whole arrays, which numpy takes in another order, no powers but those of floats,
+    and no complex numbers. A kernel that is not to be `interpreted` is compiled at its first call.
     """
-    return cast(F, Late(function, "beside"))
-
-
-def beside(function: F) -> F:
-    """Compile a function that only kernels call, once for all of them.
-
-    That it cannot be called from Python, with arrays to unpack, saves up to a third of its
-    compilation.
-    """
-    return cast(F, Inner(function, "beside"))
-
-
-def part(function: F) -> F:
-    """Compile a function that only kernels call, into each of them."""
-    return cast(F, Inner(function, "part"))
+    if function is None:
+        return lambda function: Kernel(function, interpreted)
+    return Kernel(function, interpreted)
 
 
 def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Let a function write the code of kernels that call it, as `numba.extending.intrinsic`."""
+    """Let a function write the code of kernels that call it; Python calls another."""
     return lambda function: Native(function, as_written)
-
-
-def by_python(look: Callable[[], T]) -> T:
-    """Return what a function returns whose kernels are all run by Python, as far as that can be.
-
-    For a look at one step, which does not pay to compile it: sums and products of arrays may be
-    rounded otherwise. Once that took too long it is tried no more.
-    """
-    Deadline.all_written = Deadline.patient and not Deadline.ahead
-    try:
-        return look()
-    except StatechartError:
-        raise
-    except Exception as error:
-        if not Deadline.all_written:
-            raise
-        Deadline.all_written = False
-        Deadline.patient = not isinstance(error, TimeoutError)
-        return look()
-    finally:
-        Deadline.all_written = False
-
-
-@contextmanager
-def meanwhile() -> Iterator[None]:
-    """Let Python take the steps of a run while another process compiles what takes them.
-
-    For what is run once: it takes as long as steps do that Python takes, and the next run finds
-    what was compiled. Times of what is run so are those of Python.
-    """
-    outer, Deadline.meanwhile = Deadline.meanwhile, True
-    try:
-        yield
-    finally:
-        Deadline.meanwhile = outer
 
 
 @contextmanager
 def ahead_of_time() -> Iterator[None]:
-    """Compile every kernel at its first call, for runs whose purpose is to fill the cache."""
-    Deadline.ahead = True
+    """Compile kernels sooner, for runs whose purpose is to fill the cache."""
+    _Interpreter.ahead = True
     try:
         yield
     finally:
-        Deadline.ahead = False
+        _Interpreter.ahead = False
 
 
-def entry(compiled: Any, *arguments: Any) -> Callable[..., Any]:
+def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of these types.
 
-    It takes what it is given for the same types again: to look takes three times as long as to pass
-    sixty arrays in tuples.
+    To look it up for sixty arrays in tuples takes three times as long as to pass them.
     """
-    from statechart.kernels import machine_code
+    from numba import typeof
 
-    found: Callable[..., Any] = machine_code.entry(compiled.made, arguments)
-    return found
+    found = kernel.compiled.compile(tuple([typeof(argument) for argument in arguments]))
+    return cast(Callable[..., Any], found)
 
 
-def is_ready(compiled: Any) -> bool:
-    """Whether a kernel is compiled, or lies on disk, in a process that has had to import numba."""
-    if Deadline.ahead:
+def is_ready(kernel: Any) -> bool:
+    """Whether a kernel is compiled, or lies on disk, in a process that has imported numba."""
+    if _Interpreter.ahead:
         return True
-    return numba_is_there() and (bool(compiled.made.overloads) or is_cached(compiled))
+    return numba_is_imported() and (bool(kernel.compiled.overloads) or kernel.is_cached)
+
+
+def numba_is_imported() -> bool:
+    """Whether some kernel has had to be compiled or loaded."""
+    return "statechart.kernels.compiler" in sys.modules
+
+
+def _arrays(arguments: Iterable[Any]) -> Iterator[Array]:
+    """Yield the arrays among arguments, in tuples, too."""
+    for argument in arguments:
+        if isinstance(argument, np.ndarray):
+            yield argument
+        elif isinstance(argument, tuple):
+            yield from _arrays(argument)
+
+
+def _python_numbers(result: Any) -> Any:
+    """Return a result with Python's numbers in the place of numpy's, as compiled code does."""
+    if isinstance(result, tuple):
+        return tuple(_python_numbers(item) for item in result)
+    return result.item() if isinstance(result, np.generic) else result
+
+
+# Former names: they go when no branch uses them any more.
+part = late = beside = seldom = stepwise = kernel

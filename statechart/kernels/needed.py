@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from statechart.arrays import Ints, Ints32
 from statechart.kernels.boxes import Along
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import POW, SKIP
 
 Needed = tuple[Ints, Ints32, Ints32, Ints]
@@ -19,13 +19,13 @@ are chosen; for which outputs, where the last operation is, how many variables."
 _BITS = 62
 
 
-@part
+@kernel
 def bit(output: int) -> int:
     """Return the set of one output."""
     return 1 << min(output, _BITS)
 
 
-@part
+@kernel
 def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
     """Follow which registers the outputs need; of operations, those that `along` runs."""
     needs, chosen, _, kept = needed
@@ -43,7 +43,7 @@ def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
     kept[0] = kept[1] = kept[2] = 0
 
 
-@part
+@kernel
 def narrowed(needed: Needed, along: Along, outputs: int) -> Along:
     """Return `along` with the operations and variables that a set of outputs needs alone."""
     needs, chosen, variables, kept = needed

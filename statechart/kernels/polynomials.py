@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.kernels.jit import beside, part, seldom
+from statechart.kernels.jit import kernel
 
 
-@part
+@kernel
 def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     """Value of a variable at the place s of a step."""
     value = 0.0
@@ -19,7 +19,7 @@ def horner(coeffs: Array, step: int, v: int, s: float) -> float:
     return value
 
 
-@beside
+@kernel
 def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) -> None:
     """Write the values (m,) of a variable at places (m,) of a step.
 
@@ -36,7 +36,7 @@ def values_at(coeffs: Array, step: int, v: int, places: Array, values: Array) ->
             values[j] = values[j] * places[j] + term
 
 
-@part
+@kernel
 def slopes_at(
     coeffs: Array, step: int, v: int, places: tuple[float, float, float]
 ) -> tuple[float, float, float]:
@@ -49,7 +49,7 @@ def slopes_at(
     return e, f, g
 
 
-@part
+@kernel
 def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
     """Write how large each variable (n,) is and moves in a step, and no less than its floor."""
     for v in range(coeffs.shape[1]):
@@ -59,7 +59,7 @@ def reaches(coeffs: Array, step: int, floors: Array, sizes: Array) -> None:
         sizes[v] = max(reach, floors[v])
 
 
-@seldom
+@kernel
 def local_time(times: Array, step: int, s: float) -> float:
     """Local time of the place s in a step; exact at both ends."""
     if s >= 1.0:
@@ -67,7 +67,7 @@ def local_time(times: Array, step: int, s: float) -> float:
     return times[step] + s * (times[step + 1] - times[step])
 
 
-@seldom
+@kernel
 def append_steps(
     durations: Array, taken: int, first: int, times: Array, coeffs: Array, end: Array
 ) -> int:
@@ -98,7 +98,7 @@ def append_steps(
     return finite
 
 
-@seldom
+@kernel
 def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array) -> int:
     """End an arc of `count` steps at local time `end`, in place, and write the state there.
 
@@ -119,7 +119,7 @@ def cut_steps(times: Array, coeffs: Array, count: int, end: float, state: Array)
     return count
 
 
-@seldom
+@kernel
 def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     """States at local times; shape (m, n)."""
     last = coeffs.shape[0] - 1
@@ -140,7 +140,7 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
     return result
 
 
-@seldom
+@kernel
 def summands(times: Array, coeffs: Array) -> Array:
     """Return what each variable was summed from as an arc ended, its rounded time among them."""
     last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]

@@ -6,7 +6,7 @@ import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.boxes import prepare
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import (
     NARROW,
@@ -33,7 +33,7 @@ _NODES = (_NODES + 1.0) / 2.0
 _WEIGHTS = _WEIGHTS / 2.0
 
 
-@part
+@kernel
 def _misses(
     outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
 ) -> bool:
@@ -46,7 +46,7 @@ def _misses(
     return missed
 
 
-@seldom
+@kernel
 def integrate_outputs(
     code: Ints32,
     constants: Array,

@@ -7,10 +7,10 @@ import numpy as np
 from statechart.arrays import Array, Ints32
 from statechart.kernels.intervals import INF
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import seldom
+from statechart.kernels.jit import kernel
 
 
-@seldom
+@kernel
 def tape_ranges(
     code: Ints32,
     constants: Array,

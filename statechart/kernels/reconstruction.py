@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import filled, run_tape
 
 Program = tuple[Ints32, int, Ints32, Ints32, int, Array]
@@ -11,7 +11,7 @@ Program = tuple[Ints32, int, Ints32, Ints32, int, Array]
 (n,); the register of the time; registers, with what does not change in a flow filled in."""
 
 
-@seldom
+@kernel
 def reconstruction_program(
     code: Ints32,
     constants: Array,
@@ -42,7 +42,7 @@ def reconstruction_program(
     return code, base, outputs, places, clock, registers
 
 
-@seldom
+@kernel
 def reconstruct(program: Program, state: Array, time: float) -> None:
     """Write what follows from the rest of `state` into it."""
     code, base, outputs, places, clock, registers = program
@@ -54,7 +54,7 @@ def reconstruct(program: Program, state: Array, time: float) -> None:
         state[places[i]] = registers[outputs[i], 0]
 
 
-@part
+@kernel
 def reconstruct_any(program: Program, state: Array, time: float) -> None:
     """Do what `reconstruct` does where something follows, and nothing where nothing does."""
     if program[3].shape[0] > 0:

@@ -19,7 +19,7 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import Along, place, place_whole
 from statechart.kernels.intervals import INF, LIBM, TINY, Interval
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time, values_at
 from statechart.kernels.tapes import (
     ABS,
@@ -61,18 +61,18 @@ _ROOM = 2.0
 _TURN = 4.0
 
 
-@part
+@kernel
 def _away(a: Interval) -> float:
     """Distance of an interval from zero."""
     return max(a[0], -a[1], 0.0)
 
 
-@part
+@kernel
 def _size(a: Interval) -> float:
     return max(-a[0], a[1])
 
 
-@part
+@kernel
 def _resolved(op: int, exponent: int, a: Interval) -> bool:
     """Whether a function of one operand is resolved on an interval."""
     low, high = a
@@ -99,7 +99,7 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     return span <= _ROOM * low  # SQRT, LOG
 
 
-@part
+@kernel
 def _power_resolved(x: Interval, y: Interval) -> bool:
     """Whether x**y is resolved."""
     low, high = x
@@ -117,7 +117,7 @@ def _power_resolved(x: Interval, y: Interval) -> bool:
     )
 
 
-@part
+@kernel
 def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> None:
     """Fill in the roughness, column 2, of operations whose ranges stand in columns 0 and 1."""
     for k in range(first, last):
@@ -167,7 +167,7 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
         jets[base + k, 2] = min(rough, width) if rough == rough else INF
 
 
-@part
+@kernel
 def ready(along: Along, regs: Array) -> Array:
     """Return registers of jets with what does not change along the steps filled in."""
     code, base, fixed, _, _, _, coeffs, _ = along
@@ -181,7 +181,7 @@ def ready(along: Along, regs: Array) -> Array:
     return jets
 
 
-@part
+@kernel
 def roughen(along: Along, jets: Array) -> None:
     """Fill in the roughness of all registers, whose ranges are known."""
     code, base, first, last, reads = along[:5]
@@ -190,7 +190,7 @@ def roughen(along: Along, jets: Array) -> None:
     _roughen(code, first, last, base, jets)
 
 
-@part
+@kernel
 def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
     """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
     code, base, first, last = along[:4]
@@ -200,7 +200,7 @@ def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array
     roughen(along, jets)
 
 
-@part
+@kernel
 def look_whole(along: Along, step: int, jets: Array) -> bool:
     """Do what `look` does on a whole step, by ranges of its variables that are quickly told.
 
@@ -214,7 +214,7 @@ def look_whole(along: Along, step: int, jets: Array) -> bool:
     return True
 
 
-@part
+@kernel
 def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
     """Do what `_look` does with ranges by the mean value form, too: they shrink with the square.
 
@@ -239,7 +239,7 @@ def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets
     roughen(along, jets)
 
 
-@part
+@kernel
 def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> None:
     """Narrow the range of a resolved register to that of its values, and as far about it again."""
     low, high = INF, -INF
@@ -252,7 +252,7 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
     jets[r, 0], jets[r, 1] = max(jets[r, 0], low - about), min(jets[r, 1], high + about)
 
 
-@part
+@kernel
 def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
     """Fill in roughness anew with what values at places tell of what is resolved.
 
@@ -287,7 +287,7 @@ def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jet
             _by_places(r, count, regs, rounded, jets)
 
 
-@part
+@kernel
 def at(along: Along, step: int, a: float, b: float, places: Array, regs: Array) -> None:
     """Run the tape at places in the box [a, b] of a step, given in parts of it."""
     code, base, first, last, reads, times, coeffs, start = along

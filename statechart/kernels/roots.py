@@ -5,12 +5,12 @@ from __future__ import annotations
 from statechart.arrays import Array
 from statechart.kernels.boxes import Along
 from statechart.kernels.intervals import EPS, TINY
-from statechart.kernels.jit import part
+from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import horner, local_time
 from statechart.kernels.tapes import run_tape
 
 
-@part
+@kernel
 def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> float:
     """Value of an output at one place of a step."""
     code, base, first, last, reads, times, coeffs, start = along
@@ -25,7 +25,7 @@ def value_at(along: Along, step: int, output: int, s: float, regs: Array) -> flo
     return regs[output, 0]
 
 
-@part
+@kernel
 def last_place(
     along: Along,
     step: int,

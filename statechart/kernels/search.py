@@ -17,7 +17,7 @@ from statechart.kernels.boxes import (
 )
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.needed import bit, narrowed
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.roots import last_place, value_at
@@ -33,7 +33,7 @@ Scratch = tuple[Array, Array, Array, Array]
 """Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
 
 
-@part
+@kernel
 def _descent(
     along: Along,
     guard: Ints32,
@@ -76,7 +76,7 @@ def _descent(
     return step, p
 
 
-@part
+@kernel
 def _falls(
     along: Along,
     guard: Ints32,
@@ -107,7 +107,7 @@ def _falls(
     return 2, b
 
 
-@part
+@kernel
 def _clear_at_edge(
     along: Along,
     output: int,
@@ -141,7 +141,7 @@ CLEAR, FALLS, OPEN, STUCK = range(4)
 box is too narrow to look closer."""
 
 
-@part
+@kernel
 def _sure(
     along: Along, guard: Ints32, tolerance: float, step: int, here: float, end: float,
     scratch: Scratch,
@@ -163,7 +163,7 @@ def _sure(
     return far
 
 
-@part
+@kernel
 def _decided(
     along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float,
     evidence: Array, scratch: Scratch,
@@ -206,7 +206,7 @@ def _decided(
     return STUCK, INF, INF
 
 
-@seldom
+@kernel
 def search(
     code: Ints32,
     constants: Array,
@@ -240,7 +240,7 @@ def search(
     return search_along(ready, outputs, tolerances, first, last, budget)
 
 
-@part
+@kernel
 def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
     """Whether no output falls in a step, as far as the ranges of the variables in it tell.
 
@@ -259,7 +259,7 @@ def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jet
     return clear and finite
 
 
-@part
+@kernel
 def _undecided(marks: NDArray[np.uint8], count: int) -> int:
     """Return the set of those of the first outputs that are marked."""
     outputs = 0
@@ -269,7 +269,7 @@ def _undecided(marks: NDArray[np.uint8], count: int) -> int:
     return outputs
 
 
-@part
+@kernel
 def search_along(
     ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
@@ -288,7 +288,7 @@ def search_along(
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes
 
 
-@part
+@kernel
 def search_step(
     ready: Ready, outputs: Ints32, tolerances: Array, step: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:

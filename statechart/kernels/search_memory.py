@@ -11,7 +11,7 @@ from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.boxes import Along
 from statechart.kernels.intervals import INF
 from statechart.kernels.jets import run_jets
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.needed import Needed, follow
 from statechart.kernels.tapes import fill, run_tape
 
@@ -41,7 +41,7 @@ class Memory(NamedTuple):
     marks: NDArray[np.uint8]  # shape (b + 1, o)
 
 
-@seldom
+@kernel
 def room(registers: int, operations: int, outputs: int, variables: int) -> Memory:
     """Return memory to search in."""
     return Memory(
@@ -58,7 +58,7 @@ def room(registers: int, operations: int, outputs: int, variables: int) -> Memor
     )
 
 
-@part
+@kernel
 def ready_along(
     code: Ints32,
     constants: Array,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.jit import part, seldom
+from statechart.kernels.jit import kernel
 from statechart.kernels.whole import whole
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
@@ -22,12 +22,12 @@ OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *
 SKIP = -1
 """In the place of an operation that is not to be run."""
 
-_whole = part(whole)
+_whole = kernel(whole)
 
 BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
 
 
-@part
+@kernel
 def _one(op: int, a: float, exponent: int) -> float:
     """One of the functions of one operand that no processor computes side by side."""
     if op == SIN:
@@ -61,7 +61,7 @@ def _one(op: int, a: float, exponent: int) -> float:
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
 
 
-@part
+@kernel
 def _two(op: int, a: float, b: float) -> float:
     """One of the less usual functions of two operands."""
     if op == POW:
@@ -75,7 +75,7 @@ def _two(op: int, a: float, b: float) -> float:
     return min(a, b) if op == MIN else max(a, b)
 
 
-@part
+@kernel
 def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count: int) -> None:
     """Run the operations [first, last) on `count` columns of registers."""
     for k in range(first, last):
@@ -116,7 +116,7 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
                 out[j] = _one(op, a[j], exponent)
 
 
-@part
+@kernel
 def filled(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
@@ -127,7 +127,7 @@ def filled(
     return base, regs
 
 
-@part
+@kernel
 def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
     """Write what is known to the first registers."""
     n_parameters = parameters.shape[0]
@@ -138,7 +138,7 @@ def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> 
             regs[n_variables + 1 + n_parameters + c, j] = constants[c]
 
 
-@seldom
+@kernel
 def tape_values(
     code: Ints32,
     constants: Array,
@@ -162,7 +162,7 @@ def tape_values(
         result[i] = regs[outputs[i], 0]
 
 
-@seldom
+@kernel
 def tape_table(
     code: Ints32,
     constants: Array,

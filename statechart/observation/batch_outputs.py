@@ -32,7 +32,7 @@ from statechart.execution.compiled_loop import (
 )
 from statechart.execution.simulator import Simulator
 from statechart.kernels.extremes import widen
-from statechart.kernels.jit import entry, kernel, part
+from statechart.kernels.jit import entry, kernel
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import tape_values
 from statechart.observation.observer import Observer
@@ -327,13 +327,13 @@ def _most(moment: Moment) -> int:
     return (moment.most or 1) if moment.when == "first" else -(moment.most or 1)
 
 
-@part
+@kernel
 def _program(formulas: BatchFormulas, tape: Ints) -> tuple[Ints32, Array, Ints32, Ints32, int]:
     # Only the packed arrays are read, which both have.
     return tape_of(formulas, tape)  # type: ignore[arg-type]
 
 
-@part
+@kernel
 def _evaluate(
     formulas: BatchFormulas, tape: Ints, state: Array, parameters: Array, time: float, result: Array
 ) -> None:
@@ -342,14 +342,14 @@ def _evaluate(
         tape_values(code, constants, outputs, state, parameters, time, result)
 
 
-@part
+@kernel
 def _number_of_events(found: BatchResult, row: int) -> int:
     """Return the number of events of a run; its stop, which stands in no buffer, is one."""
     count = found.spans[row, EVENTS_END] - found.spans[row, EVENTS]
     return count + (1 if found.ends[row, runs.HOW] == runs.STOPPED else 0)
 
 
-@part
+@kernel
 def _at_events(
     formulas: BatchFormulas,
     block: TraceBuffer,
@@ -393,7 +393,7 @@ def _at_events(
         first += total
 
 
-@part
+@kernel
 def _arc_of(block: TraceBuffer, arc: int, variables: int) -> tuple[Array, Array]:
     """Return the times and the coefficients of an arc."""
     steps, width = np.int64(block.arcs[arc, 2]), np.int64(block.arcs[arc, 3])
@@ -402,7 +402,7 @@ def _arc_of(block: TraceBuffer, arc: int, variables: int) -> tuple[Array, Array]
     return block.times[at : at + steps + 1], terms.reshape((steps, variables, width))
 
 
-@part
+@kernel
 def _integrate(
     formulas: BatchFormulas, block: TraceBuffer, found: BatchResult, totals: Array
 ) -> None:
@@ -423,7 +423,7 @@ def _integrate(
                 totals[row, formulas.columns[block.arcs[arc, 0], i]] += sums[i]
 
 
-@part
+@kernel
 def _include(extremes: Array, value: Array) -> None:
     """Widen an interval (2,), not numbers at first, to a value (1,); make that not a number."""
     if not value[0] >= extremes[0] and value[0] == value[0]:
@@ -433,7 +433,7 @@ def _include(extremes: Array, value: Array) -> None:
     value[0] = math.nan
 
 
-@part
+@kernel
 def _widen_by_arcs(
     formulas: BatchFormulas,
     tapes: Ints,
@@ -451,7 +451,7 @@ def _widen_by_arcs(
         )  # fmt: skip
 
 
-@part
+@kernel
 def _extremes(
     formulas: BatchFormulas, block: TraceBuffer, found: BatchResult, formula: int, result: Array
 ) -> None:
@@ -478,7 +478,7 @@ def _extremes(
         _include(result[row], value)
 
 
-@kernel
+@kernel(interpreted=False)
 def batch_outputs(
     formulas: BatchFormulas,
     block: TraceBuffer,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -23,7 +22,6 @@ from statechart.engines.request import Measured, planned
 from statechart.errors import DeclarationError, FormulaError
 from statechart.execution.outcome import error_of
 from statechart.execution.simulator import BatchRunner, Simulator
-from statechart.kernels.jit import meanwhile
 from statechart.loading.kind import kind
 from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
@@ -70,8 +68,7 @@ class Runner:
         Measurements of this model, by which engine and tolerance are chosen.
     once : bool
         Whether the choice is the cheapest for a single run, which loads and compiles all that it
-        needs, as those of the command line; else for many runs of this runner. Python may take its
-        steps of time while another process compiles the kernels that take them.
+        needs, as those of the command line; else for many runs of this runner.
     progress : bool
         Whether runs above about a second report to stderr.
 
@@ -189,9 +186,7 @@ class Runner:
         planner = self._planner
         with self._turn, located(self.document, overrides):
             began = working_time()
-            # Whoever searches for a tolerance measures what runs take.
-            with meanwhile() if self._alone and not planner.searching else nullcontext():
-                found, basis = planner.run(overrides, end)
+            found, basis = planner.run(overrides, end)
             trace = planner.certified(found, overrides, end) if certify else found.trace
             setting, asked = self.setting, None
             if planner.searching:

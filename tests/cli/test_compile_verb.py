@@ -9,8 +9,8 @@ import pytest
 from statechart.cli import ahead_of_time
 from statechart.cli.main import main
 from statechart.compiling import StderrLine
+from statechart.kernels.jit import LINKING, Kernel
 from statechart.kernels.jit import ahead_of_time as compiling_ahead
-from statechart.kernels.kinds import Seldom
 
 
 @pytest.fixture
@@ -49,13 +49,15 @@ def test_a_file_gets_one_line_about_each_subject(capsys):
     assert capsys.readouterr().err == "1\n3\n"
 
 
-def test_kernels_compile_at_their_first_call_while_compiling_ahead():
+def test_kernels_are_compiled_sooner_while_compiling_ahead():
     def twice(x):
         return 2.0 * x
 
-    kernel = Seldom(twice, "kernel")
+    kernel = Kernel(twice, interpreted=True)
     assert kernel(1.0) == 2.0
-    assert "made" not in kernel.__dict__
+    kernel._spent = LINKING
+    assert kernel(1.0) == 2.0
+    assert "compiled" not in kernel.__dict__
     with compiling_ahead():
         assert kernel(1.0) == 2.0
-    assert kernel.made.overloads
+    assert kernel.compiled.overloads

@@ -10,21 +10,21 @@ from statechart.engines.budget import Allowance
 from statechart.errors import OutOfBudget
 
 KERNELS = """\
-from statechart.kernels.jit import kernel, part
+from statechart.kernels.jit import kernel
 
-@part
+@kernel
 def smallest_part(x):
     return x + 1.0
 
-@part
+@kernel
 def larger_part(x):
     return smallest_part(x) + smallest_part(2.0)
 
-@kernel
+@kernel(interpreted=False)
 def lower_kernel(x):
     return larger_part(x)
 
-@kernel
+@kernel(interpreted=False)
 def upper_kernel(x):
     return lower_kernel(x) + larger_part(x)
 """
@@ -78,29 +78,15 @@ def test_what_compiles_is_said_with_how_far_it_is(kernels, clock, lines, monkeyp
     ]
 
 
-def test_what_lies_on_disk_is_not_counted(kernels, clock, lines, monkeypatch):
-    kernels().lower_kernel(1.0)
+def test_what_is_loaded_or_compiled_already_is_not_counted(kernels, clock, lines, monkeypatch):
+    module = kernels()
+    module.lower_kernel(1.0)
     slow(monkeypatch, clock, 1.0)
-    kernels().upper_kernel(1.0)
-    assert lines[0] == "compiling numerical kernels: 1 of 3 functions, 1 s; this happens once"
+    module.upper_kernel(1.0)
+    assert lines[0] == "compiling numerical kernels: 1 of 2 functions, 1 s; this happens once"
     lines.clear()
     kernels().upper_kernel(1.0)
     assert not lines
-
-
-def test_what_lies_on_disk_and_is_of_no_use_is_counted(kernels, clock, lines, monkeypatch):
-    kernels().upper_kernel(1.0)
-    slow(monkeypatch, clock, 1.0)
-    # For another type all are compiled again, as where another process compiled some meanwhile;
-    # one part for both types.
-    kernels().upper_kernel(1)
-    assert lines == [
-        *(
-            f"compiling numerical kernels: {n} of {n + 1} functions, {n} s; this happens once"
-            for n in range(1, 5)
-        ),
-        "compiled numerical kernels in 5 s; this happens once",
-    ]
 
 
 def test_what_takes_less_than_a_second_is_not_said(kernels, clock, lines, monkeypatch):

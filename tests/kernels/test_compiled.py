@@ -1,30 +1,27 @@
-"""Compiled kernels that numba keeps on disk."""
+"""Compiled kernels, and their machine code on disk."""
 
 from __future__ import annotations
 
-import hashlib
 import importlib
-import itertools
-import os
-import pickle
 import sys
-from types import FunctionType, SimpleNamespace
+import threading
+import time
+from pathlib import Path
+from types import FunctionType
 
-import numba
 import numpy as np
 import pytest
-from numba import njit
-from numba.core.caching import NullCache
+from filelock import FileLock
 from numba.core.runtime import _nrt_python, rtsys
 
 from statechart.arrays import Array
-from statechart.kernels import machine_code
-from statechart.kernels.jit import is_cached, kernel, part
+from statechart.kernels import cache
+from statechart.kernels.jit import Kernel, kernel
 
 LOWER = """\
-from statechart.kernels.jit import {decorator}
+from statechart.kernels.jit import kernel
 
-@{decorator}
+@kernel
 def lower(x):
     return x + {number}
 """
@@ -32,7 +29,7 @@ UPPER = """\
 from lower_kernels import lower
 from statechart.kernels.jit import kernel
 
-@kernel
+@kernel(interpreted=False)
 def upper(x):
     return 2.0 * lower(x)
 """
@@ -40,7 +37,7 @@ CALLER = """\
 from lower_kernels import lower
 from statechart.kernels.jit import kernel
 
-@kernel
+@kernel(interpreted=False)
 def caller(whole):
     return lower(1) + lower(2) + lower(whole[0])
 """
@@ -73,24 +70,23 @@ def _first_row(values: Array, pair: tuple[Array, Array]) -> Array:
     [(_sum_of_rows, False), (_of_a_copy, True), (_of_those_chosen, True), (_first_row, True)],
 )
 def test_references_are_counted_where_arrays_are_made_or_given_back(function, counts):
-    compiled = kernel(function)
-    compiled.made._cache = NullCache()
+    compiled = Kernel(function, interpreted=False)
     values, pair = np.array([[1.0, 2.0], [3.0, 4.0]]), (np.array([5.0, 6.0]), np.ones(2))
     references = sys.getrefcount(values), sys.getrefcount(pair[0])
     assert np.array_equal(compiled(values, pair), function(values, pair))
     assert (sys.getrefcount(values), sys.getrefcount(pair[0])) == references
-    (code,) = compiled.made.inspect_llvm().values()
+    (code,) = compiled.compiled.inspect_llvm().values()
     body = code[code.index("define ") :].partition("\n}")[0]
     assert ("@NRT_" in body) == counts
 
 
-@part
+@kernel
 def _halves(values: Array) -> tuple[Array, Array]:
     middle = values.shape[0] // 2
     return values[:middle], values[middle:]
 
 
-@part
+@kernel
 def _swapped(pair: tuple[Array, Array]) -> tuple[Array, Array]:
     return pair[1], pair[0].reshape((1, pair[0].shape[0]))[0]
 
@@ -122,8 +118,7 @@ def counted_memory():
 
 @pytest.mark.parametrize("count", range(5))
 def test_views_of_arrays_that_are_new_keep_them(count, counted_memory):
-    compiled = kernel(_kept_by_views)
-    compiled._cache = NullCache()
+    compiled = Kernel(_kept_by_views, interpreted=False)
     values = np.arange(8.0)
     compiled(values, count)
     held, made = sys.getrefcount(values), rtsys.get_allocation_stats()
@@ -139,179 +134,156 @@ def test_views_of_arrays_that_are_new_keep_them(count, counted_memory):
 
 @pytest.fixture
 def upper(tmp_path, monkeypatch):
-    """Return what writes both files, imports them as a new process would, and gives `upper`."""
+    """Return a function that writes both files and imports `upper` as a new process would."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
-    def imported(decorator, number):
+    def imported(number="10.0"):
         (tmp_path / "upper_kernels.py").write_text(UPPER)
-        (tmp_path / "lower_kernels.py").write_text(LOWER.format(decorator=decorator, number=number))
-        for name in ("upper_kernels", "lower_kernels"):
-            sys.modules.pop(name, None)
+        (tmp_path / "lower_kernels.py").write_text(LOWER.format(number=number))
+        forget()
         importlib.invalidate_caches()
         return importlib.import_module("upper_kernels").upper
 
     yield imported
+    forget()
+
+
+def forget():
     for name in ("upper_kernels", "lower_kernels"):
         sys.modules.pop(name, None)
 
 
-def test_numba_still_has_the_stamp_that_kernels_replace():
-    compiled = njit(cache=True)(lambda x: x)
-    file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    assert hasattr(file, "_source_stamp"), (
-        "this numba keeps the age of a cached kernel's source elsewhere: find where, and let "
-        "statechart.kernels.machine_code replace it there"
-    )
-
-
-@pytest.mark.parametrize("decorator", ["kernel", "part"])
-def test_an_edit_in_another_file_is_seen(upper, decorator):
-    first = upper(decorator, "10.0")
-    assert not is_cached(first)
-    assert first(1.0) == 22.0
-    again = upper(decorator, "10.0")
-    assert is_cached(again)  # written anew, and newer, but the text is the same
-    edited = upper(decorator, "10.25")
-    assert edited(1.0) == 22.5
-
-
-def test_an_unchanged_kernel_comes_from_the_disk(upper, tmp_path):
-    upper("kernel", "10.0")(1.0)
-    found = again()
-    assert is_cached(found)
-    assert found(1.0) == 22.0
-    assert found.made.stats.cache_hits
-
-
-def again():
-    """Import the files as they are once more, as a new process would."""
-    for name in ("upper_kernels", "lower_kernels"):
-        sys.modules.pop(name)
-    return importlib.import_module("upper_kernels").upper
-
-
-def signed(data):
-    """Return what another version would have left, with its digest."""
-    return data + hashlib.blake2b(data, digest_size=16).digest()
-
-
-@pytest.mark.parametrize(
-    ("suffix", "damage"),
-    [
-        ("nbi", lambda data: b""),
-        ("nbi", lambda data: data[: len(data) // 2]),
-        ("nbc", lambda data: data[:-1]),
-        # One bit of the machine code: it would be run as it is.
-        ("nbc", lambda data: data[:-200] + bytes([data[-200] ^ 1]) + data[-199:]),
-        ("nbc", lambda data: pickle.dumps(7)),
-        ("nbi", lambda data: signed(pickle.dumps(numba.__version__) + b"cgone.away\nName\n.")),
-        ("nbc", lambda data: signed(b"cpathlib\nGone\n.")),
-    ],
-    ids=["empty index", "half an index", "short", "bit", "other", "no such module", "no such name"],
-)
-def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, suffix, damage):
-    upper("kernel", "10.0")(1.0)
-    (file,) = tmp_path.glob(f"**/upper*.{suffix}")
-    file.write_bytes(damage(file.read_bytes()))
-    found = again()
-    assert is_cached(found) == (suffix == "nbc")
-    assert found(1.0) == 22.0
-    assert not found.made.stats.cache_hits
-    after = again()
-    assert after(1.0) == 22.0
-    assert after.made.stats.cache_hits
-
-
-@pytest.mark.parametrize("damaged", ["lower", "upper"])
-def test_what_calls_a_kernel_that_was_compiled_again_is_compiled_again(upper, tmp_path, damaged):
-    upper("kernel", "10.0")(1.0)
-    for file in tmp_path.glob(f"**/{damaged}*.nbc"):
-        file.write_bytes(b"")
-    found = again()
-    assert found(1.0) == 22.0
-    assert not found.made.stats.cache_hits
-    assert bool(lower_of(found).made.stats.cache_hits) == (damaged == "upper")
-    after = again()
-    assert after(1.0) == 22.0
-    assert after.made.stats.cache_hits
-    assert lower_of(after).made.stats.cache_hits
-
-
-def lower_of(upper):
-    return upper.py_func.__globals__["lower"]
+def files(tmp_path):
+    return list(tmp_path.glob("**/*.kernel"))
 
 
 @pytest.fixture
-def taken(upper, tmp_path):
-    """Another process's lock on `upper`, which was compiled; how to let it go, and keep that."""
-    fcntl = pytest.importorskip("fcntl")
-    upper("kernel", "10.0")(1.0)
-    (index,) = tmp_path.glob("**/upper*.nbi")
-    kept = index.read_bytes()
-    index.unlink()
-    place = os.open(index.with_suffix(".lock"), os.O_RDWR)
-    fcntl.flock(place, fcntl.LOCK_EX)
-    yield lambda: (index.write_bytes(kept), fcntl.flock(place, fcntl.LOCK_UN))
-    os.close(place)
+def compilations(monkeypatch):
+    """Names of the functions that are compiled for calls from Python."""
+    found: list[str] = []
+    save = cache.CodeCache.save
+
+    def saved(kept, key, data):
+        found.append(kept._name)
+        save(kept, key, data)
+
+    monkeypatch.setattr(cache.CodeCache, "save", saved)
+    return found
 
 
-def test_what_another_process_compiles_is_waited_for(taken, monkeypatch):
-    waits = []
+def test_an_edit_in_another_file_is_seen(upper, tmp_path, compilations):
+    first = upper()
+    assert not first.is_cached
+    assert first(1.0) == 22.0
+    again = upper()
+    assert again.is_cached  # written anew, and newer, but the text is the same
+    assert again(1.0) == 22.0
+    assert len(compilations) == 1
+    edited = upper("10.25")
+    assert not edited.is_cached
+    assert edited(1.0) == 22.5
+    # The code of a source that is gone does not stay.
+    assert len(files(tmp_path)) == 1
 
-    def sleep(seconds):
-        waits.append(seconds)
-        if len(waits) == 3:
-            taken()
 
-    monkeypatch.setattr(machine_code, "time", SimpleNamespace(sleep=sleep, monotonic=lambda: 0.0))
-    found = again()
+def test_a_copied_tree_finds_its_code(upper, tmp_path, compilations, monkeypatch):
+    upper()(1.0)
+    copy = tmp_path / "copy"
+    (copy / "__pycache__").mkdir(parents=True)
+    for file in (*tmp_path.glob("*.py"), *files(tmp_path)):
+        (copy / file.relative_to(tmp_path)).write_bytes(file.read_bytes())
+    monkeypatch.syspath_prepend(copy)
+    forget()
+    importlib.invalidate_caches()
+    found = importlib.import_module("upper_kernels").upper
+    assert Path(found.py_func.__code__.co_filename).parent == copy
     assert found(1.0) == 22.0
-    assert len(waits) == 3
-    assert found.made.stats.cache_hits
+    assert len(compilations) == 1
 
 
-def test_a_process_that_has_stopped_is_not_waited_for(taken, monkeypatch):
-    clock = itertools.count(0.0, 50.0)
-    silent = SimpleNamespace(sleep=lambda seconds: None, monotonic=lambda: next(clock))
-    monkeypatch.setattr(machine_code, "time", silent)
-    found = again()
-    assert found(1.0) == 22.0
-    assert not found.made.stats.cache_hits
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"",
+        lambda data: data[: len(data) // 2],
+        # One bit of the machine code: it would be run as it is.
+        lambda data: data[:-200] + bytes([data[-200] ^ 1]) + data[-199:],
+        # Another version's, whole and of no use.
+        lambda data: cache._digest(b"cpathlib\nGone\n.") + b"cpathlib\nGone\n.",
+    ],
+    ids=["empty", "short", "bit", "other"],
+)
+def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, damage, compilations):
+    upper()(1.0)
+    (file,) = files(tmp_path)
+    file.write_bytes(damage(file.read_bytes()))
+    for _ in range(2):
+        assert upper()(1.0) == 22.0
+    assert len(compilations) == 2
 
 
-def test_what_fails_to_compile_keeps_nobody_waiting(taken, upper, tmp_path):
-    taken()
-    fcntl = importlib.import_module("fcntl")
+def test_what_another_process_compiles_is_waited_for(upper, tmp_path, compilations):
+    upper()(1.0)
+    (file,) = files(tmp_path)
+    kept = file.read_bytes()
+    file.unlink()
+    lock = FileLock(next(tmp_path.glob("**/*.lock")), thread_local=False)
+    lock.acquire()
+
+    def end():
+        time.sleep(0.3)
+        file.write_bytes(kept)
+        lock.release()
+
+    other = threading.Thread(target=end)
+    other.start()
+    assert upper()(1.0) == 22.0
+    other.join()
+    assert len(compilations) == 1
+
+
+def test_a_process_that_has_stopped_is_not_waited_for(upper, tmp_path, compilations, monkeypatch):
+    upper()(1.0)
+    files(tmp_path)[0].unlink()
+    monkeypatch.setattr(cache, "_PATIENCE", 0.05)
+    with FileLock(next(tmp_path.glob("**/*.lock"))):
+        assert upper()(1.0) == 22.0
+    assert len(compilations) == 2
+
+
+def test_what_fails_to_compile_keeps_nobody_waiting(upper, tmp_path):
     with pytest.raises(Exception, match="upper"):
-        again()("text")
+        upper()("text")
     for file in tmp_path.glob("**/*.lock"):
-        with file.open("r+") as place:
-            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        FileLock(file).acquire(blocking=False).lock.release()
 
 
-@pytest.mark.parametrize("decorator", ["kernel", "part"])
-def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path, decorator):
+def test_literals_and_widths_of_integers_are_no_other_signature(upper, tmp_path):
     (tmp_path / "caller_kernels.py").write_text(CALLER)
-    function = upper(decorator, "10.0")
+    upper()
     caller = importlib.import_module("caller_kernels").caller
     sys.modules.pop("caller_kernels")
-    lower = lower_of(function)
+    lower = caller.py_func.__globals__["lower"]
     assert caller(np.array([3], np.int32)) == 36.0
-    assert [signature[0].name for signature in lower.made.overloads] == ["int64"]
+    assert [signature[0].name for signature in lower.inner.overloads] == ["int64"]
+
+
+def test_a_kernel_that_cannot_be_kept_beside_its_source_is_kept_for_the_user(
+    upper, tmp_path, compilations, monkeypatch
+):
+    monkeypatch.setattr(cache.Path, "home", lambda: tmp_path / "home")
+    (tmp_path / "__pycache__").write_text("in the way")
+    assert upper()(1.0) == 22.0
+    assert [file.parent for file in files(tmp_path)] == [tmp_path / "home/.cache/statechart"]
+    assert upper()(1.0) == 22.0
+    assert len(compilations) == 1
 
 
 def test_a_kernel_runs_where_its_cache_cannot_be_written(upper, tmp_path, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("numba.core.caching.os.replace", full)
-    assert upper("kernel", "10.0")(1.0) == 22.0
-    assert not list(tmp_path.glob("**/upper*.nb*"))
-
-
-def test_a_kernel_runs_where_no_folder_can_hold_a_cache(upper, monkeypatch):
-    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
-    found = upper("kernel", "10.0")
-    assert found(1.0) == 22.0
-    assert not is_cached(found)
+    monkeypatch.setattr(cache.Path, "write_bytes", full)
+    assert upper()(1.0) == 22.0
+    assert not files(tmp_path)

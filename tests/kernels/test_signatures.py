@@ -20,11 +20,11 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.typed_passes import NopythonTypeInference
 from numba.core.typing import signature
 from statechart import Runner
-from statechart.kernels import kinds
-from statechart.kernels.kinds import Kernel
-from statechart.kernels.later import plain
+from statechart.kernels import jit
+from statechart.kernels.jit import Kernel
+from statechart.kernels.lowering import plain
 
-kinds.LOADING = kinds.BRIEF = -1.0
+jit.HOT = -1.0
 Runner("toppling_stick").run(until=3.0)
 Runner("compass_walker").run(until=0.5)
 Runner("toppling_stick", engine="scipy").run(until=0.5)
@@ -64,22 +64,22 @@ def typed(made):
 
 
 kernels = {
-    value: list(value.made.overloads)
+    value: list(value.compiled.overloads) if "compiled" in vars(value) else []
     for name, module in list(sys.modules.items())
     if name.startswith(("statechart.", "contacts."))
     for value in vars(module).values()
     if isinstance(value, Kernel)
 }
 for value in kernels:
-    value.made.overloads.clear()
-    value.made._compiler.pipeline_class = Typed
-    value.made.compile = typed(value.made)
+    value.inner.overloads.clear()
+    value.inner._compiler.pipeline_class = Typed
+    value.inner.compile = typed(value.inner)
 with global_compiler_lock:
     for value, called in kernels.items():
         for types in called:
-            value.made.compile(types)
+            value.inner.compile(types)
 found = {
-    f"{value.py_func.__module__}.{value.py_func.__name__}": list(map(str, value.made.overloads))
+    f"{value.py_func.__module__}.{value.py_func.__name__}": list(map(str, value.inner.overloads))
     for value in kernels
 }
 print(json.dumps(found))

@@ -1,4 +1,4 @@
-"""Kernels that Python runs as they are written: the same bits, and nothing imported to compile."""
+"""Interpreted kernels: the same bits as compiled ones, and no import of numba."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ import pytest
 
 from contacts.event_driven import compiled_laws
 from statechart import Runner
-from statechart.kernels import jit, kinds
-from statechart.kernels.jit import kernel, part, seldom
+from statechart.kernels import jit
+from statechart.kernels.jit import Kernel, kernel
 from statechart.kernels.tapes import HYPOT, POW, SQRT, tape_values
 
+COMPILED = ("enclosed_defect",)
 
-@part
+
+@kernel
 def _inner(x):
     return math.sqrt(x)
 
 
-@seldom
+@kernel
 def _roots(values, result):
     for i in range(len(values)):
         result[i] = _inner(values[i])
@@ -35,28 +37,27 @@ def _root(values, result):
 
 
 @pytest.fixture
-def written(monkeypatch):
-    """Let Python run all kernels that it may, and fail where one is compiled."""
-
-    call = kinds.Seldom.__call__
+def interpreted(monkeypatch):
+    """Let Python interpret all kernels that it may, and fail where one is compiled."""
+    call = Kernel.__call__
 
     def checked(kernel, *arguments):
-        kernel._spent, kernel._settled = 0.0, False
+        kernel._spent, kernel._hot = 0.0, kernel.py_func.__name__ in COMPILED
         result = call(kernel, *arguments)
-        assert not kernel._settled, f"{kernel.__name__} was compiled"
+        assert not kernel._hot or kernel.py_func.__name__ in COMPILED, f"{kernel} was compiled"
         return result
 
-    for name in ("LOADING", "BRIEF"):
-        monkeypatch.setattr(kinds, name, math.inf)
-    monkeypatch.setattr(kinds.Seldom, "__call__", checked)
+    for name in ("LOADING", "HOT", "LINKING"):
+        monkeypatch.setattr(jit, name, 1e9)
+    monkeypatch.setattr(Kernel, "__call__", checked)
     monkeypatch.setattr(compiled_laws, "is_ready", lambda loop: False)
 
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """Let Python run no kernel."""
-    for name in ("LOADING", "BRIEF"):
-        monkeypatch.setattr(kinds, name, -1.0)
+    """Let Python interpret no kernel."""
+    for name in ("LOADING", "HOT", "LINKING"):
+        monkeypatch.setattr(jit, name, -1.0)
 
 
 def told(model, until, certify):
@@ -82,7 +83,7 @@ def told(model, until, certify):
     ],
 )
 def test_python_runs_kernels_to_the_same_bits(model, until, certify, request):
-    request.getfixturevalue("written")
+    request.getfixturevalue("interpreted")
     by_python = told(model, until, certify)
     request.getfixturevalue("monkeypatch").undo()
     request.getfixturevalue("compiled")
@@ -90,7 +91,7 @@ def test_python_runs_kernels_to_the_same_bits(model, until, certify, request):
 
 
 @pytest.mark.parametrize("op", [SQRT, HYPOT, POW])
-def test_operations_give_the_same_bits(op, written, request):
+def test_operations_give_the_same_bits(op, interpreted, request):
     rng = np.random.default_rng(0)
     code, outputs = np.array([[op, 0, 1]], np.int32), np.array([3], np.int32)
     states = 10.0 ** rng.uniform(-5.0, 5.0, (200, 2))
@@ -104,43 +105,33 @@ def test_operations_give_the_same_bits(op, written, request):
     assert by_python.tobytes() == by_machine.tobytes()
 
 
-def test_results_are_pythons_numbers_and_arrays_are_filled(written):
+def test_results_are_pythons_numbers_and_arrays_are_filled(interpreted):
     result = np.zeros(2)
     root, count = _roots(np.array([4.0, 9.0]), result)
     assert (type(root), type(count)) == (float, int)
     assert result.tolist() == [2.0, 3.0]
 
 
-def test_what_is_no_number_to_compiled_code_alone_is_left_to_it(monkeypatch):
-    monkeypatch.setattr(_roots, "_settled", False, raising=False)
+@pytest.fixture
+def cold():
+    """A kernel that no test has called."""
+    return Kernel(_roots.py_func, interpreted=True)
+
+
+def test_a_kernel_that_raises_an_error_when_interpreted_is_compiled(cold):
     result = np.zeros(2)
-    _roots(np.array([4.0, -1.0]), result)
+    cold(np.array([4.0, -1.0]), result)
     assert result[0] == 2.0
     assert math.isnan(result[1])
+    assert cold._hot
 
 
-def test_what_takes_long_is_compiled(monkeypatch):
-    monkeypatch.setattr(_roots, "_settled", False, raising=False)
-    monkeypatch.setattr(_roots, "_spent", 0.0, raising=False)
-    monkeypatch.setattr(kinds, "LOADING", math.inf)
-    monkeypatch.setattr(kinds, "BRIEF", 1e-9)
-    result = np.zeros(1)
-    assert _roots(np.array([16.0]), result) == (4.0, 1)
-    assert result.tolist() == [4.0]
-    assert _roots._settled
-
-
-def test_a_look_that_fails_or_takes_long_by_python_is_compiled(monkeypatch):
-    def look(number):
-        return jit.by_python(lambda: _root(np.array([number]), np.zeros(1)))
-
-    monkeypatch.setattr(kinds.Deadline, "patient", True)
-    assert type(look(4.0)) is float
-    assert math.isnan(look(-1.0))
-    assert kinds.Deadline.patient
-    monkeypatch.setattr(kinds, "BRIEF", -1.0)
-    assert look(4.0) == 2.0
-    assert not kinds.Deadline.patient
+def test_a_hot_kernel_is_compiled_and_begins_anew(cold, monkeypatch):
+    monkeypatch.setattr(jit, "HOT", 1e-9)
+    result = np.zeros(400)
+    assert cold(np.full(400, 16.0), result) == (4.0, 400)
+    assert set(result.tolist()) == {4.0}
+    assert cold._hot
 
 
 @pytest.mark.parametrize(
@@ -181,13 +172,3 @@ def test_what_is_brief_imports_no_compiler_and_has_one_thread(verb, model, tmp_p
         expected = ["numba", "scipy", "heyoka"]
     assert found == str(expected)
     assert threads == "1"
-
-
-@kernel
-def sqrt(x):
-    """Be called as an attribute that it uses."""
-    return math.sqrt(x) + _inner(x)
-
-
-def test_a_kernel_has_the_name_of_an_attribute_that_it_uses():
-    assert sqrt.as_written(9.0) == 6.0

@@ -1,0 +1,96 @@
+"""Compilation of kernels by `numba.njit`, and their machine code on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+import numba
+from numba import njit
+from numba.extending import intrinsic, typeof_impl
+
+from statechart import compiling, interrupts
+from statechart.kernels import jit
+from statechart.kernels.lowering import KernelCompiler, from_bytes, plain, to_bytes
+
+Signature = tuple[Any, ...]
+"""Types of arguments."""
+
+_njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class=KernelCompiler)
+
+
+_TYPING = _njit()(lambda: None).typingctx
+
+
+def part(kernel: jit.Kernel) -> Any:
+    """Return what compiles a kernel into each of those that call it."""
+    made = _njit(no_cpython_wrapper=True)(kernel.py_func)
+    compile_ = made.compile
+
+    def compile_part(signature: Signature) -> Any:
+        signature = plain(signature)
+        if signature not in made.overloads:
+            with compiling.whole(compiling.KERNELS):
+                compile_(signature)
+        return made.overloads[signature].entry_point
+
+    made.compile = compile_part
+    return made
+
+
+def whole(kernel: jit.Kernel) -> Any:
+    """Return what compiles a kernel for calls from Python, or loads it from the disk."""
+    made = _njit()(kernel.py_func)
+    compile_ = made.compile
+
+    def is_loaded(signature: Signature) -> bool:
+        data = kernel.cache.load(_key(signature, made))
+        # What another version of a library wrote may be whole, and of no use.
+        with suppress(Exception):
+            if data is not None:
+                made.add_overload(from_bytes(data, made.targetctx))
+        return signature in made.overloads
+
+    def compile_whole(signature: Signature) -> Any:
+        signature = plain(signature)
+        # Signals end a compilation at once: it may take half a minute.
+        with interrupts.let_through():
+            if signature not in made.overloads and not is_loaded(signature):
+                count = partial(_count, kernel)
+                with compiling.whole(compiling.KERNELS, count), kernel.cache.turn():
+                    # Another process may have compiled it meanwhile.
+                    if not is_loaded(signature):
+                        compile_(signature)
+                        data = to_bytes(made.overloads[signature])
+                        if data is not None:
+                            kernel.cache.save(_key(signature, made), data)
+        return made.overloads[signature].entry_point
+
+    made.compile = compile_whole
+    return made
+
+
+def _key(signature: Signature, made: Any) -> str:
+    return repr((signature, numba.__version__, made.targetctx.codegen().magic_tuple()))
+
+
+def _count(kernel: jit.Kernel) -> int:
+    """Return how many functions are compiled with a kernel."""
+    return sum(not one.inner.overloads for one in kernel.below)
+
+
+def native(function: Callable[..., Any]) -> Any:
+    """Return a function that writes its own LLVM code."""
+    made = intrinsic(function)
+    # Made while what calls it is compiled, it would be seen by the next compilation only.
+    _TYPING.refresh()
+    return made
+
+
+@typeof_impl.register(jit.Kernel)
+@typeof_impl.register(jit.Native)
+def _type(value: Any, context: Any) -> Any:
+    """Let kernels see in another kernel what numba made of it."""
+    return _TYPING.resolve_value_type(value.inner)
