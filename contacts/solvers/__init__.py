@@ -1,13 +1,14 @@
-"""Pure numbers: forces and impulses that satisfy contact laws.
+"""One contact problem, one solver: impulses (or forces) that satisfy the laws of contact.
 
-`saddle_point` solves the equations of a mode, `mode_solver` every combination of modes;
-`contact_lcp` states friction contacts as a complementarity problem, which `lcp` solves by `lemke`
-and verifies, `contact_lcp_kernels` within a step; `step_impulses` are what a step makes of it.
-Islands of bodies are solved by `island_impulses`, which asks the `contact_solver`: by sweeps over
-`contact_rows` (Gauss-Seidel) and by who sticks and slides, few by `status_newton`, many by
-`proximal_newton` and along `proximal_path`, whose `status_equations` are eliminated by
-`sparse_blocks`; their impacts in turn are an `impact_sequence`.
-`impulse_coupling` labels contacts that feel each other's impulses,
-`dependence` says which rows depend on each other; `smallest_forces` and `redundancy` choose among
-forces that move the bodies alike.
+Unknown impulses p = (p_n, p_t) and velocities u = least + W p of every contact, W = J M^-1 J^T:
+  0 <= p_n, 0 <= u_n, p_n u_n = 0;  |p_t| <= mu p_n, u_t p_t = -mu p_n |u_t|;  joints: u = 0.
+`least` are the velocities without impulses, less what is wanted. Residual: the natural map
+|w p - proj(w p - u)| (w: own compliance), as a velocity over its `scale`, the fastest approach.
+`contact_rows`: J and columns M^-1 J^T by bodies (a dense W is one whose bodies all contacts
+share), residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the
+fallback, on `contact_lcp_kernels`, `contact_lcp` and `lcp`; `contact_solver`: the ladder of these,
+which returns the best impulses with their residual. `island_impulses` and `step_impulses` add
+restitution and bounds of work, `impact_sequence` impacts in turn. Of the event engine:
+`mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and `redundancy` (load sharing),
+`dependence` (rank), `impulse_coupling` (groups).
 """

@@ -1,9 +1,12 @@
-"""The contact solver: the best impulses that are found for contacts that feel each other.
+"""The contact solver: one ladder for every contact problem.
 
-What rests is solved by its last impulses, once they are verified. Up to eight contacts are solved
-by their status (Newton), to rounding, or by sweeps where little is asked for; more by some sweeps
-and then proximal points, from the last impulses or from nothing; what no bodies share by sweeps,
-their status and Lemke's algorithm in turn.
+1. Gauss-Seidel sweeps (`contacts.solvers.contact_rows.swept`), from the last impulses;
+2. proximal points by Newton's method (`contacts.solvers.proximal_points`), from where these end;
+   both anew from nothing where they miss, since the last impulses mislead where much changes;
+3. Lemke's algorithm (`contacts.solvers.lemke`), from nothing, made exact by proximal points.
+
+The best impulses that were found are returned with their residual. `benchmarks/contact_problems.py`
+replays every method on recorded problems.
 """
 
 from __future__ import annotations
@@ -21,33 +24,23 @@ from contacts.solvers.contact_rows import (
     along,
     complete,
     measured,
-    one_contact,
     rates_of,
     scale,
     slope,
     swept,
     without,
 )
-from contacts.solvers.proximal_newton import by_proximal_points
-from contacts.solvers.status_newton import STEPS, by_status
+from contacts.solvers.proximal_points import VERIFIED, by_proximal_points
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
-# Impulses of the step before are taken as they are where they miss by no more than this: what
-# rests does not creep.
-_VERIFIED = 1e-10
-# So many contacts are solved by their status at once; so many where they rest; so many there in a
-# few steps; so many at all, where they are not of bodies; and by Lemke's algorithm.
-_EXACT, _RESTS, _DENSE, _MANY, _LEMKE = 8, 24, 100, 1000, 64
-_FEW_STEPS = 2
-# Sweeps that cost less than to solve so few by their status, and halve what is missed: where they
-# may do, they are tried.
-_FEW_SWEEPS, _LOOSE = 8, 0.5**8
-# Bodies that a contact of bodies moves; those of a dense problem move more, which are none.
-_OF_BODIES = 2
-# Sweeps of the trials, of which this one starts from nothing; what is sparse has so many.
-_SWEEPS, _ANEW, _SPARSE = (64, 64, 256, 1024), 1, 2
+# Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
+_SMALL = 8
+# Sweeps before Newton's method: they find the status of most contacts.
+_SWEEPS = 64
+# Contacts up to which Lemke's algorithm is tried: its time grows with their third power, or more.
+_LEMKE = 64
 
 
 @kernel
@@ -71,71 +64,43 @@ def solve_rows(
     last : bool
         Whether nobody asks for less where they are not found: then Lemke's algorithm is tried, too.
     """
-    count = len(impulses)
-    parting, joined = True, False
-    if not allowed < math.inf:
-        impulses[:] = 0.0
-        return 0.0, 0
+    count, idle, joined = len(impulses), True, False
     for i in range(count):
         held = slope(contacts.cones[i]) < 0.0
-        parting, joined = parting and least[i, 0] >= 0.0 and not held, joined or held
-    if parting:
+        idle, joined = idle and least[i, 0] >= 0.0 and not held, joined or held
+    if idle or not allowed < math.inf:
         impulses[:] = 0.0
         return 0.0, 0
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
-    if left <= _VERIFIED:
+    if left <= VERIFIED:
         return left, 0
-    if count == 1:
-        alone = one_contact(contacts.laws[0], least[0, 0], least[0, 1])
-        impulses[0, 0], impulses[0, 1] = alone
-        left = measured(contacts, least, size, impulses)
-        if left <= _VERIFIED:
-            return left, 1
-    done, bodies = 0, contacts.bodies.shape[1] == _OF_BODIES
-    sparse = bodies and count > _EXACT
-    if count <= _EXACT and not rests and allowed >= _LOOSE:
-        left, done = swept(contacts, least, size, left, impulses, allowed, _FEW_SWEEPS)
-        if left <= allowed:
-            return left, done
-        left = measured(contacts, least, size, impulses)
-    if count <= _EXACT or (rests and count <= _DENSE):
-        most = STEPS if count <= _RESTS else _FEW_STEPS
-        left, steps = by_status(contacts, least, size, left, impulses, _VERIFIED, most)
-        done += steps
-    if sparse and rests and left > _VERIFIED:
-        left, steps = by_proximal_points(contacts, least, impulses, _VERIFIED)
-        done += steps
-    other, missed, known = contacts.spare[TRIED, :count], left, done == 0
-    for trial in range(_SPARSE if sparse else len(_SWEEPS)):
-        if left <= allowed:
-            break
-        # From elsewhere it may be near: impulses of the step before mislead where much changes.
-        if trial == _ANEW:
+    other, done = contacts.spare[TRIED, :count], 0
+    goal = min(allowed, VERIFIED) if rests or count <= _SMALL else allowed
+    for anew in (False, True):
+        if anew:
             other[:] = 0.0
         else:
             put_rows(impulses, other)
-        if not known:
-            missed = measured(contacts, least, size, other)
-        known = False
-        missed, steps = swept(contacts, least, size, missed, other, allowed, _SWEEPS[trial])
-        done += steps
-        if missed > allowed and not sparse and count <= _MANY:
-            missed = measured(contacts, least, size, other)
-            missed, steps = by_status(contacts, least, size, missed, other, allowed, STEPS)
+        missed = measured(contacts, least, size, other)
+        # A small problem costs Newton's method no more than sweeps, and what rests has its status.
+        if anew or goal > VERIFIED:
+            missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
             done += steps
-        if missed > allowed and bodies:
-            missed, steps = by_proximal_points(contacts, least, other, allowed)
+        if missed > goal:
+            missed, steps = by_proximal_points(contacts, least, other, goal)
             done += steps
         if missed < left:
             left = missed
             put_rows(other, impulses)
-        if last and left > allowed and trial == _ANEW and count <= _LEMKE and not joined:
-            missed, steps = _by_lemke(contacts, least, allowed, bodies, other)
-            done += steps
-            if missed < left:
-                left = missed
-                put_rows(other, impulses)
+        if left <= allowed:
+            return left, done
+    if last and count <= _LEMKE and not joined:
+        missed, steps = _by_lemke(contacts, least, allowed, other)
+        done += steps
+        if missed < left:
+            left = missed
+            put_rows(other, impulses)
     return left, done
 
 
@@ -145,7 +110,7 @@ def dense_impulses(
 ) -> tuple[float, Array]:
     """Return the residual of the best impulses of a dense problem, and these (m, 2)."""
     count = len(cones)
-    threes = max((2 * count + 2) // 3, _OF_BODIES + 1)
+    threes = (2 * count + 2) // 3
     bodies = np.empty((count, threes), np.int64)
     rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
     own, impulses = np.empty((count, 3)), np.zeros((count, 2))
@@ -167,7 +132,7 @@ def dense_impulses(
 
 @kernel
 def _by_lemke(
-    contacts: ContactRows, least: Array, allowed: float, bodies: bool, impulses: Array
+    contacts: ContactRows, least: Array, allowed: float, impulses: Array
 ) -> tuple[float, int]:
     """Improve impulses from those of the dense problem; return the residual, and iterations.
 
@@ -183,7 +148,7 @@ def _by_lemke(
         for a in range(2 * count):
             delassus[a, b] = along(contacts, a // 2, a % 2, felt)
         without(contacts, j, felt)
-    left, done, size = math.inf, 0, scale(contacts, least)
+    left, done = math.inf, 0
     for by_sizes in range(2):
         if left <= allowed:
             break
@@ -192,12 +157,8 @@ def _by_lemke(
         )
         if not good:
             continue
-        missed = measured(contacts, least, size, found)
-        missed, steps = by_status(contacts, least, size, missed, found, allowed, STEPS)
+        missed, steps = by_proximal_points(contacts, least, found, allowed)
         done += steps
-        if missed > allowed and bodies:
-            missed, steps = by_proximal_points(contacts, least, found, allowed)
-            done += steps
         if missed < left:
             left = missed
             put_rows(found, impulses)

@@ -3,8 +3,9 @@
 Bodies are neighbours that touch; in the plane those of a heap are eliminated with few new entries
 in order of their number of neighbours (minimum degree: Tinney and Walker 1967). The pattern of the
 entries is that of all contacts, whatever their status, so that it is found once for a problem.
+Contacts of a dense problem all share the same blocks, which are as many as their velocities need.
 There is no pivoting between blocks: what is symmetric and positive but for friction needs none,
-and where a pivot fails that is told.
+and a pivot that fails is returned as such.
 """
 
 from __future__ import annotations
@@ -22,17 +23,22 @@ from statechart.kernels.jit import kernel
 _ENTRIES = 16
 
 
-class Pattern(NamedTuple):
-    """Fill-in of the block elimination, by elimination order."""
+class Equations(NamedTuple):
+    """Equations in the rates of the bodies of a problem, by their order of elimination."""
 
-    ends: Ints  # (m, 2): places of the two bodies of each contact; -1 for what nothing moves.
-    entries: Ints  # (m,): which entry its two bodies share; -1 for none.
+    ends: Ints  # (m, s): places of the bodies of each contact; -1 for what nothing moves.
+    entries: Ints  # (m, s, s): which entry two of its bodies share; -1 for none.
     # Entries ``begins[p] : begins[p + 1]`` are the blocks beside the diagonal of the body at place
     # p, with those at the places `others`, later ones in their order.
     begins: Ints  # shape (b + 1,)
     others: Ints  # shape (e,)
     # (t,): which entry each pair of entries of a body changes, in the order of elimination.
     targets: Ints
+    diagonal: Array  # (b, 9): blocks of the bodies; once factored, inverses of the pivots.
+    after: Array  # (e, 9): blocks above the diagonal.
+    before: Array  # (e, 9): below it.
+    rates: Array  # (b, 3): of the bodies.
+    right: Array  # (m, 2): changes of the velocities of contacts that are asked for.
 
 
 @kernel
@@ -45,26 +51,27 @@ def _body(contacts: ContactRows, i: int, side: int) -> int:
 @kernel
 def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> Ints:
     """Return the neighbours of the bodies one after the other, and write where each one's begin."""
-    count, bodies, total = len(contacts.own), len(sizes), 0
+    count, sides = contacts.bodies.shape
+    bodies, total = len(sizes), 0
     for b in range(bodies):
         sizes[b] = 0
     for i in range(count):
-        one, other = _body(contacts, i, 0), _body(contacts, i, 1)
-        if one >= 0 and other >= 0:
-            sizes[one] += 1
-            sizes[other] += 1
+        for one in range(sides):
+            for other in range(sides):
+                if one != other and min(_body(contacts, i, one), _body(contacts, i, other)) >= 0:
+                    sizes[_body(contacts, i, one)] += 1
     for b in range(bodies):
         first[b] = total
         total += sizes[b]
         sizes[b] = 0
     found = np.empty(total + _ENTRIES * bodies, np.int64)
     for i in range(count):
-        one, other = _body(contacts, i, 0), _body(contacts, i, 1)
-        if one >= 0 and other >= 0:
-            found[first[one] + sizes[one]] = other
-            found[first[other] + sizes[other]] = one
-            sizes[one] += 1
-            sizes[other] += 1
+        for one in range(sides):
+            for other in range(sides):
+                b, beside = _body(contacts, i, one), _body(contacts, i, other)
+                if one != other and min(b, beside) >= 0:
+                    found[first[b] + sizes[b]] = beside
+                    sizes[b] += 1
     first[bodies] = total
     # Two bodies may touch more than once.
     for b in range(bodies):
@@ -80,8 +87,8 @@ def _neighbours(contacts: ContactRows, first: Ints, sizes: Ints, mark: Ints) -> 
 
 
 @kernel
-def pattern_of(contacts: ContactRows) -> Pattern:
-    """Return how bodies are eliminated."""
+def equations_of(contacts: ContactRows) -> Equations:
+    """Return place for the equations of contacts, whatever their status."""
     bodies = contacts.moving
     first, sizes = np.empty(bodies + 1, np.int64), np.empty(bodies, np.int64)
     mark = np.full(bodies, -1)
@@ -130,12 +137,16 @@ def pattern_of(contacts: ContactRows) -> Pattern:
         others[k] = places[others[k]]
     targets = _targets(begins, others)
     ends, entries = _shared(contacts, places, begins, others)
-    return Pattern(ends, entries, begins, others[:filled].copy(), targets)
+    return Equations(
+        ends, entries, begins, others[:filled].copy(), targets, np.empty((bodies, 9)),
+        np.empty((filled, 9)), np.empty((filled, 9)), np.empty((bodies, 3)),
+        np.empty((len(contacts.own), 2)),
+    )  # fmt: skip
 
 
 @kernel
 def _targets(begins: Ints, others: Ints) -> Ints:
-    """Put the entries of each body in order; return `Pattern.targets`."""
+    """Put the entries of each body in order; return `Equations.targets`."""
     bodies, pairs = len(begins) - 1, 0
     for p in range(bodies):
         begin, end = begins[p], begins[p + 1]
@@ -160,19 +171,21 @@ def _targets(begins: Ints, others: Ints) -> Ints:
 
 @kernel
 def _shared(contacts: ContactRows, places: Ints, begins: Ints, others: Ints) -> tuple[Ints, Ints]:
-    """Return `Pattern.ends` and `Pattern.entries`."""
-    count = len(contacts.own)
-    ends, entries = np.full((count, 2), -1), np.full(count, -1)
+    """Return `Equations.ends` and `Equations.entries`."""
+    count, sides = contacts.bodies.shape
+    ends, entries = np.full((count, sides), -1), np.full((count, sides, sides), -1)
     for i in range(count):
-        for side in range(2):
+        for side in range(sides):
             b = _body(contacts, i, side)
             if b >= 0:
                 ends[i, side] = places[b]
-        early, late = min(ends[i, 0], ends[i, 1]), max(ends[i, 0], ends[i, 1])
-        if early >= 0:
-            for at in range(begins[early], begins[early + 1]):
-                if others[at] == late:
-                    entries[i] = at
+        for one in range(sides):
+            for other in range(sides):
+                early, late = ends[i, one], ends[i, other]
+                if 0 <= early < late:
+                    for at in range(begins[early], begins[early + 1]):
+                        if others[at] == late:
+                            entries[i, one, other] = entries[i, other, one] = at
     return ends, entries
 
 
@@ -214,9 +227,10 @@ def _less(block: Array, left: Array, right: Array) -> None:
 
 
 @kernel
-def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> bool:
+def factored(equations: Equations) -> bool:
     """Eliminate blocks in place: inverses of the pivots, and the factors; False if one fails."""
-    begins, others, targets = pattern.begins, pattern.others, pattern.targets
+    begins, others, targets = equations.begins, equations.others, equations.targets
+    diagonal, after, before = equations.diagonal, equations.after, equations.before
     last, factor = 0, np.empty(9)
     for p in range(len(diagonal)):
         if not _inverted(diagonal[p]):
@@ -239,9 +253,10 @@ def factored(pattern: Pattern, diagonal: Array, after: Array, before: Array) -> 
 
 
 @kernel
-def solved(pattern: Pattern, diagonal: Array, after: Array, before: Array, right: Array) -> None:
-    """Solve factored equations for a right side (b, 3), in place."""
-    begins, others = pattern.begins, pattern.others
+def solved(equations: Equations) -> None:
+    """Solve factored equations; `Equations.rates` are the right side, and become the solution."""
+    begins, others, right = equations.begins, equations.others, equations.rates
+    diagonal, after, before = equations.diagonal, equations.after, equations.before
     for p in range(len(diagonal)):
         x, y, z = right[p]
         for at in range(begins[p], begins[p + 1]):

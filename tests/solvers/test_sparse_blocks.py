@@ -7,16 +7,8 @@ import pytest
 from rows import contact_rows
 
 from contacts.solvers.contact_rows import ContactRows
-from contacts.solvers.sparse_blocks import pattern_of
-from contacts.solvers.status_equations import (
-    OPEN,
-    SLIDES,
-    STICKS,
-    Equations,
-    eliminated,
-    equations_of,
-    step,
-)
+from contacts.solvers.proximal_points import OPEN, SLIDES, STICKS, eliminated, step
+from contacts.solvers.sparse_blocks import Equations, equations_of
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -55,6 +47,11 @@ PAIRS = (
 )
 
 
+def begin(contacts: ContactRows) -> Equations:
+    # Interpreted kernels return plain tuples.
+    return Equations(*equations_of(contacts))
+
+
 @kernel
 def solve(
     contacts: ContactRows,
@@ -77,7 +74,7 @@ def test_impulses_are_those_of_the_dense_equations(pairs, compliance):
     generator = np.random.default_rng(4)
     status = generator.integers(3, size=count)
     edges = generator.choice([-0.3, 0.3], size=count)
-    equations, found = equations_of(contacts), generator.normal(size=(count, 2))
+    equations, found = begin(contacts), generator.normal(size=(count, 2))
     equations.right[:] = generator.normal(size=(count, 2))
     begun, right = found.copy(), equations.right.copy()
     assert solve(contacts, equations, compliance, status, edges, found)
@@ -101,26 +98,40 @@ def test_impulses_are_those_of_the_dense_equations(pairs, compliance):
 
 @pytest.mark.parametrize("pairs", PAIRS)
 def test_what_is_eliminated_has_a_place_for_all_that_it_fills(pairs):
-    pattern = pattern_of(contacts_of(pairs, 1))
+    equations = begin(contacts_of(pairs, 1))
     beside = [
-        pattern.others[begin:end].tolist()
-        for begin, end in zip(pattern.begins[:-1], pattern.begins[1:], strict=True)
+        equations.others[begin:end].tolist()
+        for begin, end in zip(equations.begins[:-1], equations.begins[1:], strict=True)
     ]
-    targets = iter(pattern.targets.tolist())
+    targets = iter(equations.targets.tolist())
     for p, later in enumerate(beside):
         assert later == sorted(set(later))
         assert all(q > p for q in later)
         for k, q in enumerate(later):
             for r in later[k + 1 :]:
-                assert pattern.begins[q] + beside[q].index(r) == next(targets)
+                assert equations.begins[q] + beside[q].index(r) == next(targets)
     assert next(targets, None) is None
-    for ends, entry in zip(pattern.ends.tolist(), pattern.entries.tolist(), strict=True):
+    for ends, entry in zip(equations.ends.tolist(), equations.entries.tolist(), strict=True):
+        shared = entry[0][1]
+        assert entry == [[-1, shared], [shared, -1]]
         if -1 in ends:
-            assert entry == -1
+            assert shared == -1
         else:
-            assert pattern.others[entry] == max(ends)
-            assert pattern.begins[min(ends)] <= entry < pattern.begins[min(ends) + 1]
+            assert equations.others[shared] == max(ends)
+            assert equations.begins[min(ends)] <= shared < equations.begins[min(ends) + 1]
 
 
 def test_a_chain_is_eliminated_without_new_entries():
-    assert len(pattern_of(contacts_of(PAIRS[1], 2)).others) == 30
+    assert len(begin(contacts_of(PAIRS[1], 2)).others) == 30
+
+
+def test_contacts_that_all_feel_each_other_are_eliminated_as_a_dense_matrix():
+    generator = np.random.default_rng(6)
+    bodies, rows, columns = np.tile(np.arange(3), (4, 1)), *generator.normal(size=(2, 4, 2, 9))
+    columns += 3.0 * rows
+    contacts = contact_rows(bodies, 3, rows, columns, np.full((4, 2), np.sqrt(0.5)))
+    equations, found = begin(contacts), np.zeros((4, 2))
+    equations.right[:] = generator.normal(size=(4, 2))
+    assert solve(contacts, equations, 0.1, np.full(4, STICKS), np.zeros(4), found)
+    held = rows.reshape(8, 9) @ columns.reshape(8, 9).T + 0.1 * np.diag(contacts.own[:, :2].ravel())
+    assert held @ found.ravel() == pytest.approx(equations.right.ravel(), rel=1e-9)

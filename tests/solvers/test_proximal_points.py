@@ -7,7 +7,7 @@ import pytest
 from rows import contact_rows
 
 from contacts.solvers.contact_solver import solve_rows
-from contacts.solvers.proximal_newton import by_proximal_points
+from contacts.solvers.proximal_points import by_proximal_points
 from statechart.kernels.jit import kernel
 
 
