@@ -35,6 +35,9 @@ from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
+# Residual of the last impulses that are taken again where nothing moves: what they miss adds up over
+# the steps to come, until it is as large as `VERIFIED`.
+_AT_REST = 1e-13
 # Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
 _SMALL = 8
 # Sweeps before Newton's method: they find the status of most contacts.
@@ -73,7 +76,7 @@ def solve_rows(
         return 0.0, 0
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
-    if left <= VERIFIED:
+    if left <= (_AT_REST if rests else VERIFIED):
         return left, 0
     other, done = contacts.spare[TRIED, :count], 0
     goal = min(allowed, VERIFIED) if rests or count <= _SMALL else allowed
@@ -87,7 +90,7 @@ def solve_rows(
         if anew or goal > VERIFIED:
             missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
             done += steps
-        if missed > goal:
+        if missed > goal or rests:
             missed, steps = by_proximal_points(contacts, least, other, goal)
             done += steps
         if missed < left:
