@@ -100,9 +100,6 @@ _CORE, _WHOLE = 0.9, 0.995
 _SUNK = 0.25
 # Penetration, relative to that size, that the first detection may find beyond the checked start.
 _STARTED = 1e-5
-# Rounding of a gap, in parts of where it is and of the size of what touches: eight last digits. Over
-# a step it is a velocity, which would move for ever what rests.
-_ROUNDED = 8.0 * 2.0**-52
 LANDED = 0.5
 """Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
 
@@ -343,8 +340,6 @@ def _takes_part(
     else:
         # No deeper than an impact leaves a contact does it stay.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
-        if abs(above) <= _ROUNDED * (abs(point[2]) + abs(point[3]) + pair.size):
-            above = 0.0
         turn = _kept_up(memory, place, lasting, m, times, gained, above, active)
         # Half of it is let be, half is in the way to the next detection.
         _note(points, TURNED, 2.0 * abs(turn))

@@ -35,8 +35,8 @@ from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
 
-# Residual of the last impulses that are taken again where nothing moves: what they miss adds up over
-# the steps to come, until it is as large as `VERIFIED`.
+# Residual of the last impulses that are taken again where nothing moves: what they miss adds up
+# over the steps to come, until it is as large as `VERIFIED`.
 _AT_REST = 1e-13
 # Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
 _SMALL = 8
