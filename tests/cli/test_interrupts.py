@@ -91,7 +91,7 @@ def test_what_takes_long_lets_signals_through_unless_they_are_held_firmly() -> N
 
 
 def test_kernels_are_compiled_where_signals_are_let_through() -> None:
-    @kernel
+    @kernel(interpreted=False)
     def doubled(x: float) -> float:
         return 2.0 * x
 
