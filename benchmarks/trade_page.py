@@ -21,11 +21,10 @@ from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 from statechart.study.figure import figure
 from statechart.study.measurements import Point
-from statechart.study.slopes import slopes
+from statechart.study.slopes import notes, slopes
 from statechart.study.study import Study
 from statechart.study.text import marks, omitted
 from statechart.study.trade import trade
-from statechart.study.warnings import notes
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -66,7 +66,7 @@ def _beyond(
 
 @kernel
 def _face(
-    one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float = FLUSH
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float], leans: float
 ) -> int:
     """Return on which face with this normal a point is; -1: on a corner or a rim.
 
@@ -116,7 +116,7 @@ def _is_covered(
 ) -> bool:  # fmt: skip
     """Return whether a point is on a face that solid obstacles cover all along."""
     one = obstacle(numbers, ground, mid, which, place[0], place[1])
-    i = _face(one, place, outward)
+    i = _face(one, place, outward, FLUSH)
     if i < 0:
         return False
     ax, ay, ux, uy, length = edge_of(one, i)
@@ -237,11 +237,11 @@ def _how(
     here, there, face = abs(distance_to(one, x, y)), abs(distance_to(one, u, v)), -1
     # Beside the end of a face both are on it, but for rounding: that on the face is it.
     if max(here, there) <= FLUSH * one.size:
-        face = _face(one, (u, v), out)
+        face = _face(one, (u, v), out, FLUSH)
     if face < 0:
         if there >= here - FLUSH * one.size:
             u, v = x, y
-        face = _face(one, (u, v), out)
+        face = _face(one, (u, v), out, FLUSH)
     beside = False
     for q in covering:
         if q == which:

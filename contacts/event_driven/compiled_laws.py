@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from contacts.dynamics.conditions import hidden
 from contacts.dynamics.projection import Projection
@@ -28,7 +28,7 @@ from statechart.automaton.trace import Jump, Key, Roles
 from statechart.automaton.trace_store import RecordedEvent
 from statechart.execution.compiled_loop import Loop
 from statechart.formulas.tape import Tape
-from statechart.kernels.jit import is_ready
+from statechart.kernels.jit import Kernel, is_ready
 
 
 class CompiledSceneLaws:
@@ -72,7 +72,7 @@ class CompiledSceneLaws:
 
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk."""
-        return run_batch.is_cached
+        return cast(Kernel, run_batch).is_cached
 
     def ready(self) -> bool:
         """Whether it does, and costs nothing to have."""

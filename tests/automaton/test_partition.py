@@ -43,7 +43,7 @@ def test_bodies_that_nothing_couples_are_apart() -> None:
         {"stop": {"conditions": {"met": "p.x > q.x"}}},
     ],
 )  # fmt: skip
-def test_what_reads_both_couples_them(sections: Data) -> None:
+def test_entities_that_read_two_bodies_couple_them(sections: Data) -> None:
     assert parts(**sections) == []
 
 
@@ -52,7 +52,7 @@ def test_a_condition_of_one_goes_with_it() -> None:
     assert parts(stop=data) == APART
 
 
-def test_what_moves_by_itself_joins_the_first() -> None:
+def test_uncoupled_free_body_joins_the_first_component() -> None:
     found = parts(bodies={"p": {}, "q": {}, "free": {"mass": 1}})
     assert found == [["free", "one", "p"], ["q", "two"]]
 

@@ -91,7 +91,7 @@ def test_what_takes_long_lets_signals_through_unless_they_are_held_firmly() -> N
 
 
 def test_kernels_are_compiled_where_signals_are_let_through() -> None:
-    @kernel
+    @kernel(interpreted=False)
     def doubled(x: float) -> float:
         return 2.0 * x
 
@@ -131,7 +131,7 @@ def test_pieces_after_a_signal_are_left_out_but_for_those_that_are_kept() -> Non
     assert pieces.text() == "b, c, e (interrupted)"
 
 
-def test_what_is_kept_has_a_short_form_that_no_signal_ends() -> None:
+def test_signals_shorten_kept_pieces_without_ending_them() -> None:
     pieces = Pieces()
     with interrupts.held():
         assert pieces.keep("a", lambda short: short or strike(), False) is True
@@ -288,7 +288,7 @@ def test_without_stderr_results_are_printed_alone(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_what_the_process_lacks_is_one_sentence(
+def test_lack_of_system_resources_is_one_sentence(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,

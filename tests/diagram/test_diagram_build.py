@@ -153,7 +153,7 @@ def test_of_a_run_through_many_modes_the_first_steps_are_drawn() -> None:
     assert any("of which the first 16 are drawn" in note for note in diagram.notes)
 
 
-def test_what_changes_in_a_step_changes_at_once() -> None:
+def test_simultaneous_touchdowns_are_one_edge_of_the_diagram() -> None:
     runner = Runner("box_stack")
     trace = runner.run().trace
     assert len(trace.jumps) == 5  # one for every box, all at the start
@@ -165,7 +165,7 @@ def test_what_changes_in_a_step_changes_at_once() -> None:
     assert (link.event, link.visits) == ("box0 and 4 more touchdown", 1)
 
 
-def test_of_a_run_alone_the_legend_tells_the_states_that_it_was_in() -> None:
+def test_legend_of_visited_modes_lists_visited_states_only() -> None:
     runner = Runner("toppling_stick")
     trace = runner.run().trace
     whole = legend(build(runner.automaton, trace.start_mode))

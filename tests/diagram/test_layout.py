@@ -102,12 +102,12 @@ def test_no_text_of_a_shipped_model_is_on_a_line_or_on_text(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["toppling_stick", "double_contact_bar", "simplest_walker"])
-def test_nor_with_guards_at_every_arrow(name: str) -> None:
+def test_pictures_with_inline_guards_have_no_clashes(name: str) -> None:
     assert clashes(drawn(Runner(name))[0], "inline") == []
 
 
 @pytest.mark.parametrize("name", ["toppling_stick", "compass_walker", "sliding_ladder"])
-def test_nor_of_a_run_alone(name: str) -> None:
+def test_pictures_of_visited_modes_have_no_clashes(name: str) -> None:
     assert clashes(drawn(Runner(name), visited=True)[0]) == []
 
 

@@ -55,7 +55,9 @@ def test_a_page_is_followed_until_something_else_is_printed(tmp_path: Path) -> N
     ("command", "printed"),
     [("false", ""), ("echo one", "two"), ("echo one", "one\ntwo"), ("seq 3", "1\n...\n4")],
 )
-def test_what_differs_is_told(command: str, printed: str, tmp_path: Path) -> None:
+def test_follow_reports_the_command_whose_output_differs(
+    command: str, printed: str, tmp_path: Path
+) -> None:
     text = f"```console\n$ {command}\n{printed}\n```\n"
     with pytest.raises(AssertionError, match=command):
         follow(page(tmp_path, text), tmp_path)

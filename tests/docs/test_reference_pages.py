@@ -41,7 +41,7 @@ def test_every_key_has_a_row_with_its_unit(kind: str, tmp_path: Path) -> None:
         assert ("Unit: " in meaning) == ("unit" in field)
 
 
-def test_what_has_two_forms_has_both(tmp_path: Path) -> None:
+def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
     told = rows(tmp_path, "scene")
     assert told["", "gravity"][0] == "formula or [formula, formula]"
     assert told["Body", "mass"][0] == "formula"

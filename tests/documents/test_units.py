@@ -186,7 +186,7 @@ def test_what_has_no_unit_shows_none() -> None:
     ],
 )
 @pytest.mark.parametrize("count", [1, 3])
-def test_what_counts_is_no_angle(start: str, count: int) -> None:
+def test_number_of_copies_has_no_unit_of_angle(start: str, count: int) -> None:
     scene = f"""\
 kind: scene
 name: row

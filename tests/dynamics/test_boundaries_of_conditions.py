@@ -118,7 +118,7 @@ def test_a_blow_at_a_kink_is_by_the_piece_that_comes() -> None:
         assert [*blow.impulse] == ["right" if v > 0 else "left"]
 
 
-def test_what_an_impact_leaves_at_a_kink_goes_its_own_way() -> None:
+def test_impact_at_a_kink_may_continue_on_the_other_piece() -> None:
     # Friction turns the ball round at the kink: the piece that it strikes is not that it leaves on.
     text = RIDGE.replace("v: 1, w: -s*v", "v: 0.1, w: -4")
     trace = _run(text, s=0.5, mu=1.0).trace

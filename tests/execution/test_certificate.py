@@ -114,7 +114,7 @@ def test_a_run_to_an_accuracy_is_certified_once(monkeypatch):
     assert result.trace.motion.whole <= result.error_estimate * 10.0 < 1e-5
 
 
-def test_what_is_displaced_compiles_no_kernel_for_other_arrays(
+def test_certificate_compiles_tape_kernel_for_one_signature_only(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(tape_values, "_hot", True)

@@ -152,7 +152,9 @@ def _mapped(array: Any) -> bool:
 
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
-def test_so_does_one_mode_of_too_many_steps(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_single_mode_of_too_many_steps_ends_as_too_long(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(path, "LARGEST", 2**15)
     made = run(read_text(CHART.format(x="cos(w*time)")), engine=name, until=1e7, throw=False).trace
     assert made.outcome is Outcome.TOO_LONG

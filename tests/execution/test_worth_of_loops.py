@@ -15,7 +15,7 @@ def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
     assert len(looked) == 7
 
 
-def test_what_was_asked_for_often_is_worth_to_be_compiled() -> None:
+def test_loop_is_compiled_after_enough_requests() -> None:
     worth = _Worth(lambda: False)
     assert not worth.asked(_WORTH)
     assert worth.asked()

@@ -64,7 +64,7 @@ def test_quotients_differences_and_powers_take_one_operation():
     assert names(tape_of(X - 2 * Y)) == ["mul", "sub"]
 
 
-def test_what_only_parameters_decide_stands_first():
+def test_tape_evaluates_parameters_first():
     tape = tape_of(X * sp.sin(P) + sp.sqrt(2) * P, T)
     assert tape.n_fixed == 2
     assert sorted(names(tape)[:2]) == ["mul", "sin"]

@@ -64,7 +64,9 @@ def outputs(text: str, engine: str) -> Any:
         ("5 + (time - 0.5)**3", 0.5**5 / 20),
     ],
 )
-def test_what_grows_from_the_edge_of_friction_slips(engine: str, force: str, moved: float) -> None:
+def test_force_that_grows_from_the_friction_bound_starts_slip(
+    engine: str, force: str, moved: float
+) -> None:
     found = outputs(_PUSHED.replace("FORCE", force), engine)
     assert found["x"] == pytest.approx(moved, abs=1e-13)
     assert (found["H"], found["slips"]) == (-5.0, 1)
@@ -104,7 +106,7 @@ def test_what_turns_exactly_at_the_ceiling_does_not_hit_it(engine: str) -> None:
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-10, 1e-12, 1e-14])
 @pytest.mark.parametrize("speed", [1e-13, 1e-12, 1e-11, 1e-10, 1e-9, 1e-7])
-def test_what_is_thrown_bounces_where_the_tolerance_tells_its_speed_from_none(
+def test_throws_faster_than_the_speed_tolerance_bounce(
     engine: str, speed: float, tolerance: float
 ) -> None:
     # Speeds are those of a fall by g/2 s^2, and below ten tolerances of it, or rounding, none.

@@ -59,7 +59,7 @@ def sliding(guard: str) -> Scene:
     ],
 )
 @pytest.mark.parametrize("step", [None, 2e-3, 1e-3, 7e-4])
-def test_what_stays_on_its_boundary_fires_what_counts_it_alone(
+def test_guards_on_a_lasting_boundary_follow_their_relation(
     guard: str, wanted: float | None, step: float | None
 ) -> None:
     engine = "taylor" if step is None else "impulse"

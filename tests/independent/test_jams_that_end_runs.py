@@ -68,7 +68,7 @@ def _run(**settings):
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_it_ends_where_the_rubber_begins(engine):
+def test_paradox_stop_ends_the_run_at_the_rubber(engine):
     result = _run(engine=engine)
     t, angle = _arrives()
     assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
@@ -77,7 +77,7 @@ def test_it_ends_where_the_rubber_begins(engine):
 
 @pytest.mark.parametrize("record", ["modes", "poses", "nothing"])
 @pytest.mark.parametrize("step", [2e-3, 1e-3, 3e-4])
-def test_so_it_does_by_steps(step, record):
+def test_paradox_stop_ends_a_run_by_steps_at_the_rubber(step, record):
     result = _run(engine="impulse", step=step, record=record)
     t, angle = _arrives()
     assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
@@ -109,7 +109,7 @@ def test_with_impacts_it_goes_on():
     assert [jump.cause for jump in trace.jumps][:2] == ["enters", "jam"]
 
 
-def test_of_bodies_with_shapes_it_is_told_that_nothing_ends():
+def test_paradox_stop_warns_for_bodies_with_shapes():
     text = """
 kind: scene
 name: disc

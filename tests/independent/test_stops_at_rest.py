@@ -65,6 +65,6 @@ def test_what_has_come_to_rest_is_still(text, step):
 
 
 @pytest.mark.parametrize("text", [POINT, BOX])
-def test_what_is_slower_is_told_within_the_step(text):
+def test_stop_on_a_rate_is_located_within_the_step(text):
     trace = ended(text, "b.dx < 0.5", engine="impulse", step=1e-3)
     assert trace.t_end == pytest.approx(0.5 * STILL, abs=1e-12)

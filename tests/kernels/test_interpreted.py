@@ -146,7 +146,7 @@ def test_a_hot_kernel_is_compiled_and_begins_anew(cold, monkeypatch):
         ("run --certify", "toppling_stick"),
     ],
 )
-def test_what_is_brief_imports_no_compiler_and_has_one_thread(verb, model, tmp_path, monkeypatch):
+def test_short_verbs_import_no_compiler_and_use_one_thread(verb, model, tmp_path, monkeypatch):
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     name, *options = verb.format(tmp_path).split()
     script = (

@@ -63,7 +63,7 @@ def enclosed(tape, chosen, w, order):
     st.integers(0, 2),
 )
 @examples(60)
-def test_what_is_asked_for_is_enclosed_as_with_all_others(found, chosen, w, order):
+def test_chosen_outputs_have_the_enclosures_of_the_whole_tape(found, chosen, w, order):
     tape = compile_tape(found, variables=[X, Y], parameters=[P], time=T)
     columns = 6 if order > 0 else 2
     whole = jets_over(tape, COEFFS, PARAMETERS, TIMES, 0.0, 0.5, w, order)

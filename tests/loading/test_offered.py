@@ -32,7 +32,7 @@ def test_a_folder_beside_a_script_hides_no_shipped_model(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("hiding", ["contacts.py", "contacts/__init__.py"])
 @pytest.mark.parametrize("imported", [False, True])
-def test_what_hides_the_package_of_scenes_is_named(
+def test_message_names_the_file_that_hides_the_contacts_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hiding: str, imported: bool
 ) -> None:
     (tmp_path / hiding).parent.mkdir(exist_ok=True)

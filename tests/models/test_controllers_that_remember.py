@@ -49,6 +49,6 @@ def test_a_torque_is_held_between_samples() -> None:
         assert begin == end == torque
 
 
-def test_who_looks_too_rarely_falls() -> None:
+def test_pendulum_falls_when_sampled_too_rarely() -> None:
     trace = Runner("sampled_balance").run({"T": 0.4}).trace
     assert trace.outcome.name == "STOPPED"

@@ -93,7 +93,7 @@ def test_forces_of_joints_and_contacts_are_told_apart():
     assert found == pytest.approx(exact, rel=1e-8)
 
 
-def test_what_lasts_bears_no_part_of_an_impact():
+def test_lasting_contact_shares_an_impact_as_with_events():
     exact = Runner("double_contact_bar").run()
     found = Runner("double_contact_bar", engine="impulse", step=1e-4).run()
     assert found.outputs["omega_before_B"] == pytest.approx(

@@ -36,7 +36,7 @@ def rod() -> Runner:
         (0.5, 5.81, "HORIZON", ("pin", "pin")),
     ],
 )
-def test_it_slips_or_is_jammed_or_nobody_knows(
+def test_wedged_rod_slips_jams_or_is_ambiguous(
     rod: Runner, mu: float, press: float, outcome: str, mode: tuple[str, str] | None
 ) -> None:
     friction = mu * press / math.sin(LEAN)

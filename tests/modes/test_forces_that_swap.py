@@ -119,7 +119,7 @@ stop: {time: 1}
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("text", [_WEDGED, _STEEP], ids=["wedged", "steep"])
-def test_what_forces_explain_goes_on(text: str, engine: str) -> None:
+def test_mode_continues_while_some_forces_in_the_cones_explain_it(text: str, engine: str) -> None:
     result = statechart.run(interpret(read_text(text, "scene.yaml")), engine=engine)
     assert not result.trace.jumps
     assert {*result.trace.modes[0]} == {"pin"}

@@ -162,7 +162,7 @@ def assert_newton(scene: Scene, simulator: Simulator, trace: Trace) -> None:
 
 @given(st.sampled_from(KINDS).flatmap(jointed))
 @examples(6)
-def test_whatever_joints_hold_beside_feet_that_share_their_load(scene: Scene) -> None:
+def test_joints_with_indeterminate_feet_satisfy_newton(scene: Scene) -> None:
     simulator = Simulator(automaton(scene), engine("scipy"))
     trace = simulator.run(until=0.2)
     assert trace.outcome is Outcome.HORIZON

@@ -78,7 +78,7 @@ def told(result: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
-def test_what_touches_fires_nothing_and_is_told(engine: str, tolerance: float) -> None:
+def test_graze_fires_no_event_and_gives_a_warning(engine: str, tolerance: float) -> None:
     result = ran(_THROWN, engine, tolerance)
     assert result.outputs["hits"] == 0
     assert [warning.split(",")[0] for warning in told(result)] == [

@@ -71,7 +71,7 @@ outputs:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_what_is_nothing_but_rounding_takes_nothing_from_what_stands_beside_it(
+def test_round_off_outputs_leave_other_outputs_exact(
     engine: str,
 ) -> None:
     result = Runner(read_text(SPIN), engine=engine).run()

@@ -50,7 +50,7 @@ def at_rest(result: statechart.Result, *times: float) -> bool:
 
 
 @pytest.mark.parametrize("name", models.names())
-def test_a_page_is_small_silent_and_of_one_mind(name: str, tmp_path: Path) -> None:
+def test_every_page_is_small_silent_and_consistent(name: str, tmp_path: Path) -> None:
     result = statechart.run(name, throw=False)
     page = result.report(tmp_path / "page.html")
     assert page.stat().st_size < MOST

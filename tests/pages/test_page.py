@@ -289,7 +289,7 @@ def test_reasons_have_no_digits_of_rounding_and_changes_of_many_are_short(tmp_pa
 
 
 @in_browser
-def test_what_is_lit_has_the_colour_of_its_state_and_the_rest_is_faint(browser, result):
+def test_current_state_is_coloured_and_other_states_are_faint(browser, result):
     for place in range(len(result.trace.jumps) - 1):
         browser.click(f"#events tbody tr:nth-child({place + 1})")
         colour = browser.value("data.regions[0].colours[data.regions[0].state[now]]")

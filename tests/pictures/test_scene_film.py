@@ -210,7 +210,7 @@ def test_a_film_is_finite_and_shows_all_bodies(name):
 
 
 @pytest.mark.parametrize("name", ["drum", "dice"])
-def test_what_holds_bodies_is_whole(name):
+def test_film_shows_whole_containers(name):
     film = film_of(name, [0.0], until=0.0)
     if name == "drum":
         (wall,) = shapes(film, "ground")

@@ -135,7 +135,7 @@ def _on(
     return np.array([known[v] for v in built.variables])
 
 
-def test_what_names_no_mode_says_what_there_is() -> None:
+def test_wrong_mode_names_are_refused_with_known_states() -> None:
     bar = automaton("double_contact_bar")
     with pytest.raises(DeclarationError, match="no state of B"):
         mode_named(bar, "A:pin")

@@ -300,7 +300,7 @@ def test_words_at_axes_are_apart(name: str) -> None:
         assert not any(box.overlaps(other) for other in said[:k])
 
 
-def test_what_transitions_wait_by_is_not_drawn() -> None:
+def test_figures_omit_timers_of_transitions() -> None:
     result = Runner("sampled_balance").run(until=0.1)
     timers = result.observer.automaton.declaration.timers
     assert timers == {"controller.sample_clock", "controller.sample_count"}

@@ -104,7 +104,7 @@ def test_after_a_run_its_last_configuration_counts(listed) -> None:
     assert abs(found["state"]["bar.angle"]) < 1e-9
 
 
-def test_what_is_driven_moves_the_contacts(listed) -> None:
+def test_pinning_all_driven_contacts_is_infeasible(listed) -> None:
     refused = listed(BELTS)["feasibility"]["without_direction"]["infeasible"]
     reasons = {(r["mode"]["A"], r["mode"]["B"]): r["reason"] for r in refused}
     assert reasons == {("pin", "pin"): "A pin and B pin leave what is driven no motion"}

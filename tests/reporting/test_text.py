@@ -163,7 +163,7 @@ def test_numbers_of_a_column_have_their_decimal_points_below_each_other() -> Non
     assert found == ["-1.5", "20", " 3e-05", "none", " 0.125", ""]
 
 
-def test_one_is_not_many():
+def test_several_writes_singular_and_plural():
     assert [several(count, "step") for count in (0, 1, 2)] == ["0 steps", "1 step", "2 steps"]
     assert several(10**143, "mode") == "about 1.0e143 modes"
 
@@ -198,7 +198,7 @@ OF_ONE = re.compile(r"(?<![\d.])1 (?!is\b|was\b|has\b)[a-z]+s\b")
         (["sweep", "--over", "a=1"], 100),
     ],
 )
-def test_whatever_counts_one_says_so(
+def test_messages_use_the_singular_for_one(
     verb: list[str], limit: int, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

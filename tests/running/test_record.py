@@ -143,7 +143,7 @@ def test_outputs_of_every_kind_are_the_same_to_the_bit():
 @pytest.mark.parametrize(
     "asked", ["", "outputs: {height: {value: ball.y}, speed: {value: ball.dy}}"]
 )
-def test_what_looks_at_the_ends_alone_gets_no_arcs_of_what_is_between(asked, monkeypatch):
+def test_outputs_at_the_ends_build_no_intermediate_arcs(asked, monkeypatch):
     text = BALL.partition("outputs:")[0] + asked + "\nsettings: {engine: impulse, step: 1e-3}"
     made = []
 
@@ -195,7 +195,7 @@ def test_a_stop_within_a_step_ends_the_poses_there():
     assert last.states(np.array([last.duration]))[0] == pytest.approx(poses.final, abs=1e-9)
 
 
-def test_what_needs_more_than_was_kept_says_how_to_get_it(tmp_path):
+def test_missing_recordings_are_refused_with_the_option_to_set(tmp_path):
     nothing = Runner(interpret(read_text(HEAP)), record="nothing").run(until=0.2)
     for ask in (
         lambda: nothing.samples,
@@ -226,7 +226,7 @@ def test_what_needs_more_than_was_kept_says_how_to_get_it(tmp_path):
         ({"record": "poses", "engine": "scipy"}, "the engine scipy records modes"),
     ],
 )
-def test_what_cannot_be_kept_is_said(asked, words):
+def test_unsupported_recording_is_refused_with_the_reason(asked, words):
     with pytest.raises(DeclarationError) as caught:
         Runner(interpret(read_text(BALL)), **asked)
     assert words in str(caught.value)

@@ -94,6 +94,6 @@ def test_a_diagram_shows_the_run_of_these_parameters(tmp_path):
     assert (tmp_path / "stick.mmd").exists()
 
 
-def test_what_was_found_is_one_object(result):
+def test_result_is_one_json_object(result):
     assert json.dumps(result.to_dict(), allow_nan=False)
     assert result.to_dict()["outcome"] == "STOPPED"

@@ -47,7 +47,7 @@ def test_what_is_no_polygon_is_told_as_what_it_is(corners, words, place):
 
 
 @pytest.mark.parametrize("size", [1e-90, 1.0, 1e90])
-def test_what_is_told_to_do_makes_a_polygon(size):
+def test_advice_for_wrong_corner_order_gives_a_valid_polygon(size):
     square = [(size * x, size * y) for x, y in SQUARE]
     check_polygon(square)
     for wrong in ([0, 2, 1, 3], [3, 2, 1, 0]):

@@ -72,7 +72,7 @@ def test_a_study_has_both_costs() -> None:
     assert to_dict(found)["points"][0]["cold"] == 0.25
 
 
-def test_what_is_cheapest_depends_on_whether_it_is_the_first_run() -> None:
+def test_cheapest_setting_differs_for_cold_and_warm_runs() -> None:
     quick = point(1e-6, 1e-7, 0.01, cold=0.9)
     ready = point(1e-7, 1e-8, 0.05, cold=0.2)
     found = study(quick, ready)

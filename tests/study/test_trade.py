@@ -83,7 +83,7 @@ def test_many_bodies_trade_steps_and_how_exact_impulses_are(tmp_path: Path) -> N
     assert loose.violations["inexact"] == 0.0
 
 
-def test_what_is_told_of_a_step_is_the_worst_of_steps_near_it() -> None:
+def test_trade_reports_the_worst_error_of_nearby_steps() -> None:
     runner = Runner("block_on_incline")
     told = trade(
         runner,

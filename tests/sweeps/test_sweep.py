@@ -192,7 +192,7 @@ def test_a_defect_of_ours_ends_a_cell_and_not_the_sweep(monkeypatch: pytest.Monk
     assert found["message"][1].item() == "ZeroDivisionError: by nothing"
 
 
-def test_what_is_compiled_in_a_cell_is_no_part_of_what_it_took(
+def test_cost_of_a_cell_excludes_compilation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     real = Runner.run

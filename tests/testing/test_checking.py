@@ -297,7 +297,7 @@ def test_energy_that_only_the_drive_supplies_is_no_failure():
     assert report_on(Subject(model(driven)), "energy never grows").passed
 
 
-def test_what_presses_harder_than_it_weighs_rests_without_growing_energy():
+def test_body_pressed_beyond_its_weight_gains_no_energy():
     subject = Subject(model(GRIPPER))
     assert subject.case({}).trace.modes == (("pin", "pin"),)
     report = report_on(subject, "energy never grows", examples=40)

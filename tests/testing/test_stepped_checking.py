@@ -116,7 +116,7 @@ def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, mo
     assert "STEP_TOO_LARGE" in capsys.readouterr().out
 
 
-def test_what_is_deeper_than_a_step_takes_it_is_caught(heap):
+def test_depth_assertion_catches_excess_penetration(heap):
     _, trace, numbers = heap
     assert_depths(numbers, trace)
     shallow = dataclasses.replace(trace, tolerances={**trace.tolerances, "gap": 1e-9})
@@ -150,7 +150,7 @@ settings: {engine: impulse, step: 1e-3}
         assert_depths(apart, trace)
 
 
-def test_what_does_not_fall_is_caught(heap):
+def test_free_fall_assertion_catches_wrong_gravity(heap):
     _, trace, numbers = heap
     assert_free_fall(numbers, trace)
     with pytest.raises(AssertionError, match="does not fall"):
@@ -193,7 +193,7 @@ def test_runs_by_steps_that_differ_are_told_by_how_much(heap):
         assert_same(trace, moved, Sensitivity((trace,), ()))
 
 
-def test_what_impulses_were_left_at_is_no_difference_of_runs(heap):
+def test_residuals_of_impulses_count_in_comparison_of_runs(heap):
     _, trace, _ = heap
     left = dataclasses.replace(trace, tolerances={**trace.tolerances, "impulse": 1e-6})
     sensitivity = Sensitivity((left,), ())
@@ -239,7 +239,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_what_impulses_were_left_at_is_no_difference_of_a_scene_and_its_image():
+def test_mirror_property_allows_residuals_of_impulses():
     scene = model(JAWS)
     image_property("mirror", scene, mirrored).holds(Subject(scene).case({}))
 

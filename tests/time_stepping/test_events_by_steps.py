@@ -66,7 +66,7 @@ def turning() -> Scene:
 
 
 @pytest.mark.parametrize("h", [6e-4, 1.5e-4])
-def test_what_turns_as_it_lands_lands_once(h: float) -> None:
+def test_turning_body_has_one_touchdown_by_steps(h: float) -> None:
     exact, found = by_events(turning()), by_steps(turning(), h)
     assert exact.outputs["n"] == 2.0
     assert found.outputs == exact.outputs
@@ -154,7 +154,7 @@ regions:
 """
 
 
-def test_what_two_contacts_do_at_one_instant_is_heard_once() -> None:
+def test_controller_hears_simultaneous_events_once() -> None:
     model = interpret(read_text(SLIDING, "f.yaml"))
     assert isinstance(model, Scene)
     for found in (by_events(model), by_steps(model, 1e-3)):

@@ -248,7 +248,7 @@ def test_forces_at_the_end_are_those_of_no_tiny_step():
     assert found.outputs["H"] == pytest.approx(exact, rel=1e-8)
 
 
-def test_whose_forces_the_motion_leaves_open_is_told() -> None:
+def test_warning_names_contacts_with_indeterminate_forces() -> None:
     shared = Runner("four_legged_table", engine="impulse", step=1e-3).run(until=0.01)
     told = "the forces of A, B, C, D are indeterminate: the smallest are shown"
     assert shared.trace.warnings.count(told) == 1

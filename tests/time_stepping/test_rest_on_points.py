@@ -55,7 +55,7 @@ def test_a_pulled_box_that_neither_slips_nor_tips_tells_no_event(runner, values)
     assert abs(trace.final).max() == pytest.approx(known["a"], abs=1e-12)
 
 
-def test_what_is_free_bears_nothing_beside_what_lands(runner):
+def test_free_contact_bears_no_force_while_another_lands(runner):
     # It tips about its front, leaves the ground, and strikes it again with the front.
     trace = runner.run({"a": 0.15625, "m": 2.5, "g": 9.81}, until=0.3).trace
     assert [(jump.region, jump.cause) for jump in trace.jumps] == [
