@@ -196,6 +196,23 @@ def on_constraints(
     return _brought(key, snapshot.whole, joints, state, inside=inside)
 
 
+def in_contact(key: Key, snapshot: Snapshot, state: Array, slow: float) -> Array:
+    """Bring the velocity alone onto the constraints where it is off them by more than `slow`.
+
+    Projected along with a place, it is that of the place left: over a curved surface the other
+    place has another normal.
+    """
+    rates = [
+        contact.gap_rate
+        for contact, name in zip(snapshot.contacts, key, strict=True)
+        if name not in OPEN
+    ]
+    if not any(abs(rate) > slow for rate in rates):
+        return state
+    half = len(state) // 2
+    return np.append(state[:half], on_constraints(key, snapshot, state)[half:])
+
+
 def _brought(
     key: Key,
     whole: Snapshot,

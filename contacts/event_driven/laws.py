@@ -11,7 +11,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.projection import Projection, dead_point, landed, on_constraints
+from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
@@ -264,6 +264,9 @@ class SceneLaws:
             state = on_constraints(rested, snapshot, state)
         if state is not at.state:
             snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
+            state = in_contact(rested, snapshot, brought := state, slow)
+            if state is not brought:
+                snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)
 

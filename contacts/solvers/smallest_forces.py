@@ -34,7 +34,8 @@ def _zone(w: Array, cone: Array, sliding: float) -> int:
     if sliding != 0.0:
         # A slide bears along one edge: against its direction.
         side = LOWER if sliding > 0.0 else UPPER
-    elif cone[0] * abs(w[1]) <= cone[1] * w[0]:
+    elif cone[0] * abs(w[1]) <= cone[1] * w[0] and w[0] >= 0.0:
+        # The second is no matter of the first without friction.
         return INSIDE
     sign = 1.0 if side == UPPER else -1.0
     return side if cone[0] * w[0] + sign * cone[1] * w[1] >= 0.0 else APEX
@@ -176,6 +177,7 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
         along = n * w[g, 0] + sign * t * w[g, 1]
         if zones[g] == INSIDE:
             worst = max(worst, n * abs(w[g, 1]) - t * w[g, 0])
+            worst = max(worst, -w[g, 0]) if t == 0.0 else worst
         elif zones[g] == APEX:
             worst = max(worst, along if sliding[g] != 0.0 else n * w[g, 0] + t * abs(w[g, 1]))
         else:

@@ -241,5 +241,6 @@ def _arrays(arguments: Iterable[Any]) -> Iterator[Array]:
 def _python_numbers(result: Any) -> Any:
     """Return a result with Python's numbers in the place of numpy's, as compiled code does."""
     if isinstance(result, tuple):
-        return tuple(_python_numbers(item) for item in result)
+        items = map(_python_numbers, result)
+        return type(result)(*items) if hasattr(result, "_fields") else tuple(items)
     return result.item() if isinstance(result, np.generic) else result

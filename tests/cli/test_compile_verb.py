@@ -49,7 +49,9 @@ def test_a_file_gets_one_line_about_each_subject(capsys):
     assert capsys.readouterr().err == "1\n3\n"
 
 
-def test_kernels_are_compiled_sooner_while_compiling_ahead():
+def test_kernels_are_compiled_sooner_while_compiling_ahead(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+
     def twice(x):
         return 2.0 * x
 

@@ -31,3 +31,31 @@ def test_a_point_comes_to_rest_at_the_same_place(engine: str, dx: float, s: floa
         there = runner.run({"dx": dx, "s": s, "x0": x0}).trace
         moved = np.array(there.final) - [x0, x0, 0.0, 0.0]
         assert moved == pytest.approx(np.array(here.final), abs=1e-9)
+
+
+HILLS = """\
+kind: scene
+name: hills
+parameters: {x0: 0, dx: 0, k: 3}
+gravity: 9.81
+bodies:
+  ball:
+    mass: 1
+    start: {x: x0 + 0.438720703125, y: x0 + 1.2578125, dx: dx, dy: 0.095}
+surfaces: {hills: {height: x0 + 0.356689453125*sin(k*(x - x0) + 5.66)}}
+contacts: {low: {point: {body: ball}, surface: hills, friction: 0, restitution: 0}}
+stop: {time: 1}
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("x0", "dx", "k"),
+    [(0.0, -0.37, 5.4), (7035.0, -0.34, 5.4), (7724.0, -0.23, 4.8), (11105.0, -0.16, 3.2)],
+)
+def test_what_leaves_a_hill_is_not_hit(engine: str, x0: float, dx: float, k: float) -> None:
+    """Round-off of the place turns the normal: the velocity is brought along it there."""
+    jumps = Runner(read_text(HILLS), engine=engine).run({"x0": x0, "dx": dx, "k": k}).trace.jumps
+    left = [jump.cause for jump in jumps if jump.fired == ("low.V",)]
+    assert left
+    assert set(left) == {"liftoff"}

@@ -272,3 +272,28 @@ def test_a_sum_of_impacts_that_is_cut_short_says_so() -> None:
     text = SQUEEZED.replace("restitution: 0.85", "restitution: 0.98").replace("36821", "613333")
     trace = Runner(interpret(read_text(text))).run().trace
     assert any("the sequence of impacts does not end" in warning for warning in trace.warnings)
+
+
+SHAKEN = """\
+kind: scene
+name: shaken
+parameters: {a: 0.0275, w: 47, mu: 0}
+gravity: 9.81
+bodies: {box: {mass: 1, inertia: 0.05, start: {y: 0.1, dy: a*w}}}
+surfaces: {table: {height: 0, displacement: [0, a*sin(w*time)]}}
+contacts:
+  left: {point: {body: box, at: [-0.2, -0.1]}, surface: table, friction: mu, restitution: 0}
+  right: {point: {body: box, at: [0.2, -0.1]}, surface: table, friction: mu, restitution: 0}
+stop: {time: 0.1}
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+def test_a_box_leaves_a_shaken_table_whatever_the_friction(engine: str, mu: float) -> None:
+    """Without friction a cone has no width, and is nevertheless left where forces pull."""
+    for a in (0.0275, 0.02, 0.0125, 0.01):
+        trace = Runner(read_text(SHAKEN), engine=engine).run({"a": a, "mu": mu}).trace
+        first = trace.jumps[0]
+        assert (first.cause, first.target) == ("liftoff", ("free", "free"))
+        assert first.t == pytest.approx(math.asin(9.81 / (a * 47**2)) / 47, abs=1e-9)
