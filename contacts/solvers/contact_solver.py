@@ -87,7 +87,8 @@ def solve_rows(
             put_rows(impulses, other)
         missed = measured(contacts, least, size, other)
         # A small problem costs Newton's method no more than sweeps, and what rests has its status.
-        if anew or goal > VERIFIED:
+        # The first sweep solves a contact alone.
+        if anew or goal > VERIFIED or count == 1:
             missed, steps = swept(contacts, least, size, missed, other, goal, _SWEEPS)
             done += steps
         if missed > goal or rests:
