@@ -55,7 +55,7 @@ POINTS = (
 """Shipped models of points on surfaces."""
 
 STEP = 1e-3
-"""Of models without one of their own."""
+"""Step size, in seconds, for models that declare none."""
 
 _REST = 1e-10
 """Impulses that miss no more are not looked for again: such problems are left out."""

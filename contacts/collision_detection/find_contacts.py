@@ -105,7 +105,7 @@ LANDED = 0.5
 
 
 APPROACH, CLOSING, PASSED, SUNK, TURNED = range(5)
-"""What a detection keeps the largest of; see `DetectionResult`."""
+"""Places of the largest values of a detection; see `DetectionResult`."""
 
 
 class DetectionResult(NamedTuple):
@@ -238,9 +238,9 @@ def _strikes(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, point: Array,
     nearing: float, alike: bool, points: _Points,
 ) -> bool:  # fmt: skip
-    """Whether what is near and fast is hit: it may pass beside the other.
+    """Return whether a fast pair that is near collides; it may pass the other body.
 
-    What is `alike` was known at the last detection, or is slow: it meets where it is near.
+    A pair that is `alike` was known at the last detection, or is slow: it collides where near.
     """
     h, nx, ny, gap = times.h, point[0], point[1], point[4]
     if gap > 0.0 and pair.discs:
@@ -292,9 +292,9 @@ def _takes_part(
     numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
 ) -> bool:  # fmt: skip
-    """Whether a pair touches at a point in this step, which is written as contact m then.
+    """Return whether a pair touches at a point in this step; write it as contact m.
 
-    What is remembered of the pair begins `at_old`.
+    The values of the pair from the last step begin at `at_old`.
     """
     h, point, feature = times.h, points.found[at], points.features[at]
     gap = point[4]

@@ -24,9 +24,9 @@ _ELSEWHERE = 0.5
 
 @kernel
 def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> tuple[float, float]:
-    """When two pieces that move in straight lines are nearer than `apart`; inf, inf if never.
+    """Return the interval in which two pieces on straight lines are nearer than `apart`.
 
-    They are at `centres` at the time zero.
+    The pieces are at `centres` at time zero. It is (inf, inf) if they never are.
     """
     x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
     u, v = velocities[b, 0] - velocities[c, 0], velocities[b, 1] - velocities[c, 1]
@@ -41,7 +41,7 @@ def overlap(centres: Array, velocities: Array, b: int, c: int, apart: float) -> 
 
 @kernel
 def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -> bool:
-    """Whether two pieces cross less than the smaller one's size at this rate, beside each other."""
+    """Return whether the relative speed is below `rate` times the size of the smaller piece."""
     x = velocities[one, 0] - velocities[other, 0]
     y = velocities[one, 1] - velocities[other, 1]
     least = rate * min(sizes[one], sizes[other])
@@ -120,7 +120,7 @@ def _touch(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
     near: float, aside: Array,
 ) -> float:  # fmt: skip
-    """When two pieces that move and turn are first as near as this; inf if they are not.
+    """Return the first time at which two moving, turning pieces are this near; inf if never.
 
     Conservative advancement (Mirtich 1996): no point of them is faster than both bodies and what
     these turn, so that nothing happens in the time that the gap gives. Against the time where it

@@ -95,20 +95,6 @@ def rules_of(scene: SceneWatch) -> ModeRules:
 
 
 @kernel
-def classified(
-    scene: SceneWatch,
-    numbers: Array,
-    n: int,
-    under_way: bool,
-    kept: Ints,
-    lowest: Array,
-    taken: Ints,
-) -> bool:
-    """Classify every contact; False where the instant is not a usual one."""
-    return classify(rules_of(scene), numbers, n, under_way, kept, lowest, taken)
-
-
-@kernel
 def _closed(
     scene: SceneWatch, kept: Ints, numbers: Array, first: int, group: Ints
 ) -> tuple[int, int]:
@@ -246,7 +232,7 @@ def hit(
         taken[i] = OFF_CODE if kept[i] == OFF_CODE else FREE
     if resting:
         flying = taken.copy()
-        if not classified(scene, numbers, n, False, flying, lowest, taken):
+        if not classify(rules_of(scene), numbers, n, False, flying, lowest, taken):
             return -1, 0, 0
     put(after, state)
     return c, path, bits
@@ -452,7 +438,7 @@ def instant(
         for c in range(contacts):
             lasting = kept[c] != FREE and kept[c] != OFF_CODE
             lowest[c] = -scene.near if lasting else 0.0
-        found = classified(scene, numbers, n, True, kept, lowest, taken)
+        found = classify(rules_of(scene), numbers, n, True, kept, lowest, taken)
     if not found:
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
             # Slip that has ended as far as time tells is the laws' to see.

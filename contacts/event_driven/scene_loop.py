@@ -26,15 +26,15 @@ from contacts.event_driven.compiled_instants import (
     CAUSES,
     GOES_ON,
     SceneWatch,
-    classified,
     conditions,
     hold_conditions,
     instant,
     meaning,
     row_of,
+    rules_of,
     switched,
 )
-from contacts.modes.classification import allowed
+from contacts.modes.classification import allowed, classify
 from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup
@@ -163,7 +163,7 @@ def _start(
         values = conditions(program, watch, instants, state, 0.0)
         if switched(instants, values, numbers, first, 0, np.full(contacts, FREE), kept) == -2:
             return -1
-    if not classified(instants, numbers, n, False, kept, lowest, taken):
+    if not classify(rules_of(instants), numbers, n, False, kept, lowest, taken):
         return -1
     for c in range(contacts):
         gap, rate = numbers[first + SCALARS * c], numbers[first + SCALARS * c + 1]
