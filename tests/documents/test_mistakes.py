@@ -313,7 +313,7 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
         # Above a floor whose line goes from left to right, and in one whose line goes back.
         ("height: 0", "line: [[-1, -2], [1, -2]]", ""),
         ("height: 0", "line: [[1, 3], [-1, 3]]", ""),
-        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts with its centre 0.2 in the so"),
+        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts 0.2 inside the solid of"),
     ],
 )  # fmt: skip
 def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:
