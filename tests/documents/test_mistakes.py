@@ -323,6 +323,15 @@ def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, tol
     assert [told in warning for warning in warnings] == ([True] if told else [])
 
 
+def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
+    text = SCENE.replace("height: 0", "line: [[1, 0.8], [-1, 0.8]]")
+    text = text.replace("restitution: e", "restitution: e, enabled: time > 0.1")
+    _, warnings = Runner(read_text(text, "f.yaml")).start()
+    assert any("inside the solid" in warning for warning in warnings)
+    _, warnings = Runner(read_text(text + "modes: {tip: off}\n", "f.yaml")).start()
+    assert not any("inside the solid" in warning for warning in warnings)
+
+
 @pytest.mark.parametrize(
     ("changes", "places"),
     [
