@@ -137,9 +137,7 @@ def _agree(expected: list[str], printed: list[str]) -> bool:
         if line.strip() == "...":
             reached = set(range(min(reached), len(printed) + 1)) if reached else reached
         else:
-            reached = {
-                n + 1 for n in reached if n < len(printed) and _same_line(line, printed[n])
-            }
+            reached = {n + 1 for n in reached if n < len(printed) and _same_line(line, printed[n])}
     return len(printed) in reached
 
 
