@@ -397,6 +397,12 @@ class FlatRegion:
             for t in self.transitions
         )
 
+    def flows(self, state: str) -> dict[str, FiniteText]:
+        """Return the flows of a configuration: those of inner states replace those of outer."""
+        return {
+            name: flow for content in self.states[state] for name, flow in content.flows.items()
+        }
+
     def active(self, state: str) -> tuple[str, ...]:
         """Return what is active with a configuration: its states, and those that hold them."""
         return self.nesting.active(state, self.superstates)
