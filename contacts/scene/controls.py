@@ -109,7 +109,7 @@ class Controls:
 
     @cached_property
     def memory(self) -> Mapping[str, FiniteText]:
-        """What regions remember: their variables, and what their transitions wait for times by.
+        """Variables of regions, and the timers of their transitions.
 
         Name -> initial value.
         """

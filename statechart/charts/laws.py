@@ -142,7 +142,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
 class ChartLaws:
     """The laws of a chart (see `statechart.automaton.laws.Laws`)."""
 
-    # What its transitions say is not compiled.
+    # Transitions of charts are not compiled.
     compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:

@@ -79,7 +79,7 @@ class Transition(Part):
 
     @property
     def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps out of the state fires it."""
+        """True if the accumulation of jumps out of the state fires it."""
         return self.on == "zeno"
 
     @property
@@ -278,6 +278,6 @@ def check_listening(
                     advice="a transition fires on events of other regions",
                     loc=loc,
                 )
-            # What stands alone is nobody's: no region has the name "".
+            # A word alone belongs to no region: none has the name "".
             single = event.region is None and len(transition.events) == 1
             check_event(event, {**others, "": alone} if single else others, states, *loc)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.search_memory import Memory, room
-from statechart.kernels.tapes import tape_values
+from statechart.kernels.tapes import TapeCode, tape_values
 
 PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
@@ -55,10 +55,10 @@ class Program(NamedTuple):
 
 
 @kernel
-def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
-    """Code, constants, outputs, reads and n_fixed of a tape."""
+def tape_of(program: Program, row: NDArray[np.int64]) -> TapeCode:
+    """Return a tape of a table."""
     ints, floats = program.ints, program.floats
-    return (
+    return TapeCode(
         ints[row[0] : row[0] + 3 * row[1]].reshape((row[1], 3)),
         floats[row[2] : row[2] + row[3]],
         ints[row[4] : row[4] + row[5]],

@@ -18,7 +18,6 @@ from statechart.diagram.dot import dot
 from statechart.diagram.legend import GUARDS, TIMES, legend
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
-from statechart.diagram.scxml import NOTES, SCXML, scxml
 from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
 
@@ -144,17 +143,6 @@ def check_dot(diagram: Diagram) -> None:
     assert len(drawn) == len(meant)
 
 
-def check_scxml(diagram: Diagram) -> None:
-    root = ET.fromstring(scxml(diagram))
-    assert root.tag == f"{{{SCXML}}}scxml"
-    ids = [element.get("id") for element in root.iter() if element.get("id")]
-    assert len(ids) == len(set(ids)) == len(diagram.nodes)
-    transitions = list(root.iter(f"{{{SCXML}}}transition"))
-    assert len(transitions) == len(diagram.links)
-    assert {element.get("target") for element in transitions} <= set(ids)
-    assert all(re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) for name in ids if name)
-
-
 MERMAID_LINE = re.compile(
     r"""state\ "[^"\n:;{}\[\]<>%]+(?:<br/>[^"\n:;{}\[\]<>%]*)*"\ as\ \w+(?:\ \{)?
     | \w+\ :\ [^:;{}%"]+
@@ -189,11 +177,6 @@ def test_dot_parses_back_to_the_same_states_and_edges(make):
 
 
 @DIAGRAMS
-def test_scxml_is_well_formed_and_its_targets_exist(make):
-    check_scxml(make())
-
-
-@DIAGRAMS
 def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
     check_mermaid(make())
 
@@ -202,17 +185,16 @@ def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
 @examples(60)
 def test_any_text_survives_every_renderer(diagram):
     check_dot(diagram)
-    check_scxml(diagram)
     check_mermaid(diagram)
 
 
 @DIAGRAMS
-@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+@pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
 def test_same_diagram_gives_same_text(make, render):
     assert render(make()) == render(make())
 
 
-@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+@pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
 def test_guards_resets_and_causes_are_all_there(render):
     text = render(one_contact())
     for word in ("touchdown", "lift-off", "shove", "mu V + H", "impact(v)", "the wall is in"):
@@ -285,8 +267,6 @@ def test_no_picture_is_larger_than_2000_pixels(tmp_path):
 def test_every_renderer_tells_the_path():
     assert "pin → slide+ → pin" in dot(one_contact())
     assert "pin → slide+ → pin" in mermaid(one_contact())
-    root = ET.fromstring(scxml(one_contact()))
-    assert root.get(f"{{{NOTES}}}path") == "tip_pin tip_slide_plus tip_pin"
 
 
 @pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
@@ -303,19 +283,6 @@ def test_infeasible_state_is_dashed_and_says_why():
     line = next(line for line in dot(one_contact()).splitlines() if "tip_slide_minus [" in line)
     assert 'style="rounded,dashed,filled"' in line
     assert 'tooltip="the wall is in the way"' in line
-
-
-def test_scxml_nests_groups_and_keeps_guards_and_resets():
-    root = ET.fromstring(scxml(one_contact()))
-    assert root.get("initial") == "tip_pin"
-    group = root.find(f"{{{SCXML}}}state[@id='tip_slide']")
-    assert group is not None
-    assert [child.get("id") for child in group] == ["tip_slide_plus", "tip_slide_minus"]
-    stick = group.find(f".//{{{SCXML}}}transition[@event='stick']")
-    assert stick is not None
-    assert stick.get("cond") == "slip < 0"
-    assert stick.get(f"{{{NOTES}}}reset") == "slip := 0"
-    assert ET.fromstring(scxml(two_states())).find(f"{{{SCXML}}}final") is not None
 
 
 def test_identifiers_differ_for_names_that_look_alike():
@@ -347,7 +314,6 @@ MAGIC = {
     ".pdf": b"%PDF-",
     ".dot": b"digraph",
     ".mmd": b"---\ntitle",
-    ".scxml": b"<?xml",
     ".graphml": b"<?xml",
 }
 
@@ -362,7 +328,7 @@ def graphed(diagram: Diagram) -> Diagram:
     return replace(diagram, shows=lambda: graph)
 
 
-@pytest.mark.parametrize("suffix", [*SUFFIXES, ".SVG"])
+@pytest.mark.parametrize("suffix", [".SVG", *(s for s in SUFFIXES if s != ".scxml")])
 @pytest.mark.parametrize("make", [one_contact, hostile], ids=lambda make: make.__name__)
 def test_suffix_names_the_format(make, suffix, tmp_path):
     path = tmp_path / f"chart{suffix}"
