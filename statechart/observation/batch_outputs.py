@@ -19,7 +19,7 @@ from statechart.automaton.regions import happened
 from statechart.automaton.trace import Jump, Key
 from statechart.automaton.trace_store import TraceBuffer, event_of
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
-from statechart.engines.mode_table import TAPE, tape_of
+from statechart.engines.compiled_flow import TAPE, tape_of
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import (
     ARCS,
