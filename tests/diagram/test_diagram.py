@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from strategies import examples
 
+from statechart import draw
 from statechart.diagram.dot import dot
 from statechart.diagram.legend import GUARDS, TIMES, legend
 from statechart.diagram.mermaid import mermaid
@@ -314,6 +315,7 @@ MAGIC = {
     ".pdf": b"%PDF-",
     ".dot": b"digraph",
     ".mmd": b"---\ntitle",
+    ".scxml": b"<?xml",
     ".graphml": b"<?xml",
 }
 
@@ -328,11 +330,12 @@ def graphed(diagram: Diagram) -> Diagram:
     return replace(diagram, shows=lambda: graph)
 
 
-@pytest.mark.parametrize("suffix", [".SVG", *(s for s in SUFFIXES if s != ".scxml")])
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".SVG"])
 @pytest.mark.parametrize("make", [one_contact, hostile], ids=lambda make: make.__name__)
 def test_suffix_names_the_format(make, suffix, tmp_path):
     path = tmp_path / f"chart{suffix}"
-    write(graphed(make()), path)
+    # Only models run as SCXML.
+    write(draw("bouncing_ball") if suffix == ".scxml" else graphed(make()), path)
     assert path.read_bytes().startswith(MAGIC[suffix.lower()])
     assert [path] == list(tmp_path.iterdir())
 
@@ -347,9 +350,12 @@ def test_graphml_holds_any_text(make, tmp_path):
     assert [edge[3] for edge in edges] == [printable(link.guard) for link in diagram.links]
 
 
-def test_a_diagram_made_by_hand_has_no_graph_to_write(tmp_path):
-    with pytest.raises(StatechartError, match="shows no graph"):
-        write(two_states(), tmp_path / "chart.graphml")
+@pytest.mark.parametrize(
+    ("suffix", "lacks"), [("graphml", "shows no graph"), ("scxml", "no model")]
+)
+def test_a_diagram_made_by_hand_has_no_graph_and_no_model(suffix, lacks, tmp_path):
+    with pytest.raises(StatechartError, match=lacks):
+        write(two_states(), tmp_path / f"chart.{suffix}")
     assert not any(tmp_path.iterdir())
 
 
