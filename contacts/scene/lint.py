@@ -112,15 +112,17 @@ def _inside_out(scene: SceneFields) -> Iterator[str]:
         surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
         if surface.line is None or surface.body is not None or surface.moves:
             continue
+        if scene.initial_modes.get(name) == "off":
+            continue
         free = (body.start.get("x", 0), body.start.get("y", 0))
         x, y = numbers(body.position or free)
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
             yield (
-                f"contacts.{name}: {contact.point.body!r} starts with its centre {depth:.3g} in "
-                f"the solid of {contact.surface!r}, which is on the right of the line going from "
-                "one point to two; where the other side is meant, swap the points"
+                f"contacts.{name}: {contact.point.body!r} starts {depth:.3g} inside the solid of "
+                f"{contact.surface!r}, which is on the right of the way from its first point to "
+                "its second; to have the other side solid, swap the points"
             )
 
 
