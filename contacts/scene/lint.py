@@ -55,7 +55,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         yield from _spread(scene)
     with suppress(DeclarationError, DeclarationProblem):
-        # What is wrong with a formula is told where it is used.
+        # Other checks report formulas that have no value.
         yield from _inside_out(scene)
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
@@ -210,7 +210,7 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
 
 
 def _meet(scene: SceneFields) -> bool:
-    """Whether a body has several contacts, or bodies may feel those of others."""
+    """Return whether a body has several contacts, or bodies may feel those of others."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
         body
@@ -222,7 +222,7 @@ def _meet(scene: SceneFields) -> bool:
 
 
 def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
+    """Return whether all laws agree: no friction, or a particle that moves along the push."""
     if contact.frictionless:
         return True
     if contact.friction is not None:
