@@ -144,8 +144,8 @@ def page() -> str:
         "# Scenes of growing size",
         "",
         "Run time and memory of events (`taylor`) and of steps (`impulse`), for 1 s of motion. "
-        "Each row is a new process; kernels are compiled, modes are not. *Process* is the time of the "
-        "whole process, *second run* that of a repeated run in it.",
+        "Each row is a new process; kernels are compiled, modes are not. *Process* is the time of "
+        "the whole process, *second run* that of a repeated run in it.",
         "",
         "`python benchmarks/growing_scenes.py -o docs/growing-scenes.md` writes this page; "
         f"{platform.machine()}, {os.cpu_count()} cores.",
