@@ -26,12 +26,13 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.compiled_loop import T_HIGH, Batch
+from statechart.execution.compiled_loop import EVENTS, EVENTS_END, FIRST_MODE, T_HIGH, Batch
 from statechart.execution.simulator import BatchRunner
 from statechart.formulas.formula import parse
-from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
+from statechart.observation.output_kernels import TARGET
 from statechart.observation.outputs import Outputs
+from statechart.observation.scales import OutputValue
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
@@ -90,6 +91,14 @@ class CellBlock:
         for part in ("outcome", "message", "certified", "t_end", "seconds", "error_estimate"):
             getattr(self, part)[places] = getattr(other, part)
         self.modes[places] = modes
+
+    def take_output(self, name: str, cells: Sequence[int], values: Sequence[OutputValue]) -> None:
+        """Take the values of an output in some cells."""
+        if name in self.lists:
+            for k, value in zip(cells, values, strict=True):
+                self.lists[name][k] = np.array(value, dtype=float)
+        else:
+            self.numbers[name][cells] = [math.nan if v is None else v for v in values]
 
     def end(self, k: int, outcome: str, message: str) -> None:
         """Set why a cell ended."""
@@ -181,20 +190,17 @@ class _Cells:
         places = places[:size]
         began = working_time()
         done: list[NDArray[np.intp]] = []
-        for batch, numbers, several in structure.batches.run(rows[places]):
+        for batch, outputs in structure.batches.run(rows[places]):
             here = places[batch.rows]
             done.append(here)
-            for name, values in numbers.items():
-                found.numbers[name][here] = values
-            for name, listed in several.items():
-                for k, values in zip(here.tolist(), listed, strict=True):
-                    found.lists[name][k] = values
+            for name, values in outputs.items():
+                found.take_output(name, here.tolist(), values)
             found.outcome[here] = Outcome.HORIZON.name
             found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
             found.message[here] = ""
             found.certified[here] = True
             found.t_end[here] = batch.found.now[:, T_HIGH]
-            texts = map(structure.sequence, modes_of(batch))
+            texts = map(structure.sequence, _modes_of(batch))
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:
             through = np.concatenate(done)
@@ -258,10 +264,7 @@ class _Cells:
             return
         outputs = structure.outputs(result.observer, self._task.outputs)
         for name, value in outputs.of(trace).items():
-            if isinstance(value, list):
-                block.lists[name][k] = np.array(value, dtype=float)
-            elif value is not None:
-                block.numbers[name][k] = value
+            block.take_output(name, [k], [value])
 
 
 class _Structure:
@@ -321,11 +324,9 @@ class BatchedCells:
         self._tried, self.through = 0, 0
 
     @cached_property
-    def _rows(self) -> tuple[BatchRunner, BatchOutputs] | None:
+    def _rows(self) -> tuple[BatchRunner, Outputs] | None:
         found = self._runner.rows(self._task.names)
-        if found is None:
-            return None
-        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
+        return None if found is None else (found[1], Outputs(found[0], self._task.outputs))
 
     @property
     def size(self) -> int:
@@ -336,7 +337,7 @@ class BatchedCells:
         # The first of them enter modes that are not known yet.
         return min(2 + self._tried, _MAX_BATCH)
 
-    def run(self, table: Array) -> Iterator[tuple[Batch, dict[str, Array], dict[str, list[Array]]]]:
+    def run(self, table: Array) -> Iterator[tuple[Batch, dict[str, list[OutputValue]]]]:
         """Run rows (m, p) of values; yield those that go through, with their outputs."""
         assert self._rows is not None
         rows, outputs = self._rows
@@ -344,7 +345,7 @@ class BatchedCells:
         self._tried += len(table)
         for batch in rows.run(table, until, self._runner.model.settings.max_jumps):
             self.through += len(batch.rows)
-            yield batch, *outputs.of(batch, partial(rows.jump, batch, table[batch.rows]))
+            yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))
 
     def _ends(self, table: Array) -> Array:
         """Return when runs (m,) end; not a number where that is refused."""
@@ -376,4 +377,26 @@ def repeats(words: Sequence[str]) -> list[str]:
         text = " > ".join(words[k : k + period])
         found.append(text if times == 1 else f"({text}) x {times}")
         k += period * times
+    return found
+
+
+def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:
+    """Return the modes of each run of a batch, in order (see `Trace.modes`)."""
+    keys = [kind[0] for kind in batch.kinds]
+    sequences: dict[tuple[int, bytes], tuple[Key, ...]] = {}
+    found = []
+    targets = batch.block.events[:, TARGET]
+    firsts = batch.found.ends[:, FIRST_MODE].tolist()
+    spans = batch.found.spans[:, EVENTS : EVENTS_END + 1].tolist()
+    for first, (begin, end) in zip(firsts, spans, strict=True):
+        entered = targets[begin:end]
+        code = first, entered.tobytes()
+        known = sequences.get(code)
+        if known is None:
+            visited = [keys[first]]
+            for kind in entered.tolist():
+                if keys[kind] != visited[-1]:
+                    visited.append(keys[kind])
+            known = sequences[code] = tuple(visited)
+        found.append(known)
     return found

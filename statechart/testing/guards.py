@@ -33,6 +33,7 @@ from statechart.formulas.relation import (
     parse_relation,
 )
 from statechart.observation.observer import Observer
+from statechart.observation.outputs import extremes_along
 from statechart.observation.sampling import passed
 from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
@@ -96,11 +97,9 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         if not margins:
             continue
         allowed = _assert_margins(subject, trace, arc, tau, margins, moved)
-        alone = replace(trace, arcs=(arc,))
-        for margin, less in zip(margins, allowed, strict=True):
-            found = np.full(2, np.nan)
-            observer.widened(alone, margin.expression, found)
-            if (least := found[0]) < -less:
+        found = extremes_along(observer, trace, arc, [margin.expression for margin in margins])
+        for margin, less, least in zip(margins, allowed, found[:, 0].tolist(), strict=True):
+            if least < -less:
                 begins, ends = arc.start.high, arc.start.high + arc.duration
                 raise AssertionError(
                     f"{margin.name} falls to {least:.6g} between t = {begins:.6g} and "
