@@ -28,7 +28,7 @@ from contacts.states import implied_joints
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.regions import StopCondition
 from statechart.documents.fields import FormulaText
-from statechart.engines.mode_table import Program, tape_of
+from statechart.engines.compiled_flow import Program, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape

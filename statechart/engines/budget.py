@@ -9,8 +9,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import working_time
-from statechart.engines.engine import Begin, Engine, FlowWatch
-from statechart.engines.path import Path
+from statechart.engines.engine import Begin, Engine, FlowWatch, Path
 from statechart.errors import OutOfBudget
 from statechart.formulas.tape import Tape
 

@@ -17,10 +17,8 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import whole
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace
-from statechart.engines.heyoka_step import Step
-from statechart.engines.path import Path
-from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, taylor_steps
+from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace, Path
+from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, Step, taylor_steps
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
@@ -198,7 +196,7 @@ class Taylor(Engine):
         else:
             taken, finite, h, left = taylor_steps(
                 (*stepper.integrator_memory, self.tolerance, self.max_step),
-                until - reached, count, first, path.times, path.coefficients, end,
+                until - reached, count, path.times[first:], path.coefficients[first:], end,
                 watch.reconstruction.program, watch.start,
             )  # fmt: skip
         last = first + finite

@@ -15,8 +15,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
-from statechart.engines.engine import FlowWatch
-from statechart.engines.path import Path
+from statechart.engines.engine import FlowWatch, Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes

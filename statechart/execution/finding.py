@@ -15,10 +15,9 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup
-from statechart.engines.engine import Engine, FlowWatch
+from statechart.engines.compiled_flow import EVALUATED
+from statechart.engines.engine import Engine, FlowWatch, Path
 from statechart.engines.event_location import Crossing, Search, Verdict, search
-from statechart.engines.mode_table import EVALUATED
-from statechart.engines.path import Path
 from statechart.errors import NonFinite, Undecided
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import sizes_at

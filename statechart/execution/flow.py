@@ -19,9 +19,9 @@ from statechart.engines.engine import (
     Begin,
     Engine,
     FlowWatch,
+    Path,
 )
 from statechart.engines.event_location import Crossing, Search, Verdict, search
-from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import (

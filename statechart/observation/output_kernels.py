@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.trace_store import TraceBuffer
-from statechart.engines.mode_table import tape_of
+from statechart.engines.compiled_flow import tape_of
 from statechart.execution.compiled_loop import (
     ARCS,
     ARCS_END,

@@ -22,7 +22,7 @@ from statechart.automaton.regions import Mode, happened
 from statechart.automaton.trace import Arc, Jump, Key, Trace
 from statechart.automaton.trace_store import Kind, TraceBuffer
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
-from statechart.engines.mode_table import TAPE
+from statechart.engines.compiled_flow import TAPE
 from statechart.execution.compiled_loop import (
     ARCS,
     ARCS_END,

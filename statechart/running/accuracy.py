@@ -21,8 +21,7 @@ from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
 from statechart.engines.budget import Allowance
-from statechart.engines.choice import choose
-from statechart.engines.request import TIGHTER, Chosen, Plan
+from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import Difference, compare, distance, modes_apart, paired

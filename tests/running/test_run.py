@@ -15,8 +15,8 @@ import models
 from statechart.charts.chart import Chart
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
-from statechart.engines.choice import choose
-from statechart.engines.path import Path as Steps
+from statechart.engines.engine import Path as Steps
+from statechart.engines.request import choose
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
 from statechart.observation.difference import compare
@@ -51,7 +51,7 @@ def ball(*changes: tuple[str, str]) -> str:
 def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("statechart.engines.choice._has_heyoka", lambda: False)
+    monkeypatch.setattr("statechart.engines.request._has_heyoka", lambda: False)
     engine, reason = choose(Setting())
     assert (engine.name, engine.method, engine.tolerance) == ("scipy", "DOP853", 1e-12)
     assert "heyoka" in reason
