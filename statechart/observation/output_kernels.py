@@ -32,7 +32,7 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.quadrature import integrate_outputs
 from statechart.kernels.tapes import tape_values
 
-SOURCE, TARGET, STRUCK, GROUP = 0, 1, 4, 5
+SOURCE, TARGET = 0, 1
 """Columns of the events of a buffer."""
 TIME, NORMAL = 0, 4
 """Columns of their numbers."""

@@ -41,10 +41,8 @@ from statechart.execution.simulator import Simulator
 from statechart.kernels.jit import entry, numba_is_imported
 from statechart.observation.observer import FormulaLike, Observer
 from statechart.observation.output_kernels import (
-    GROUP,
     NORMAL,
     SOURCE,
-    STRUCK,
     TARGET,
     TIME,
     OutputTapes,
@@ -243,8 +241,7 @@ class Outputs:
     def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
         """Return the marks of all events of all runs, a stop being one; see `compute_outputs`.
 
-        Verdicts are stored by what decides them: modes, the region struck, and whether it was.
-        Where several are struck, each event is judged itself.
+        Verdicts are stored by what decides them: modes, the regions struck, and what these do.
         """
         block, found = batch.block, batch.found
         verdicts = self._verdicts.setdefault(batch.zeros, {})
@@ -258,15 +255,11 @@ class Outputs:
             )
             for j in range(span[EVENTS_END] - span[EVENTS]):
                 place = span[EVENTS] + j - first
-                event = events[place]
-                key = (
-                    event[SOURCE], event[TARGET], event[STRUCK], any(numbers[place][NORMAL:])
-                )  # fmt: skip
-                verdict = verdicts.get(key) if event[GROUP] == 0 else None
+                source, target, _, *codes = events[place]
+                key = (source, target, *codes, any(numbers[place][NORMAL:]))
+                verdict = verdicts.get(key)
                 if verdict is None:
-                    verdict = self.marks_of(jump_of(row, j))
-                    if event[GROUP] == 0:
-                        verdicts[key] = verdict
+                    verdict = verdicts[key] = self.marks_of(jump_of(row, j))
                 marks.append((*verdict, j + 1 not in flowed))
             if end[HOW] == STOPPED:
                 kind = int(found.place[row, N_MODE])

@@ -26,7 +26,7 @@ from statechart.tabular import several, whole
 
 
 class Computation(NamedTuple):
-    """How a run was computed, as far as its trace does not tell."""
+    """Costs and accuracy of a run, as far as its trace does not tell."""
 
     error_estimate: float | None = None  # Where an accuracy was asked for.
     timings: Mapping[str, float] = MappingProxyType({})  # Seconds that parts of the work took.
