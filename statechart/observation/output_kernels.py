@@ -27,10 +27,11 @@ from statechart.execution.compiled_loop import (
     T_HIGH,
     BatchResult,
 )
+from statechart.kernels.boxes import Steps
 from statechart.kernels.extremes import widen
 from statechart.kernels.jit import kernel
 from statechart.kernels.quadrature import integrate_outputs
-from statechart.kernels.tapes import tape_values
+from statechart.kernels.tapes import TapeCode, tape_values
 
 SOURCE, TARGET = 0, 1
 """Columns of the events of a buffer."""
@@ -69,7 +70,7 @@ class OutputValues(NamedTuple):
 
 
 @kernel
-def _program(tapes: OutputTapes, tape: Ints) -> tuple[Ints32, Array, Ints32, Ints32, int]:
+def _program(tapes: OutputTapes, tape: Ints) -> TapeCode:
     # Only the packed arrays are read, which both have.
     return tape_of(tapes, tape)  # type: ignore[arg-type]
 
@@ -145,12 +146,9 @@ def _integrate(
             tape = tapes.integrals[kind]
             if tape[5] == 0:
                 continue
-            code, constants, outputs, reads, n_fixed = _program(tapes, tape)
             times, terms = _times_of(block, arc), _terms_of(block, arc, variables, resolved)
-            sums, _ = integrate_outputs(
-                code, constants, outputs, reads, n_fixed, times, terms, found.values[row],
-                block.starts[arc, 0], 0.0, times[-1],
-            )  # fmt: skip
+            steps = Steps(times, terms, found.values[row], block.starts[arc, 0])
+            sums, _ = integrate_outputs(_program(tapes, tape), steps, 0.0, times[-1])
             for i in range(sums.shape[0]):
                 totals[row, tapes.columns[kind, i]] += sums[i]
 
@@ -179,13 +177,10 @@ def _widen_by_arcs(
         tape = tapes.extremes[formula, block.arcs[arc, 0]]
         if tape[5] == 0:
             continue
-        code, constants, outputs, reads, n_fixed = _program(tapes, tape)
-        widen(
-            code, constants, outputs, reads, n_fixed, _times_of(block, arc),
-            _terms_of(block, arc, variables, resolved),
-            _terms_of(block, arc, variables, block.coefficients),
-            found.values[row], block.starts[arc, 0], block.starts[arc, 1], result,
-        )  # fmt: skip
+        terms = _terms_of(block, arc, variables, block.coefficients)
+        steps = Steps(_times_of(block, arc), terms, found.values[row], block.starts[arc, 0])
+        rest = _terms_of(block, arc, variables, resolved)
+        widen(_program(tapes, tape), steps, rest, block.starts[arc, 1], result)
 
 
 @kernel
