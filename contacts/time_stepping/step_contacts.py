@@ -216,13 +216,20 @@ _LATE = 1e-9
 
 
 @kernel
-def _slow(scene: StepConstants, tape: TapeValues, met: ContactRoles, i: int, h: float) -> float:
+def _slow(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, met: ContactRoles, i: int,
+    h: float,
+) -> float:  # fmt: skip
     """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`.
 
-    A step without contact changes the rate of a gap by forces, and by turning.
+    What has just been struck comes back by turning as well: else it would rebound at every step.
     """
-    turned = h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
-    return max(SLOW * abs(met.free[i, 0] - met.before[i, 0] + turned), scene.still)
+    change = met.free[i, 0] - met.before[i, 0]
+    slow = abs(change)
+    if memory.fresh[i] > 0:
+        row = tape.first + tape.per * i
+        slow = max(slow, abs(change + h * tape.numbers[row + 2 * tape.size]))
+    return max(SLOW * slow, scene.still)
 
 
 @kernel
@@ -246,7 +253,7 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
-        nearing, slow = -before[0], _slow(scene, tape, met, i, h)
+        nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         role, level[i], above = arriving(
             gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, scene.near, h
