@@ -35,7 +35,7 @@ from contacts.scene.scene import Scene
 from statechart.automaton.dense_output import lowest
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.setting import Setting
-from statechart.engines.choice import choose
+from statechart.engines.request import choose
 from statechart.execution.simulator import Simulator
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape

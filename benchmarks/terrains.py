@@ -24,7 +24,7 @@ from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
-from statechart.engines.choice import choose
+from statechart.engines.request import choose
 from statechart.execution import compiled_loop
 from statechart.execution.simulator import Simulator
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from statechart.automaton.dense_output import checked_arc
+from statechart.engines.engine import Path
 from statechart.engines.event_location import BOXES, Search, search
-from statechart.engines.path import Path
 from statechart.formulas.tape import Tape, contiguous
 
 

@@ -30,7 +30,7 @@ from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.trace_store import EVENTS, MADE, TraceBuffer
-from statechart.engines.mode_table import (
+from statechart.engines.compiled_flow import (
     ADDRESS,
     LAWS_AT,
     MARGINS_AT,
@@ -83,6 +83,16 @@ class SceneWatch(NamedTuple):
     acceleration: float
     short: float
     capture: float  # Rebounds slower than this may stand for those that follow.
+
+
+class RunState(NamedTuple):
+    """State of a run in the loop, which brings it up to date."""
+
+    now: Array  # (6,): see `statechart.execution.compiled_loop.T_HIGH`.
+    place: Ints  # (6,): see `statechart.execution.compiled_loop.N_MODE`.
+    state: Array  # shape (n,)
+    series: Array  # (7 c, ..): of jumps (see `statechart.kernels.accumulation`).
+    kept: Ints  # (c,): state of every contact.
 
 
 @kernel
@@ -161,23 +171,19 @@ def _alone(
 @kernel
 def hit(
     program: Program,
+    watch: Watch,
     scene: SceneWatch,
-    parameters: Array,
-    state: Array,
-    time: float,
-    kept: Ints,
+    run: RunState,
     numbers: Array,
     impulse: Array,
     taken: Ints,
 ) -> tuple[int, int, int]:
-    """Let contacts be hit.
+    """Compute an impact of the closed contacts that approach.
 
     Parameters
     ----------
-    state : (n,) array
-        Before; brought up to date.
-    kept : (c,) array of int64
-        How the flow kept every contact.
+    run : RunState
+        Its state is brought up to date.
     numbers : (o,) array
         The scene's, there; brought up to date.
     impulse : (c, 2), taken : (c,) array
@@ -193,6 +199,7 @@ def hit(
     group : int
         These several, a bit each; 0 where it is alone.
     """
+    state, kept = run.state, run.kept
     n, contacts = state.shape[0] // 2, kept.shape[0]
     at = n * n + n + 1
     scalars = at + (2 * n + 2) * contacts
@@ -216,7 +223,7 @@ def hit(
     if path == 0:
         return -1, 0, 0
     energy = numbers[at - 1]
-    evaluate(program, scene.numbers, after, parameters, time, numbers)
+    evaluate(program, scene.numbers, after, watch.parameters, run.now[runs.T_HIGH], numbers)
     lowest, resting, slowly = np.full(contacts, -scene.gap), False, False
     for k in range(count):
         rate, e = numbers[scalars + SCALARS * group[k] + 1], scene.restitution[group[k]]
@@ -378,39 +385,32 @@ def instant(
     watch: Watch,
     scene: SceneWatch,
     block: TraceBuffer,
-    now: Array,
-    place: Ints,
-    state: Array,
-    series: Array,
+    run: RunState,
     margin: int,
     fired: int,
     flowed: bool,
-    kept: Ints,
 ) -> tuple[int, int, float]:
     """Jump, where that is as simple as most jumps are.
 
     Parameters
     ----------
+    run : RunState
+        Brought up to date.
     margin : int
         That fell; -1 where the instant goes on after a jump.
     fired : int
         Condition that fell, see `switched`; 0 for none, and after an impact.
     flowed : bool
         Whether time has passed since the last instant.
-    kept : (c,) array of int64
-        State of every contact; brought up to date.
 
     Returns
     -------
     As the loop; `GOES_ON` where that can, with what is asked next in `place`, and
     in the place of the margin `fired`, if the mode goes on, else 0.
     """
-    contacts, n, high, mode = (
-        kept.shape[0],
-        state.shape[0] // 2,
-        now[runs.T_HIGH],
-        place[runs.N_MODE],
-    )
+    now, place, state, kept = run.now, run.place, run.state, run.kept
+    contacts, n = kept.shape[0], state.shape[0] // 2
+    high, mode = now[runs.T_HIGH], place[runs.N_MODE]
     numbers, taken = np.empty(scene.numbers[5]), np.empty(contacts, np.int64)
     impulse, lowest, before = np.zeros((contacts, 2)), np.empty(contacts), state.copy()
     evaluate(program, scene.numbers, state, watch.parameters, high, numbers)
@@ -443,9 +443,7 @@ def instant(
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:
             # Slip that has ended as far as time tells is the laws' to see.
             return runs.FELL, margin, 0.0
-        struck, path, group = hit(
-            program, scene, watch.parameters, state, high, kept, numbers, impulse, taken
-        )
+        struck, path, group = hit(program, watch, scene, run, numbers, impulse, taken)
     target = row_of(program, taken) if found or struck >= 0 else -1
     if target == mode and struck < 0 and margin < 0:
         place[runs.N_ASKED] = 0
@@ -492,7 +490,7 @@ def instant(
             # Its flight is measured from where round-off has left it.
             watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         kept[c] = taken[c]
-    rest = follow(series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
+    rest = follow(run.series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
     if rest >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):
         return runs.ACCUMULATES, row, rest
     count = place[runs.N_JUMPS]

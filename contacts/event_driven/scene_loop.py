@@ -25,6 +25,7 @@ from contacts.dynamics.starting import hovers
 from contacts.event_driven.compiled_instants import (
     CAUSES,
     GOES_ON,
+    RunState,
     SceneWatch,
     conditions,
     hold_conditions,
@@ -39,10 +40,10 @@ from contacts.states import CODES, FREE, OFF, OFF_CODE, PIN, superstates_of
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBuffer
-from statechart.engines.engine import Pace
-from statechart.engines.mode_table import (
+from statechart.engines.compiled_flow import (
     FORCE,
     GAP,
+    IN_VAIN,
     KINDS,
     LAWS_AT,
     MARGINS,
@@ -52,13 +53,14 @@ from statechart.engines.mode_table import (
     STOPS,
     TAPE,
     WATCHED,
+    WHOLE,
     Program,
     Scratch,
     Watch,
     evaluate,
+    flow_to_event,
     stands,
 )
-from statechart.engines.whole_flow import IN_VAIN, WHOLE, flow_to_event
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import (
     LOOK_AHEAD as NEXT_LOOK,
@@ -101,16 +103,19 @@ class SceneBatch(NamedTuple):
     gap: float
     speed: float
     doubtful: float
+    numbers: Numbers  # Buffer: the numbers of a run.
+    series: Array  # (7 c, ..): of its jumps, for every contact and cause.
 
 
 @kernel
 def _watches(
-    scene: SceneBatch, numbers: Numbers, floor: float, watch: Watch, instants: SceneWatch
+    scene: SceneBatch, floor: float, watch: Watch, instants: SceneWatch
 ) -> tuple[Watch, SceneWatch]:
     """Return what a run is watched for, by its numbers and its tolerances `watch.kinds`.
 
     Their arrays are filled again.
     """
+    numbers = scene.numbers
     length, speed = numbers.scales[0], numbers.scales[1]
     acceleration, force = numbers.scales[2], numbers.scales[3]
     gap, slow, weak = watch.kinds[GAP], watch.kinds[SPEED], watch.kinds[FORCE]
@@ -132,7 +137,7 @@ def _watches(
                 instants.restitution[c] = value
     return Watch(
         watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
-        watch.weights, max(UNSEEN * length, gap),
+        watch.weights, max(UNSEEN * length, gap), watch.tolerance, watch.max_step, watch.allowed,
     ), SceneWatch(
         instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         scene.gap, instants.allowed,
@@ -210,13 +215,6 @@ def _end(
 
 
 @kernel
-def _put_ints(source: Ints, target: Ints) -> None:
-    """Copy whole numbers (n,)."""
-    for i in range(len(source)):
-        target[i] = source[i]
-
-
-@kernel
 def _other(values: Array, zeros: Bools) -> bool:
     """Whether other parameters are zero than these."""
     other = False
@@ -286,26 +284,33 @@ def _hold(
 
 
 @kernel
+def _advance(now: Array, elapsed: float) -> None:
+    """Advance the clock of a run as `statechart.automaton.clock.Clock.later` does."""
+    high = now[runs.T_HIGH]
+    total = high + elapsed
+    part = total - high
+    error = (high - (total - part)) + (elapsed - part) + now[runs.T_LOW]
+    now[runs.T_HIGH] = total + error
+    now[runs.T_LOW] = error - (now[runs.T_HIGH] - total)
+
+
+@kernel
 def _run(
     program: Program,
-    pace: Pace,
     watch: Watch,
     memory: Scratch,
     scene: SceneWatch,
     block: TraceBuffer,
-    now: Array,
-    place: Ints,
-    state: Array,
-    series: Array,
+    run: RunState,
     entered: Bools,
 ) -> tuple[int, int, float]:
     """Flow and jump until an instant is not unambiguous.
 
-    Brings `now`, `place`, `state`, `series` and `entered` up to date, a row each of a batch.
-    Returns why it ends, the margin that fell or the series that accumulates, and the time to that.
+    Brings `run` and `entered` up to date. Returns why it ends, the margin that fell or the series
+    that accumulates, and the time to the accumulation.
     """
-    contacts = scene.allowed.shape[0]
-    kept = np.empty(contacts, np.int64)
+    now, place, state, kept = run.now, run.place, run.state, run.kept
+    contacts = kept.shape[0]
     most = memory.coefficients.shape[0]
     most_terms = memory.coefficients.size
     begun_steps, begun_boxes = place[runs.N_STEPS], place[runs.N_BOXES]
@@ -336,7 +341,7 @@ def _run(
             hold_conditions(program, watch, scene, state, high, decided)
         decided = 0
         verdict, margin, steps, boxes = flow_to_event(
-            program, mode, pace, watch, memory, state, high, duration, now[runs.T_HORIZON]
+            program, mode, watch, memory, state, high, duration, now[runs.T_HORIZON]
         )
         if verdict == IN_VAIN:
             return runs.FLOW, -1, 0.0
@@ -345,11 +350,7 @@ def _run(
         if steps > 0:
             _record_arc(block, memory, mode, place[runs.N_JUMPS], steps, high, low)
             elapsed = memory.times[steps]
-            total = high + elapsed
-            error = total - high
-            error = (high - (total - error)) + (elapsed - error) + low
-            now[runs.T_HIGH] = total + error
-            now[runs.T_LOW] = error - (now[runs.T_HIGH] - total)
+            _advance(now, elapsed)
             if elapsed > 0.0:
                 now[runs.T_HORIZON] = NEXT_LOOK * max(elapsed, now[runs.T_HIGH] - now[runs.T_SINCE])
         if verdict == WHOLE:
@@ -360,9 +361,8 @@ def _run(
         asked, fired = 0, program.ints[at + contacts + margin]
         while True:
             reason, row, rest = instant(
-                program, watch, scene, block, now, place, state, series, margin, fired,
-                high > begun, kept,
-            )  # fmt: skip
+                program, watch, scene, block, run, margin, fired, high > begun
+            )
             if reason != GOES_ON:
                 return reason, row, rest
             if place[runs.N_ASKED] == 0:
@@ -399,42 +399,39 @@ def _no_series(series: Array) -> None:
 @kernel(interpreted=False)
 def run_batch(
     program: Program,
-    pace: Pace,
     memory: Scratch,
     scene: SceneBatch,
-    numbers: Numbers,
     first_watch: Watch,
     first_instants: SceneWatch,
     rows: BatchInputs,
     block: TraceBuffer,
     found: BatchResult,
-    series: Array,
 ) -> int:
     """Take runs to their ends, from their start or on; return how many before the block was full.
 
     Parameters
     ----------
-    program, pace, memory
-        See `statechart.engines.mode_table`.
+    program, memory
+        See `statechart.engines.compiled_flow`.
     scene : SceneBatch
-    numbers, first_watch, first_instants
-        Memory. Of a run that has begun, its numbers and the tolerances `first_watch.kinds`.
+    first_watch, first_instants
+        Buffers. Of a run that has begun, `scene.numbers` and the tolerances `first_watch.kinds`
+        are given.
     rows : BatchInputs
     block : TraceBuffer
         Takes arcs and events of all runs.
     found : BatchResult
         To be filled, a row for each; a run that ends as `UNUSUAL` or `OTHER` leaves nothing else.
         Of a run that has begun it says where that is.
-    series : (7 c, ..) array
-        Of jumps, for every contact and cause (see `statechart.kernels.accumulation`).
     """
-    used, before = block.used, np.empty(4, np.int64)
-    taken = np.empty(scene.places.shape[0], np.int64)
+    used, before, numbers = block.used, np.empty(4, np.int64), scene.numbers
+    contacts = scene.places.shape[0]
+    taken, kept = np.empty(contacts, np.int64), np.empty(contacts, np.int64)
     for row in range(rows.inputs.shape[0]):
         ends, now, place = found.ends[row], found.now[row], found.place[row]
         state = found.final[row]
         ends[runs.HOW] = runs.UNUSUAL
-        _put_ints(used, before)
+        put(used, before)
         if not rows.begun:
             if not rows.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, rows.code, rows.constants,
@@ -445,7 +442,7 @@ def run_batch(
                 ends[runs.HOW] = runs.OTHER
                 continue
             _tolerances(scene, numbers.scales, first_watch.kinds)
-        watch, instants = _watches(scene, numbers, rows.floor, first_watch, first_instants)
+        watch, instants = _watches(scene, rows.floor, first_watch, first_instants)
         if not rows.begun:
             put(numbers.initial, state)
             mode = _start(program, scene, watch, instants, numbers.scales, state, taken)
@@ -457,18 +454,17 @@ def run_batch(
             ends[runs.FIRST_MODE] = mode
             put(numbers.values, found.values[row])
             put(numbers.initial, found.initial[row])
-            _no_series(series)
-        pauses = 0
+            _no_series(scene.series)
+        pauses, run = 0, RunState(now, place, state, scene.series, kept)
         while True:
             ends[runs.REASON], ends[runs.MARGIN], now[runs.T_REST] = _run(
-                program, pace, watch, memory, instants, block, now, place, state, series,
-                found.entered[row],
-            )  # fmt: skip
+                program, watch, memory, instants, block, run, found.entered[row]
+            )
             pauses += 1
             if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.alone:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
-            _put_ints(before, used)
+            put(before, used)
             return row
         how = runs.HANDED
         if not rows.begun:
@@ -483,7 +479,7 @@ def run_batch(
             # Those of the flow that it has come to.
             put(watch.parameters, found.values[row])
         if how == runs.UNUSUAL:
-            _put_ints(before, used)
+            put(before, used)
             continue
         spans = found.spans[row]
         spans[0], spans[1] = before[ARCS], used[ARCS]
@@ -516,8 +512,8 @@ class SceneLoop:
         laws = numbers.contacts(np.zeros(len(numbers.parameters.names)))
         rules = rules or no_rules(numbers)
         self._scene = _declared(numbers, rules, loop, laws, relative)
-        self._memory = _memory(numbers, rules, loop, laws)
-        self.series = np.empty((max(len(CAUSES) * len(laws), 4), WIDTH))
+        self._buffers = _buffers(numbers, loop, laws)
+        self.series = self._scene.series
         self._inputs: dict[tuple[str, ...], _Inputs] = {}
         self._entry: Callable[..., int] | None = None
 
@@ -538,7 +534,7 @@ class SceneLoop:
 
     def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
         """Make runs; return how many of them before the block was full."""
-        return self._call(self._scene, rows, block, found, self.series)
+        return self._call(self._scene, rows, block, found)
 
     def resume(
         self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
@@ -546,7 +542,7 @@ class SceneLoop:
         """Take a run on that has come somewhere."""
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
-        numbers, watch, _ = self._memory
+        numbers, (watch, _) = self._scene.numbers, self._buffers
         scales = setup.scales
         numbers.values[:], numbers.sizes[:] = found.values[0], setup.sizes
         numbers.scales[:] = (
@@ -554,21 +550,14 @@ class SceneLoop:
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        scene = self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
-        self._call(scene, _BEGUN._replace(floor=floor), block, found, series)
+        scene = self._scene._replace(gap=setup.precision, doubtful=setup.doubtful, series=series)
+        self._call(scene, _BEGUN._replace(floor=floor), block, found)
 
     def _call(
-        self,
-        scene: SceneBatch,
-        rows: BatchInputs,
-        block: TraceBuffer,
-        found: BatchResult,
-        series: Array,
+        self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
     ) -> int:
         loop = self.loop
-        arguments = (
-            loop.program, loop.pace, loop.memory, scene, *self._memory, rows, block, found, series,
-        )  # fmt: skip
+        arguments = loop.program, loop.memory, scene, *self._buffers, rows, block, found
         if self._entry is None:
             self._entry = entry(run_batch, *arguments)
         return self._entry(*arguments)
@@ -627,13 +616,15 @@ def _declared(
         gap,
         speed,
         doubtful(relative),
+        run_buffer(len(numbers.parameters.names), len(loop.memory.state), rules),
+        np.empty((max(len(CAUSES) * count, 4), WIDTH)),
     )
 
 
-def _memory(
-    numbers: SceneNumbers, rules: Rules, loop: Loop, laws: Sequence[ContactLaw]
-) -> tuple[Numbers, Watch, SceneWatch]:
-    """Return where runs are made: of their starts, steps and instants."""
+def _buffers(
+    numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw]
+) -> tuple[Watch, SceneWatch]:
+    """Return buffers for the flows and the instants of a run."""
     variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
     watch = Watch(
@@ -645,6 +636,7 @@ def _memory(
         np.zeros(count),
         np.zeros(count),
         0.0,
+        *loop.pace[:3],
     )
     instants = SceneWatch(
         loop.tapes[0],
@@ -660,4 +652,4 @@ def _memory(
         numbers.gap_offsets,
         *[0.0] * 10,
     )
-    return run_buffer(parameters, variables, rules), watch, instants
+    return watch, instants

@@ -55,7 +55,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         yield from _spread(scene)
     with suppress(DeclarationError, DeclarationProblem):
-        # What is wrong with a formula is told where it is used.
+        # Other checks report formulas that have no value.
         yield from _inside_out(scene)
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
@@ -76,7 +76,10 @@ def _idle(scene: SceneFields) -> Iterator[str]:
         ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
     ):
         for name in idle:
-            yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
+            yield (
+                f"{kind}.{name}: it collides with nothing; list it in {kind} of "
+                "collisions, if it should"
+            )
 
 
 def _spread(scene: SceneFields) -> Iterator[str]:
@@ -94,9 +97,9 @@ def _spread(scene: SceneFields) -> Iterator[str]:
         most = mass * far**2
         if most > 0.0 and not _MIN_INERTIA * most <= inertia <= _MAX_INERTIA * most:
             yield (
-                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times what all mass "
-                f"at the farthest point of its shape would have, {most:.3g}; are units mixed? "
-                "Of a disc it is m*r**2/2, of a box m*(width**2 + height**2)/12"
+                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times "
+                f"mass*radius**2 = {most:.3g} of its shape; check the units (a disc has "
+                "m*r**2/2, a box m*(width**2 + height**2)/12)"
             )
 
 
@@ -112,15 +115,17 @@ def _inside_out(scene: SceneFields) -> Iterator[str]:
         surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
         if surface.line is None or surface.body is not None or surface.moves:
             continue
+        if scene.initial_modes.get(name) == "off":
+            continue
         free = (body.start.get("x", 0), body.start.get("y", 0))
         x, y = numbers(body.position or free)
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
             yield (
-                f"contacts.{name}: {contact.point.body!r} starts with its centre {depth:.3g} in "
-                f"the solid of {contact.surface!r}, which is on the right of the line going from "
-                "one point to two; where the other side is meant, swap the points"
+                f"contacts.{name}: {contact.point.body!r} starts {depth:.3g} inside the solid of "
+                f"{contact.surface!r}, which is on the right of the way from its first point to "
+                "its second; to have the other side solid, swap the points"
             )
 
 
@@ -147,12 +152,12 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
     surface = scene.contacts[contact].surface
     if scene.surfaces[surface].edge is None:
         return (
-            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} where its "
-            "conditions begin to hold; let surfaces that follow each other meet"
+            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} when "
+            "its conditions become true; let adjacent surfaces meet"
         )
     return (
-        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} where it gets "
-        "over it; let the ends of edges meet"
+        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} when it "
+        "reaches it; let the ends of edges meet"
     )
 
 
@@ -178,8 +183,8 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
             numbers = ("first", "second")
             yield (
                 f"surfaces.{other}.edge: its {numbers[b]} point is {near:.3g} from the "
-                f"{numbers[a]} point of {one!r}, and a point that slides off the one may get under "
-                "the other; where one follows the other, write the same point"
+                f"{numbers[a]} point of {one!r}, so that a sliding point may fall between; "
+                "write the same point for both"
             )
 
 
@@ -189,12 +194,12 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
     if scene.simultaneous == "sequential" and hit and _meet(scene):
         found["simultaneous: sequential"] = (
-            "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
+            "by steps, simultaneous impacts follow Moreau's law, as with capped"
         )
     if scene.paradox == "stop" and scene.collisions:
         found["paradox: stop"] = (
-            "bodies with shapes whose friction presses them in are stopped by an impact, as with "
-            "impact"
+            "bodies with shapes that friction presses into others are stopped by an impact, "
+            "as with impact"
         )
     others: dict[str, list[str]] = {}
     for name, contact in hit.items():
@@ -202,13 +207,13 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
             others.setdefault(contact.impact, []).append(name)
     for law, names in others.items():
         found[f"impact: {law} at {', '.join(names)}"] = (
-            "time stepping applies Moreau's law: with events, impact: moreau is the same"
+            "steps use Moreau's law instead; impact: moreau gives the same with events"
         )
     return found
 
 
 def _meet(scene: SceneFields) -> bool:
-    """Whether a body has several contacts, or bodies may feel those of others."""
+    """Return whether a body has several contacts, or bodies may feel those of others."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
         body
@@ -220,7 +225,7 @@ def _meet(scene: SceneFields) -> bool:
 
 
 def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
+    """Return whether all laws agree: no friction, or a particle that moves along the push."""
     if contact.frictionless:
         return True
     if contact.friction is not None:

@@ -36,9 +36,11 @@ from statechart.automaton.trace import Jump, Key
 from statechart.charts.flatten import FlatRegion, FlatTransition
 from statechart.formulas.condition import Active
 from statechart.formulas.relation import Relation, parse_relation
+from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
+from statechart.kernels.tapes import tape_values
 
-# Of its terms, a margin that is so small is zero, however exactly a run is computed.
+# A margin below this part of its terms is zero, however exactly a run is computed.
 _ZERO_MARGIN = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
 _TIME_ROUND_OFF = 8.0 * EPS
@@ -72,8 +74,7 @@ class GuardWatch:
         self.guards = tuple(watched)
         self.conditions = tuple(guard.relation.condition(known) for guard in self.guards)
         self.single = all(condition.single for condition in self.conditions)
-        sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
-        outputs: list[sp.Expr] = []
+        self._tapes: list[Tape] = []
         names: list[str] = []
         firsts: list[int] = []
         timed: list[bool] = []
@@ -87,26 +88,26 @@ class GuardWatch:
                 near = {v for v in margin.free_symbols if v in rates}
                 near |= {w for v in near for w in rates[v].free_symbols if w in rates}
                 moving = tuple((v, rates[v]) for v in rates if v in near)
-                outputs += _derivatives(margin, moving, time, tuple(sizes.items()))
-                first = outputs[-5]
+                tape, rests = _atom_tape(margin, moving, tuple(inputs), tuple(parameters), time)
+                self._tapes.append(tape)
                 timed.append(margin.free_symbols <= {time, *timers, *parameters})
-                still.append(first == 0)
+                still.append(rests)
                 closed.append(not atom.strict)
-        self._tape = compile_tape(
-            outputs, variables=(*inputs, *sizes.values()), parameters=parameters, time=time
-        )
         self.margins, self.firsts, self.still = tuple(names), tuple(firsts), tuple(still)
         self.timed, self.closed = np.array(timed, np.bool_), np.array(closed, np.bool_)
 
     def at(self, setup: Setup, inputs: Array, sizes: Array, time: float) -> Array:
         """Return (a, 6): margin, its first and second derivative in time, sizes of their terms."""
-        found = self._tape.values(np.concatenate([inputs, sizes]), setup.values, time)
-        return found.reshape(-1, 6)
+        state, found = np.concatenate([inputs, sizes]), np.empty((len(self._tapes), 6))
+        for row, tape in zip(found, self._tapes, strict=True):
+            tape_values(*tape.program, state, setup.values, time, row)
+        return found
 
     def table(self, setup: Setup, inputs: Array, sizes: Array, times: Array) -> Array:
         """Return `at` for many instants: inputs (m, n), times (m,) to (m, a, 6)."""
         rows = np.hstack([inputs, np.broadcast_to(sizes, (len(inputs), len(sizes)))])
-        return self._tape.table(rows, setup.values, times).reshape(len(inputs), -1, 6)
+        found = [tape.table(rows, setup.values, times) for tape in self._tapes]
+        return np.stack(found, axis=1) if found else np.zeros((len(inputs), 0, 6))
 
     def tolerances(self, rows: Array, relative: float) -> dict[str, float]:
         """Return margin -> how near zero it is on its boundary: `relative` to its terms.
@@ -149,26 +150,32 @@ class GuardWatch:
             margin, size = rows[first, 0], rows[first, 3]
             if guard.name not in fired and margin > _ZERO_MARGIN * size:
                 return (
-                    f"{guard.name} is taken for true, {margin:.2g} short of it: that is within "
-                    "the tolerance of the run"
+                    f"{guard.name} counts as true: it is {margin:.2g} short of it, within the "
+                    "tolerance of the run"
                 )
         return ""
 
 
 @lru_cache(4096)
-def _derivatives(
+def _atom_tape(
     margin: sp.Expr,
     rates: tuple[tuple[sp.Symbol, sp.Expr], ...],
+    inputs: tuple[sp.Symbol, ...],
+    parameters: tuple[sp.Symbol, ...],
     time: sp.Symbol,
-    sizes: tuple[tuple[sp.Symbol, sp.Symbol], ...],
-) -> tuple[sp.Expr, ...]:
-    """Return a margin, its first and second derivative in time, and the sizes of their terms.
+) -> tuple[Tape, bool]:
+    """Compile a margin, its first and second derivative in time, and the sizes of their terms.
 
-    The same in all modes in which the variables that it depends on move alike.
+    The tape is shared by all modes in which the variables that the margin depends on move alike.
+    Also returns whether the first derivative is zero everywhere.
     """
+    sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in inputs}
     first = time_derivative(margin, dict(rates), time)
     found = margin, first, time_derivative(first, dict(rates), time)
-    return (*found, *(rounding_scale(expression, dict(sizes)) for expression in found))
+    outputs = [*found, *(rounding_scale(expression, sizes) for expression in found)]
+    variables = (*inputs, *sizes.values())
+    tape = compile_tape(outputs, variables=variables, parameters=parameters, time=time)
+    return tape, first == 0
 
 
 class Judgement:
@@ -284,7 +291,7 @@ class Judgement:
             self._rests.add(atom)
             return not strict
         if fell:
-            # What was found is a fall, or a touch too close to tell: then it must not rise.
+            # The search found a fall, or a touch too close to tell: then it must not rise.
             return margin < -tolerance or not rate > 0.0
         return margin < -tolerance or rate < 0.0 or (rate == 0.0 and not strict)
 

@@ -9,8 +9,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import working_time
-from statechart.engines.engine import Begin, Engine, FlowWatch
-from statechart.engines.path import Path
+from statechart.engines.engine import Begin, Engine, FlowWatch, Path
 from statechart.errors import OutOfBudget
 from statechart.formulas.tape import Tape
 
@@ -39,8 +38,8 @@ class Allowance:
         """
         if self.clock() + seconds > self._until:
             raise OutOfBudget(
-                f"the {self.seconds:g} s allowed are too few to compile what integrates the mode; "
-                "allow more time, or take the engine scipy"
+                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more "
+                "time, or take the engine scipy"
             )
 
     def check(self, now: float) -> None:
@@ -52,8 +51,8 @@ class Allowance:
         """
         if self.clock() > self._until:
             raise OutOfBudget(
-                f"the {self.seconds:g} s allowed were over at t = {now:.6g}; "
-                "allow more time, shorten the run, or take a looser tolerance"
+                f"the {self.seconds:g} s were used up at t = {now:.6g}; allow more time, "
+                "shorten the run, or take a looser tolerance"
             )
 
 

@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from statechart.engines.path import Path
+from statechart.engines.engine import Path
 from statechart.formulas.tape import Tape
+from statechart.kernels.boxes import Steps
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
 
@@ -34,7 +35,7 @@ class Verdict(Enum):
     NONE = "It is proved that no margin falls below minus its tolerance."
     CROSSING = "The first crossing is located, and proved to be the first."
     GRAZE = "A margin meets minus its tolerance too closely to tell whether it passes."
-    BUDGET = "The budget of boxes was spent before the search was decided."
+    BUDGET = "The search used up its boxes undecided."
     NON_FINITE = "A polynomial or a margin is infinite or undefined."
 
 
@@ -113,16 +114,9 @@ def search(
         Greatest number of boxes.
     """
     code, guard, step, s, time, crossed, boxes = kernel(
-        tape.code,
-        tape.constants,
-        tape.outputs,
-        tape.reads,
-        tape.n_fixed,
+        tape.parts,
         tolerances,
-        path.times,
-        path.coefficients,
-        parameters,
-        start,
+        Steps(path.times, path.coefficients, parameters, start),
         first,
         last,
         budget,

@@ -12,8 +12,7 @@ from scipy import integrate
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.engines.engine import Begin, Engine, FlowWatch
-from statechart.engines.path import Path
+from statechart.engines.engine import Begin, Engine, FlowWatch, Path
 from statechart.errors import NonFinite, StepFailure
 from statechart.formulas.tape import Tape
 

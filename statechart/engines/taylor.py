@@ -17,10 +17,8 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
 from statechart.compiling import whole
 from statechart.documents.setting import LONG_DOUBLE
-from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace
-from statechart.engines.heyoka_step import Step
-from statechart.engines.path import Path
-from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, taylor_steps
+from statechart.engines.engine import Begin, Engine, Entry, FlowWatch, Pace, Path
+from statechart.engines.taylor_loop import HALVINGS, LEAST_MOTION, STRAY, Step, taylor_steps
 from statechart.errors import NonFinite, StepFailure, Unsupported
 from statechart.formulas.tape import Tape
 from statechart.kernels.polynomials import append_steps
@@ -198,7 +196,7 @@ class Taylor(Engine):
         else:
             taken, finite, h, left = taylor_steps(
                 (*stepper.integrator_memory, self.tolerance, self.max_step),
-                until - reached, count, first, path.times, path.coefficients, end,
+                until - reached, count, path.times[first:], path.coefficients[first:], end,
                 watch.reconstruction.program, watch.start,
             )  # fmt: skip
         last = first + finite
@@ -206,8 +204,8 @@ class Taylor(Engine):
             self.check(stepper, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
                 raise Unsupported(
-                    f"the Taylor series of the rates overflows at t = {start:.6g}, though "
-                    "they do not; use engine: scipy"
+                    f"the Taylor series of the rates overflows at t = {start:.6g}; use "
+                    "engine: scipy"
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
         if h == 0.0 and left > 0.0:

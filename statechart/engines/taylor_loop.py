@@ -1,17 +1,111 @@
-"""Taylor steps in one call: heyoka's compiled step, run from a compiled loop."""
+"""Taylor steps in one call: heyoka's compiled step, linked into this process and called by address.
+
+A call of heyoka from Python costs as much as the step itself, and its code is at hand: an
+integrator hands out its object code and the LLVM module that it comes from.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import itertools
 import math
+import re
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.engines.heyoka_step import call_step
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel
+from statechart.kernels.jit import kernel, native
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
+
+# What a call by address relies on: heyoka documents the module, not the function.
+_SIGNATURE = re.compile(
+    r"^define void @step\("
+    r"ptr[^,]*%state_ptr, ptr[^,]*%par_ptr, ptr[^,]*%time_ptr, ptr[^,]*%h_ptr, ptr[^,]*%tc_ptr\)",
+    re.MULTILINE,
+)
+# Functions that heyoka's library brings along.
+_HELPERS = re.compile(r"@(heyoka_\w+)")
+_numbers = itertools.count()
+
+
+class Step:
+    """heyoka's compiled step of one integrator, linked into this process.
+
+    Attributes
+    ----------
+    address : int
+        Of ``step(state, parameters, time, h, series)``, five pointers to float64: it advances
+        the state by at most h, writes what it took to h and the Taylor coefficients to series.
+    """
+
+    def __init__(self, module: str, code: bytes) -> None:
+        import llvmlite.binding as llvm
+        from heyoka import _core  # elsewhere than on Linux there is none
+
+        builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
+        library = ctypes.CDLL(_core.__file__)
+        for name in set(_HELPERS.findall(module)):
+            place = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+            builder.import_symbol(name, place)
+        # The code is freed with what tracks it.
+        self._code = builder.export_symbol("step").link(_linker(), f"step {next(_numbers)}")
+        self.address = int(self._code["step"])
+
+    @classmethod
+    def of(cls, integrator: Any) -> Step | None:
+        """Return the step of a heyoka integrator; None where it has no such function."""
+        state = integrator.llvm_state
+        if not isinstance(state.ir, str) or _SIGNATURE.search(state.ir) is None:
+            return None
+        try:
+            return cls(state.ir, state.object_code)
+        except (AttributeError, RuntimeError):  # a symbol that is not to be found
+            return None
+
+
+@cache
+def _linker() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    return llvm.create_lljit_compiler(machine)
+
+
+_FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
+
+
+def _called(address: int, *arrays: Array) -> None:
+    _FUNCTION(int(address))(*(array.ctypes.data for array in arrays))
+
+
+@native(_called)
+def call_step(
+    typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
+) -> Any:
+    """Call the step at an address."""
+    from llvmlite import ir
+    from numba import types
+
+    arrays = (state, parameters, time, h, series)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = ir.PointerType(ir.IntType(8))
+        target = ir.FunctionType(ir.VoidType(), [pointer] * len(arrays)).as_pointer()
+        data = [
+            builder.bitcast(context.make_array(kind)(context, builder, value).data, pointer)
+            for kind, value in zip(arrays, arguments[1:], strict=True)
+        ]
+        builder.call(builder.inttoptr(arguments[0], target), data)
+        return context.get_dummy_value()
+
+    return types.void(address, *arrays), build
+
 
 # So far off the rate may the slope at the end of a step be, in parts of the motion in it and for
 # orders that do better: stiff springs at rest are by less in rounding.
@@ -93,14 +187,13 @@ def taylor_steps(
     integrator: Integrator,
     duration: float,
     count: int,
-    first: int,
     times: Array,
     coeffs: Array,
     end: Array,
     follows: Program,
     start: float,
 ) -> tuple[int, int, float, float]:
-    """Take up to `count` steps in `duration`, behind the `first` ones of an arc.
+    """Take up to `count` steps in `duration`, behind those of an arc that end at ``times[0]``.
 
     Writes when they end to `times`, their polynomials in s = time / duration to `coeffs`, and
     the state at the end of the last finite one to `end`. The integrator's state is left where the
@@ -129,13 +222,13 @@ def taylor_steps(
     longest, off, halvings, done, again = max_step, math.inf, 0, False, False
     h, since, rest, summed, length = 0.0, 0.0, 0.0, 0.0, left
     while True:
-        reconstruct_any(follows, state, start + times[first + taken])
+        reconstruct_any(follows, state, start + times[taken])
         put(state, here)
         step[0] = 0.0 if done else min(left, longest)
         call_step(address, state, parameters, clock, step, series)
         # The step before the one that is made again has been looked at.
         if taken > 0 and not again:
-            last = first + taken - 1
+            last = taken - 1
             before, off = off, stray(coeffs[last], h, series, offs, reaches)
             falls = halvings == 0 or off > _ROUGH or off <= _ROUNDING * before
             if off > allowed and falls:
@@ -153,8 +246,8 @@ def taylor_steps(
             return taken, taken, h, left
         h, again = step[0], False
         put(here, begun)
-        expand(series, h, coeffs[first + taken], powers)
-        bounded = _finite(coeffs[first + taken])
+        expand(series, h, coeffs[taken], powers)
+        bounded = _finite(coeffs[taken])
         taken += 1
         summed, length, since, rest = total, left, clock[0], clock[1]
         let_pass(clock, h)
@@ -162,10 +255,10 @@ def taylor_steps(
             return taken, taken - 1, h, left
         total += h
         # Summed from the start of these steps, so that long arcs lose nothing.
-        times[first + taken] = times[first] + total
+        times[taken] = times[0] + total
         for v in range(n):
-            end[v] = horner(coeffs, first + taken - 1, v, 1.0)
-        if not times[first + taken] > times[first + taken - 1]:
+            end[v] = horner(coeffs, taken - 1, v, 1.0)
+        if not times[taken] > times[taken - 1]:
             # On its way into a singularity, for ever.
             return taken, taken, 0.0, left
         # A step is cut to end at the duration exactly, and then its length is what was left.

@@ -18,8 +18,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import CompiledLaws, Flow, Setup, roles_in
 from statechart.automaton.trace import Jump, Key, Outcome, Roles
 from statechart.automaton.trace_store import Kind, RecordedEvent, TraceBuffer
-from statechart.engines.engine import Engine, Entry, Pace
-from statechart.engines.mode_table import (
+from statechart.engines.compiled_flow import (
     COLUMNS,
     KINDS,
     LAWS_AT,
@@ -28,6 +27,7 @@ from statechart.engines.mode_table import (
     Scratch,
     scratch,
 )
+from statechart.engines.engine import Engine, Entry, Pace
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape
 

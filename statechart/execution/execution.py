@@ -15,8 +15,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
 from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
-from statechart.engines.engine import FlowWatch
-from statechart.engines.path import Path
+from statechart.engines.engine import FlowWatch, Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
@@ -444,8 +443,10 @@ class Execution:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
-            f"t = {self.clock.high:.6g}: {margin} is zero to within rounding; "
-            f"it is watched with the tolerance {wide:.3g}"
+            (
+                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance is "
+                f"{wide:.3g} there"
+            )
         ] = None
         return True
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, Setup
-from statechart.engines.engine import Engine, FlowWatch
+from statechart.engines.compiled_flow import EVALUATED
+from statechart.engines.engine import Engine, FlowWatch, Path
 from statechart.engines.event_location import Crossing, Search, Verdict, search
-from statechart.engines.mode_table import EVALUATED
-from statechart.engines.path import Path
 from statechart.errors import NonFinite, Undecided
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.series import sizes_at
@@ -99,8 +98,8 @@ def decided(
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(
-        f"the guard {name} cannot be evaluated near t = {time:.6g}; look for a logarithm, a root "
-        "or a quotient without a value there, such as a height where it ends"
+        f"the guard {name} has no value near t = {time:.6g}; look for a logarithm, root or "
+        "quotient without a value there"
     )
 
 

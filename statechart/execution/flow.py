@@ -19,9 +19,9 @@ from statechart.engines.engine import (
     Begin,
     Engine,
     FlowWatch,
+    Path,
 )
 from statechart.engines.event_location import Crossing, Search, Verdict, search
-from statechart.engines.path import Path
 from statechart.errors import SimulationError, StepFailure, TooLong
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import (
@@ -33,11 +33,12 @@ from statechart.execution.finding import (
     relative_error,
 )
 from statechart.formulas.series import sizes_at
+from statechart.kernels.boxes import Steps
 from statechart.kernels.defect import unseen
 from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
-FOLLOWED = "the slopes of all steps were held against the rates"
-UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
+FOLLOWED = "the slopes of all steps were compared with the rates"
+UNFOLLOWED = "steps may not follow the rates: narrow features may have been missed"
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
 # A single step that ends so far off was blind to something; of what rounding does this is no part.
@@ -200,13 +201,8 @@ class Advance:
         where = found.crossing or found.undecided
         while True:
             step, s, off, _ = unseen(
-                *rates.program,
-                rates.reads,
-                rates.n_fixed,
-                watch.parameters,
-                watch.start,
-                path.times,
-                path.coefficients,
+                rates.parts,
+                Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
                 last if where is None else where.step + 1,
                 floors(self.engine, len(self.initial)),
@@ -319,8 +315,8 @@ def _check_pace(steps: int, took: float, left: float) -> None:
     pace = took / steps
     if pace * _TOO_MANY < left:
         raise TooLong(
-            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or write "
-            "what varies so fast by its mean"
+            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or "
+            "replace the fast variation by its mean"
         )
 
 

@@ -25,8 +25,7 @@ from statechart.automaton.trace_store import (
     event_of,
     trace_buffer,
 )
-from statechart.engines.engine import Engine
-from statechart.engines.path import Path
+from statechart.engines.engine import Engine, Path
 from statechart.errors import DeclarationProblem
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import (

@@ -9,8 +9,8 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.documents.setting import Record, Setting
 from statechart.engines.budget import Allowance, Limited
-from statechart.engines.choice import choose
 from statechart.engines.engine import Engine
+from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
 from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator

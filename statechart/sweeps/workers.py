@@ -105,7 +105,7 @@ def cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise _silent(address, str(error) or "it took too long") from None
     except Exception:  # whatever the answer of another program raises
-        raise _silent(address, "what listens there is something else") from None
+        raise _silent(address, "another program listens there") from None
     if kind != "Scheduler":
         raise _silent(address, f"there is a {kind}")
     client = Client(address, timeout=_ANSWER, set_as_default=False)
@@ -131,6 +131,15 @@ class ClusterWatch:
         elif "distributed" in sys.modules and now - self._looked > _LOOK:
             self._looked = now
             self._ask()
+
+    def lost(self, future: Future[Any]) -> bool:
+        """Whether a worker left just when it had returned a result: run that once more.
+
+        distributed asks for the status of a task after it has its result (`_cascade_future` of its
+        executor), and unpacks the result of a task that was lost meanwhile as if it were an error.
+        """
+        error = None if self._client is None or future.cancelled() else future.exception()
+        return isinstance(error, TypeError) and "cannot unpack non-iterable" in str(error)
 
     def _ask(self) -> None:
         from distributed import Client

@@ -12,7 +12,7 @@ import pytest
 from statechart.automaton import trace, trace_store
 from statechart.automaton.trace import Outcome
 from statechart.documents.yaml_reader import read_text
-from statechart.engines import path
+from statechart.engines import engine
 from statechart.errors import DeclarationError
 from statechart.execution import compiled_loop
 from statechart.execution import flow as advance
@@ -40,7 +40,7 @@ stop: {time: 2}
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (trace, path):
+    for module in (trace, engine):
         monkeypatch.setattr(module, "LARGEST", 2**20)
 
 
@@ -155,7 +155,7 @@ def _mapped(array: Any) -> bool:
 def test_single_mode_of_too_many_steps_ends_as_too_long(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(path, "LARGEST", 2**15)
+    monkeypatch.setattr(engine, "LARGEST", 2**15)
     made = run(read_text(CHART.format(x="cos(w*time)")), engine=name, until=1e7, throw=False).trace
     assert made.outcome is Outcome.TOO_LONG
     assert 0.0 < made.t_end < 1e7

@@ -7,7 +7,7 @@ import pytest
 from runs import EVENT_BASED, PARADOXICAL
 
 from statechart.documents.setting import Setting
-from statechart.engines.choice import choose
+from statechart.engines.request import choose
 from statechart.engines.scipy import METHODS
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load

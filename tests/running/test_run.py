@@ -15,11 +15,12 @@ import models
 from statechart.charts.chart import Chart
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
-from statechart.engines.choice import choose
-from statechart.engines.path import Path as Steps
+from statechart.engines.engine import Path as Steps
+from statechart.engines.request import choose
 from statechart.errors import DeclarationError, SimulationError, StepFailure, Unsupported
 from statechart.loading.load import load
 from statechart.observation.difference import compare
+from statechart.observation.outputs import extremes
 from statechart.running.runner import Runner, run
 
 BALL = """\
@@ -50,7 +51,7 @@ def ball(*changes: tuple[str, str]) -> str:
 def test_auto_takes_taylor_where_heyoka_is_and_says_so_where_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("statechart.engines.choice._has_heyoka", lambda: False)
+    monkeypatch.setattr("statechart.engines.request._has_heyoka", lambda: False)
     engine, reason = choose(Setting())
     assert (engine.name, engine.method, engine.tolerance) == ("scipy", "DOP853", 1e-12)
     assert "heyoka" in reason
@@ -123,7 +124,7 @@ def test_the_difference_of_runs_is_relative_to_each_quantity() -> None:
     shifted = replace(trace, final=trace.final * np.array([1.0, 1.0 + 1e-6, 1.0, 1.0]))
     error = compare(trace, shifted, {}, {}).largest
     # The largest value on the way counts, not those at the ends.
-    largest = result.observer.extremes(trace, trace.variables[1])
+    largest = extremes(result.observer, trace, trace.variables[1])
     size = max(map(abs, largest))
     assert error == pytest.approx(1e-6 * abs(trace.final[1]) / size, rel=2e-2)
     assert compare(trace, trace, {"a": 1.0}, {"a": 1.5}).largest == pytest.approx(1 / 3)

@@ -1,47 +1,22 @@
-"""A flow to its first event in compiled code, as long as nothing in it is out of the ordinary.
+"""A flow to its first event in compiled code, as long as no case needs `statechart.execution.flow`.
 
-What `statechart.execution.flow` does step by step, and to the same bits: chunks of Taylor steps,
-each searched for events and held against its rates. Where a step strays, a guard cannot be decided,
-a state has to be brought back, or a flow is long, it says so, and the flow is made again there.
+Chunks of Taylor steps are searched for events and compared with their rates. Where a step strays, a
+guard cannot be decided, a state has to be brought back, or a flow is long, the flow is made again
+by `statechart.execution.flow`. The modes stand in a table: tapes, kinds and tolerances of margins.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR, Pace
+from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR
 from statechart.engines.event_location import BOXES
-from statechart.engines.heyoka_step import call_step
-from statechart.engines.mode_table import (
-    ADDRESS,
-    ANCHORS,
-    EVALUATED,
-    FIXED,
-    FORCE,
-    JUMP,
-    LIFT,
-    MARGINS,
-    MARGINS_AT,
-    PARS,
-    PLACES_AT,
-    PLAIN,
-    RATES,
-    TAPE,
-    WATCHED,
-    WITHIN,
-    Program,
-    Scratch,
-    Watch,
-    evaluate,
-    first_tolerances,
-    tape_of,
-    usual_tolerances,
-)
-from statechart.engines.taylor_loop import ORDERS, STRAY, expand, let_pass, stray
-from statechart.kernels.boxes import Along
-from statechart.kernels.constraints import off_by
+from statechart.engines.taylor_loop import ORDERS, STRAY, call_step, expand, let_pass, stray
+from statechart.kernels.boxes import Along, Steps
 from statechart.kernels.copies import put
 from statechart.kernels.defect import rough_in, unseen
 from statechart.kernels.jit import kernel
@@ -57,7 +32,211 @@ from statechart.kernels.search import (
     search,
     search_step,
 )
-from statechart.kernels.search_memory import Ready, ready_along
+from statechart.kernels.search_memory import Memory, Ready, ready_along, room
+from statechart.kernels.tapes import TapeCode, off_by, tape_values
+
+PLAIN, GAP, SPEED, FORCE = range(4)
+KINDS = ("plain", "gap", "speed", "force")
+"""Kinds of margins: their numbers, and their names in that order."""
+
+EVALUATED = 8.0 * float(np.finfo(float).eps)
+"""Round-off of an instant, and of a formula in parts of its terms."""
+JUMP = 1e-9
+"""A margin that jumps below zero is above this part of its first value just before."""
+
+# A part of a variable that is more than it is off by.
+_SMALL = 1e-9
+
+TAPE = 9
+"""Columns of a tape in a table: begin and number of operations, constants, outputs, reads; n_fixed.
+"""
+
+(ADDRESS, PARS, MARGINS_AT, MARGINS, STOPS, LAWS_AT) = range(6)
+FIXED = 6
+WATCHED = FIXED + TAPE
+RATES = WATCHED + TAPE
+WITHIN = RATES + TAPE
+LIFT = WITHIN + TAPE
+ANCHORS = LIFT + TAPE
+PLACES_AT = ANCHORS + TAPE
+COLUMNS = PLACES_AT + 1
+"""Columns of a mode in a table. Address of heyoka's step; how many parameters it takes, the time
+among them; where the kinds of its margins are listed, each with the place of a tolerance of its
+own, how many, and which is the first stop; where the laws list what they know of it; tapes of these
+parameters, of the margins and the rates behind them, of the rates alone, of what is to stay above
+the room, of what follows from other variables, of its anchors; where the places of what follows are
+listed."""
+
+
+class Program(NamedTuple):
+    """The modes of an automaton for compiled loops."""
+
+    ints: Ints32  # shape (..,)
+    # (..,): codes, outputs and reads of tapes, and their constants, one behind the other.
+    floats: Array
+    modes: NDArray[np.int64]  # (m, `COLUMNS`): rows of zeros are modes that have not been compiled.
+
+
+@kernel
+def tape_of(program: Program, row: NDArray[np.int64]) -> TapeCode:
+    """Return a tape of a table."""
+    ints, floats = program.ints, program.floats
+    return TapeCode(
+        ints[row[0] : row[0] + 3 * row[1]].reshape((row[1], 3)),
+        floats[row[2] : row[2] + row[3]],
+        ints[row[4] : row[4] + row[5]],
+        ints[row[6] : row[6] + row[7]],
+        row[8],
+    )
+
+
+@kernel
+def evaluate(
+    program: Program,
+    row: NDArray[np.int64],
+    state: Array,
+    parameters: Array,
+    time: float,
+    result: Array,
+) -> None:
+    """Write the first outputs of a tape, as many as there is room for."""
+    code, constants, outputs, _, _ = tape_of(program, row)
+    tape_values(code, constants, outputs[: result.shape[0]], state, parameters, time, result)
+
+
+@kernel
+def stands(
+    program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
+) -> bool:
+    """Whether a flow may begin on the boundary of a stop condition, so that it is to be judged.
+
+    See `statechart.execution.standing`; `floors` (n,) are small for the variables, and more than
+    what they are off by.
+    """
+    row = program.modes[mode]
+    first, margins = row[STOPS], row[MARGINS]
+    if first == margins:
+        return False
+    code, constants, outputs, _, _ = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    stops, moved = outputs[first:margins], state.copy()
+    values, others = np.empty(margins - first), np.empty(margins - first)
+    reach = np.zeros(margins - first)
+    tape_values(code, constants, stops, state, parameters, time, values)
+    for v in range(state.shape[0]):
+        moved[v] += max(floors[v], _SMALL * abs(state[v]))
+        tape_values(code, constants, stops, moved, parameters, time, others)
+        moved[v] = state[v]
+        for i in range(reach.shape[0]):
+            reach[i] += abs(others[i] - values[i])
+    near = False
+    for i in range(reach.shape[0]):
+        near = near or not abs(values[i]) > reach[i]
+    return near
+
+
+class Scratch(NamedTuple):
+    """Buffers of a flow: its steps, as in `statechart.engines.engine.Path`, and what makes them."""
+
+    # Of the steps; times[0] is 0.
+    times: Array  # shape (s + 1,)
+    coefficients: Array  # shape (s, n, terms)
+    # of shape (n,) each
+    state: Array
+    ended: Array
+    pars: Array  # (p,): at least as many as any mode takes.
+    clock: Array  # shape (2,)
+    series: Array  # shape (n, terms)
+    # Of the length of a step.
+    powers: Array  # shape (terms,)
+    length: Array  # shape (1,)
+    # (n,): of a step, see `statechart.engines.taylor_loop.stray`.
+    offs: Array
+    sizes: Array
+    doubtful: Bools  # (s,): steps.
+    # (m,): of margins; at least as many as any mode has, likewise for what follows.
+    tolerances: Array
+    searched: Memory
+    whole: Array  # (r, 6): ranges over a step.
+
+
+def scratch(
+    steps: int, terms: int, modes: NDArray[np.int64], variables: int, parameters: int
+) -> Scratch:
+    """Return memory for flows of so many steps, in modes as those of a `Program`."""
+    _, operations, _, constants, _, outputs = modes[:, WATCHED : WATCHED + 6].max(axis=0).tolist()
+    registers = variables + 1 + parameters + constants + operations
+    return Scratch(
+        np.zeros(steps + 1),
+        np.empty((steps, variables, terms)),
+        np.empty(variables),
+        np.empty(variables),
+        np.empty(modes[:, PARS].max()),
+        np.zeros(2),
+        np.empty((variables, terms)),
+        np.empty(terms),
+        np.empty(1),
+        np.empty(variables),
+        np.empty(variables),
+        np.empty(steps, np.bool_),
+        np.empty(modes[:, MARGINS].max()),
+        Memory(*room(registers, operations, outputs, variables)),
+        np.empty((registers, 6)),
+    )
+
+
+class Watch(NamedTuple):
+    """Numbers that the search of a flow needs, beside its margins."""
+
+    parameters: Array  # shape (p,)
+    kinds: Array  # (4,): tolerance of each kind of margin.
+    bands: Array  # (b,): tolerances of single margins; -1 where that of the kind is the one.
+    floors: Array  # (n,): what is smaller counts as so large.
+    off: NDArray[np.int64]  # (9,): tape of the constraints.
+    # (k,): of the constraints.
+    targets: Array
+    weights: Array
+    room: float  # How far what is to stay above zero may fall.
+    # Tolerances of the engine, see `statechart.engines.engine.Pace`.
+    tolerance: float
+    max_step: float
+    allowed: float
+
+
+@kernel
+def usual_tolerances(
+    program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array
+) -> None:
+    """Write the tolerance of every margin: its own, or that of its kind."""
+    for i in range(row[MARGINS]):
+        own = watch.bands[program.ints[row[MARGINS_AT] + 2 * i + 1]]
+        tolerances[i] = own if own >= 0.0 else watch.kinds[program.ints[row[MARGINS_AT] + 2 * i]]
+
+
+@kernel
+def first_tolerances(
+    program: Program,
+    row: NDArray[np.int64],
+    watch: Watch,
+    initial: Array,
+    start: float,
+    usual: Array,
+    margins: Array,
+    tolerances: Array,
+) -> None:
+    """Write the tolerances to search with first: see `statechart.execution.finding`.
+
+    Also writes the margins at the start if one of them is plain.
+    """
+    plain = False
+    for i in range(row[MARGINS]):
+        tolerances[i] = usual[i]
+        plain = plain or program.ints[row[MARGINS_AT] + 2 * i] == PLAIN
+    if plain:
+        evaluate(program, row[WATCHED : WATCHED + TAPE], initial, watch.parameters, start, margins)
+        for i in range(row[MARGINS]):
+            if program.ints[row[MARGINS_AT] + 2 * i] == PLAIN and margins[i] > usual[i]:
+                tolerances[i] = 0.0
+
 
 WHOLE, AT_EVENT, IN_VAIN = range(3)
 """How a flow ends: at the end of its duration, at an event, or not in this way."""
@@ -120,7 +299,6 @@ def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
 def flow_to_event(
     program: Program,
     mode: int,
-    pace: Pace,
     watch: Watch,
     memory: Scratch,
     initial: Array,
@@ -155,11 +333,11 @@ def flow_to_event(
     row = program.modes[mode]
     times, coeffs, ended = memory.times, memory.coefficients, memory.ended
     state, clock, series = memory.state, memory.clock, memory.series
-    parameters, address = watch.parameters, row[ADDRESS]
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    address = row[ADDRESS]
+    tape = tape_of(program, row[WATCHED : WATCHED + TAPE])
     pars, h = memory.pars[: row[PARS]], memory.length
     margins, n = row[MARGINS], initial.shape[0]
-    guards, rates = outputs[:margins], outputs[margins:]
+    guards, rates = tape.outputs[:margins], tape.outputs[margins:]
     tolerances, powers, jets = memory.tolerances, memory.powers, memory.whole
     usual, begun = np.empty(margins), np.empty(margins)
     usual_tolerances(program, row, watch, usual)
@@ -170,18 +348,16 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     reconstruct_any(follows, initial, start)
-    ready = ready_along(
-        code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory.searched
-    )  # fmt: skip
-    _level(ready, ready[0][1] + code.shape[0], jets)
+    ready = ready_along(tape, Steps(times, coeffs, watch.parameters, start), memory.searched)
+    _level(ready, ready[0][1] + tape.code.shape[0], jets)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
             return IN_VAIN, -1, 0, boxes
-        h[0] = min(left, pace.max_step)
+        h[0] = min(left, watch.max_step)
         reconstruct_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
-        if pending and _strays(ready[0], rates, watch, pace, memory, made - 1, length):
+        if pending and _strays(ready[0], rates, watch, memory, made - 1, length):
             return IN_VAIN, -1, 0, boxes
         length = h[0]
         expand(series, length, coeffs[made], powers)
@@ -207,7 +383,7 @@ def flow_to_event(
         if last or found[0] != NONE:
             # No step follows whose series would begin with the rates.
             _rates_at_end(ready, rates, made - 1, series)
-            if _strays(ready[0], rates, watch, pace, memory, made - 1, length):
+            if _strays(ready[0], rates, watch, memory, made - 1, length):
                 return IN_VAIN, -1, 0, boxes
             if found[0] != NONE or end == duration:
                 break
@@ -223,7 +399,7 @@ def flow_to_event(
             base, total, left = times[made], 0.0, end - times[made]
     verdict, guard, step, place, at, crossed, _ = found
     if verdict not in (NONE, CROSSING) or _missed(
-        program, row, pace, watch, times, coeffs, start,
+        program, row, watch, times, coeffs, start,
         memory.doubtful[: made if verdict == NONE else step + 1],
     ):  # fmt: skip
         return IN_VAIN, -1, 0, boxes
@@ -254,7 +430,6 @@ def _strays(
     along: Along,
     rates: Ints32,
     watch: Watch,
-    pace: Pace,
     memory: Scratch,
     step: int,
     length: float,
@@ -262,9 +437,9 @@ def _strays(
     """Whether a step ends off its rates; note whether it may have been off them on its way."""
     offs, sizes = memory.offs, memory.sizes
     off = stray(memory.coefficients[step], length, memory.series, offs, sizes)
-    if off > max(STRAY, ORDERS * pace.tolerance):
+    if off > max(STRAY, ORDERS * watch.tolerance):
         return True
-    followed = _followed(along, rates, watch, pace, offs, sizes, length, memory.whole)
+    followed = _followed(along, rates, watch, offs, sizes, length, memory.whole)
     memory.doubtful[step] = not followed
     return False
 
@@ -283,7 +458,6 @@ def _followed(
     along: Along,
     rates: Ints32,
     watch: Watch,
-    pace: Pace,
     offs: Array,
     reaches: Array,
     length: float,
@@ -298,15 +472,14 @@ def _followed(
     followed = True
     for v in range(offs.shape[0]):
         reaches[v] = max(reaches[v], watch.floors[v])
-        followed = followed and offs[v] <= pace.allowed * reaches[v]
-    return followed and not rough_in(rates, jets, length, pace.allowed, reaches)
+        followed = followed and offs[v] <= watch.allowed * reaches[v]
+    return followed and not rough_in(rates, jets, length, watch.allowed, reaches)
 
 
 @kernel
 def _missed(
     program: Program,
     row: NDArray[np.int64],
-    pace: Pace,
     watch: Watch,
     times: Array,
     coeffs: Array,
@@ -314,27 +487,21 @@ def _missed(
     doubtful: Bools,
 ) -> bool:
     """Whether steps may have missed something of their surfaces or, the doubtful, their rates."""
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[WITHIN : WITHIN + TAPE])
-    if outputs.shape[0] > 0:
-        rooms = np.full(outputs.shape[0], watch.room)
-        found = search(
-            code, constants, outputs, reads, n_fixed, rooms, times, coeffs,
-            watch.parameters, start, 0, doubtful.shape[0], BOXES,
-        )  # fmt: skip
-        if found[0] != NONE:
+    within = tape_of(program, row[WITHIN : WITHIN + TAPE])
+    steps = Steps(times, coeffs, watch.parameters, start)
+    if within.outputs.shape[0] > 0:
+        rooms = np.full(within.outputs.shape[0], watch.room)
+        if search(within, rooms, steps, 0, doubtful.shape[0], BOXES)[0] != NONE:
             return True
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[RATES : RATES + TAPE])
+    rates = tape_of(program, row[RATES : RATES + TAPE])
     first = 0
     while first < doubtful.shape[0]:
         last = first
         while last < doubtful.shape[0] and doubtful[last]:
             last += 1
         if last > first:
-            found_at = unseen(
-                code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
-                first, last, watch.floors, pace.allowed, LOOKS,
-            )[0]  # fmt: skip
-            if found_at >= 0:
+            found = unseen(rates, steps, first, last, watch.floors, watch.allowed, LOOKS)
+            if found[0] >= 0:
                 return True
         first = last + 1
     return False
