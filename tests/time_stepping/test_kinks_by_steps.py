@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
+from statechart.running.runner import Runner
 
 VALLEY = """
 kind: scene
