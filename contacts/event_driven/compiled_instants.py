@@ -269,7 +269,7 @@ def hold_conditions(
 
     `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
 
-    See `contacts.dynamics.conditions.Conditions.tolerances`.
+    See `contacts.dynamics.conditions.ConditionsAt.tolerances`.
     """
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, bands = np.empty(count, np.int64), np.empty(scene.slots.shape[0])
@@ -303,7 +303,7 @@ def switched(
     kept, taken : (c,) array
         State of every contact; the latter is to be filled.
 
-    See `contacts.dynamics.conditions.Conditions.failing`.
+    See `contacts.dynamics.conditions.ConditionsAt.failing`.
     """
     place, unsure, leaves, stays, beside = -1, False, False, False, False
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2

@@ -68,6 +68,7 @@ class CompiledSceneLaws:
         self._of_margins = {name: k for k, name in enumerate(conditions.names, 1)}
         self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
+        self.warnings, self.has_remarks = numbers.lint, conditions.present
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
@@ -93,7 +94,7 @@ class CompiledSceneLaws:
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
         """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         assert isinstance(setup, SceneSetup)
-        own = self._conditions.tolerances(setup, state, time)
+        own = self._conditions.at(setup, state, time).tolerances()
         return {**setup.bands, **own} if own else setup.bands
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
@@ -103,7 +104,7 @@ class CompiledSceneLaws:
         own = {*conditions.names, *conditions.back, *conditions.gaps}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands
-        usual = usual and alike(conditions.tolerances(setup, state, time), flow.tolerances)
+        usual = usual and alike(conditions.at(setup, state, time).tolerances(), flow.tolerances)
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:

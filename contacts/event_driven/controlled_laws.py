@@ -259,7 +259,7 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
-        own = self._at(states).conditions.tolerances(inner, motion, clock.high)
+        own = self._at(states).conditions.at(inner, motion, clock.high).tolerances()
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

@@ -399,7 +399,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self.conditions.failing(setup, state, time)
+        failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(

@@ -214,6 +214,16 @@ class CompiledLaws(Protocol):
         """What gives the numbers of a run that the loop finds itself where it starts runs."""
         ...
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of every run that it starts."""
+        ...
+
+    @property
+    def has_remarks(self) -> bool:
+        """Whether `Laws.remarks` may have something to say of a run that it has made."""
+        ...
+
     def compiled(self) -> bool:
         """Whether the loop lies compiled on disk; if not, that takes a while."""
         ...
@@ -239,7 +249,15 @@ class CompiledLaws(Protocol):
         ...
 
     def call(self, loop: Any, relative: float) -> Any:
-        """Return calls of the loop; see `statechart.execution.compiled_loop.LoopCall`."""
+        """Return calls of the loop.
+
+        They have the `loop`, whether it `starts` runs by values of their parameters, and the
+        `series` of the jumps of the last run that was started. `inputs(names, table)` returns the
+        first four of `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
+        `start(rows, block, found)` makes runs, and returns how many before the block was full;
+        `begin(setup, until, most_jumps, floor, block, found)` makes one with known numbers;
+        `resume(setup, floor, block, found, series)` takes a run on that has come somewhere.
+        """
         ...
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.modes import Reconstruction
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import LARGEST
+from statechart.engines.budget import Allowance
 from statechart.errors import StepFailure, TooLong
 from statechart.formulas.tape import Tape
 
@@ -154,6 +155,8 @@ class Engine(ABC):
     sizes: Array | None = None
     # (n,): errors of a variable that is smaller are relative to this; set for each flow.
     floor: Array | float = 0.0
+    # Ends runs in time; such runs are made step by step.
+    allowance: Allowance | None = None
     # Of what a variable is and moves in a step, how far the slope of the step may be off its rate.
     # The slope of a dense output is of a lower order than the step.
     allowed: float

@@ -8,7 +8,7 @@ returns why it left a run, and the execution alone acts on that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,7 +71,8 @@ class BatchInputs(NamedTuple):
     most_jumps: int
     floor: float  # What is smaller counts as so large.
     alone: bool  # Whether a run is handed over as far as it has come.
-    begun: bool  # Whether the one run goes on from where it is, with numbers that are known.
+    begun: bool  # The one run goes on from where it is.
+    known: bool  # The numbers of the one run are known.
 
 
 class BatchResult(NamedTuple):
@@ -159,17 +160,18 @@ class LoopModes:
         Of every row; those of other flows of the runs stand between them.
     jumps : tuple of (str, str)
         Regions and causes of the jumps that loops make.
+    laws : CompiledLaws
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
         self.jumps = laws.series
-        self._laws, self._engine, self._automaton = laws, engine, automaton
+        self.laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
-        self._call: LoopCall | None = None
+        self._call: Any = None  # as `CompiledLaws.call` returns it
         self._worth, self._batch_worth = _Worth(laws.ready), _Worth(laws.compiled)
 
     def compiled(self, kind: Kind) -> CompiledMode:
@@ -182,25 +184,25 @@ class LoopModes:
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the region that an event of a loop is about, and its cause."""
-        return self._laws.about(event)
+        return self.laws.about(event)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
         names = self._compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
-        return self._laws.jump(setup, event, fired)
+        return self.laws.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
         """Make a mode known, if loops can go through it."""
         kind = mode, roles
-        if kind in self._compiled or self._laws.listed(*kind, compiled.names) is None:
+        if kind in self._compiled or self.laws.listed(*kind, compiled.names) is None:
             return
         entry = self._engine.entry(compiled.stepper)
-        if entry is not None:
+        if entry is not None and self._engine.allowance is None:
             self._compiled[kind], self._entries[kind] = compiled, entry
             self._call = None
 
-    def batch(self, count: int) -> LoopCall | None:
+    def batch(self, count: int) -> Any:
         """Return what starts so many runs; None where nothing can, or it is not worth compiling."""
         if not self._batch_worth.asked(count) or not self._compiled:
             return None
@@ -209,15 +211,31 @@ class LoopModes:
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
         """Whether rows of runs have the numbers that this gives for one."""
-        return self._laws.setup == setup
+        return self.laws.setup == setup
 
     def flow(
         self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
     ) -> Flow:
         """Return a usual flow in a mode, from a state."""
         mode, roles = kind
-        tolerances = self._laws.tolerances(setup, state, time)
+        tolerances = self.laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
+
+    def begin(
+        self, setup: Setup, until: float, max_jumps: int, buffer: TraceBuffer
+    ) -> Batch | None:
+        """Let the loop make a run of which the numbers are known; None where it cannot."""
+        call, floor = self.batch(1), self._engine.floor
+        if call is None or not isinstance(floor, float):
+            return None
+        kinds = call.loop.kinds
+        found = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
+        buffer.used[:] = 0
+        call.begin(setup, until, max_jumps, floor, buffer, found)
+        if found.ends.item(HOW) == UNUSUAL:
+            return None
+        rows = np.zeros(1, np.intp)
+        return Batch(rows, found, buffer, kinds, self, setup.zeros, call.series)
 
     def resume(
         self, setup: Setup, flow: Flow, now: Array, counts: tuple[int, int], state: Array,
@@ -242,7 +260,7 @@ class LoopModes:
             Parameters that are exactly zero.
         """
         kind, floor = (flow.mode, flow.roles), self._engine.floor
-        if not self._laws.takes(setup, flow, state, now.item(T_HIGH)):
+        if not self.laws.takes(setup, flow, state, now.item(T_HIGH)):
             return None
         if kind not in self._compiled or not self._worth.asked():
             return None
@@ -256,10 +274,10 @@ class LoopModes:
         call.resume(setup, floor, buffer, found, series)
         return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)
 
-    def _made(self) -> LoopCall:
+    def _made(self) -> Any:
         """Return the calls of a loop over all modes known."""
         if self._call is None:
-            self._call = self._laws.call(self._loop(), self._engine.tolerance)
+            self._call = self.laws.call(self._loop(), self._engine.tolerance)
         return self._call
 
     def _loop(self) -> Loop:
@@ -274,9 +292,9 @@ class LoopModes:
                 (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
                 for name, how in compiled.watched
             ]
-            listed = self._laws.listed(*kind, compiled.names)
+            listed = self.laws.listed(*kind, compiled.names)
             assert listed is not None
-            within = self._laws.within(kind[0])
+            within = self.laws.within(kind[0])
             row = rows[self.kinds.index(kind)]
             row[:] = (
                 entry.address,
@@ -294,7 +312,7 @@ class LoopModes:
                 *packed.tape(compiled.reconstruction.anchors),
                 packed.ints(compiled.reconstruction.places),
             )
-        tapes = np.array([packed.tape(tape) for tape in self._laws.tapes], np.int64)
+        tapes = np.array([packed.tape(tape) for tape in self.laws.tapes], np.int64)
         # Of one engine, and so of one order.
         pace, n = entry.pace, len(self._automaton.variables)
         steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
@@ -311,39 +329,6 @@ class LoopModes:
             margins = [margin.expression for margin in mode.margins]
             found = self._watched[kind] = self._automaton.tape([*margins, *mode.rates], mode)
         return found
-
-
-class LoopCall(Protocol):
-    """Calls of a compiled loop."""
-
-    @property
-    def loop(self) -> Loop:
-        """What runs go through."""
-        ...
-
-    @property
-    def starts(self) -> bool:
-        """Whether runs can be started by values of their parameters."""
-        ...
-
-    @property
-    def series(self) -> Array:
-        """The series of the jumps of the last run that was started."""
-        ...
-
-    def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
-        """Return the first four of `BatchInputs` for runs with values (m, p) of parameters."""
-        ...
-
-    def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
-        """Make runs; return how many of them before the block was full."""
-        ...
-
-    def resume(
-        self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
-    ) -> None:
-        """Take a run on that has come somewhere."""
-        ...
 
 
 class Loop(NamedTuple):

@@ -166,6 +166,8 @@ class CompiledModes:
         """Let the engine compile the rates, unless they are those of another mode."""
         bare = uncaptured(roles)
         if bare == roles:
+            if self.engine.allowance is not None:
+                self.engine.allowance.check_for(self.engine.compiling(taped.rates))
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:
             stepper = self.compiled(bare, zeros).stepper

@@ -21,6 +21,7 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping, LazySequence
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace
+from statechart.automaton.trace_store import jump_times
 from statechart.formulas.tape import Tape
 from statechart.tabular import several
 
@@ -36,7 +37,7 @@ class _Part:
 
     def __init__(self, component: Component, places: Places, trace: Trace) -> None:
         self.component, self.places, self.trace = component, places, trace
-        self.times = [jump.t for jump in trace.jumps]
+        self.times = jump_times(trace.jumps)
         self.numbers: list[int] = []  # of its jumps among those of the whole
 
     @cached_property

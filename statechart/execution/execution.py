@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,8 @@ import numpy as np
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
-from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
+from statechart.automaton.time_stepper import Sample, Sampling, in_order
+from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
 from statechart.engines.engine import FlowWatch, Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
@@ -23,7 +25,7 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
-from statechart.execution.outcome import Progress
+from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
@@ -84,14 +86,14 @@ class Execution:
 
     def run(self) -> Trace:
         """Run to an end; return what was made, also where the run could not go on."""
-        with self.told():
+        with self.ending():
             ended = self.begin()
             while not ended:
                 ended = self.advance()
         return self.trace()
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def ending(self) -> Iterator[None]:
         """Let the run end where it is interrupted or cannot go on, and its outcome say why."""
         try:
             with interrupts.held():
@@ -107,6 +109,56 @@ class Execution:
 
     def _end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
+
+    def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps as they come; parameters may be set between samples.
+
+        Raises
+        ------
+        SimulationError
+            Where the run cannot go on, after all that it made.
+        """
+        values, end, count, seen = dict(parameters), self.until, 0, [0, 0]
+
+        def fresh() -> Iterator[Arc | Jump]:
+            pieces: list[Arc | Jump] = [*self.record.arcs[seen[0] :], *self.record.jumps[seen[1] :]]
+            seen[:] = len(self.record.arcs), len(self.record.jumps)
+            yield from in_order(pieces)
+
+        ended = False
+        with self.ending():
+            ended = self.begin()
+        while self.outcome is Outcome.HORIZON and not ended:
+            changed = None if sampling.control is None else sampling.control(self._sample())
+            if changed:
+                values |= changed
+                with self.ending():
+                    ended = self._change(values)
+            yield from fresh()
+            count += 1
+            self.until = min(end, sampling.every * count) if count * sampling.every < end else end
+            window = False
+            while not window and self.outcome is Outcome.HORIZON and not ended:
+                with self.ending():
+                    window = self.advance()
+                yield from fresh()
+            ended = ended or self.until >= end
+        yield from fresh()
+        trace = self.trace()
+        if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+            raise error_of(trace)
+
+    def _sample(self) -> Sample:
+        states = zip(self.automaton.region_names, self.flow.mode, strict=True)
+        values = zip(self.automaton.names, self.state.tolist(), strict=True)
+        return Sample(self.clock.high, dict(states), dict(values))
+
+    def _change(self, overrides: Mapping[str, float]) -> bool:
+        """Go on with other values of parameters; whether the run ends there."""
+        setup = self.automaton.setup(overrides, self.engine.tolerance)
+        self.zeros, self.entered = setup.zeros, {}
+        self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        return self.settle()
 
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""

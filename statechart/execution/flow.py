@@ -146,6 +146,8 @@ class Advance:
         watch, path, first = self.watch, self.path, self._kept
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
+        if self.engine.allowance is not None:
+            self.engine.allowance.check(watch.start + path.times.item(first))
         finished = self.engine.steps(
             self.compiled.stepper,
             path,

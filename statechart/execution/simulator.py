@@ -42,7 +42,6 @@ from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
 from statechart.execution.outcome import error_of
-from statechart.execution.stream import streamed
 from statechart.kernels.polynomials import summands
 
 # Rows of one call: tens of milliseconds, between which a signal is heard.
@@ -122,9 +121,16 @@ class Simulator:
             rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
         batch = rows.alone(values, until, max_jumps)
-        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
-            return self._execution(self._setup(parameters), until, max_jumps, batch).run()
-        return self._trace_of(batch, _Once(partial(self._setup, dict(parameters))))
+        return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
+
+    def _finish(
+        self, batch: Batch | None, setup: Callable[[], Setup], until: float, max_jumps: int
+    ) -> Trace:
+        """Return the trace of a run that a loop has made, or take it on from where that came."""
+        handed = batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED
+        if batch is None or handed or batch.modes.laws.has_remarks:
+            return self._execution(setup(), until, max_jumps, batch).run()
+        return self._trace_of(batch, setup)
 
     def _trace_of(self, batch: Batch, setup: Callable[[], Setup]) -> Trace:
         """Return the trace of a run that a loop has made from its start to its end."""
@@ -165,7 +171,7 @@ class Simulator:
             tolerances=LazyMapping(lambda: dict(setup().tolerances)),
             engine=engine.title,
             tolerance=engine.tolerance,
-            warnings=(),
+            warnings=modes.laws.warnings,
             counts={
                 "steps": place[runs.N_STEPS],
                 "evaluations": 0,
@@ -201,13 +207,13 @@ class Simulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps of a run as they come; see `streamed`.
+        """Yield arcs and jumps of a run as they come; see `Execution.stream`.
 
         No other run may be made meanwhile.
         """
         made = self._execution(self._setup(parameters), until, max_jumps)
         made.loop = None
-        return streamed(made, parameters, sampling)
+        return made.stream(parameters, sampling)
 
     def _by_components(
         self, parameters: Mapping[str, float], until: float, max_jumps: int
@@ -250,8 +256,10 @@ class Simulator:
 
     def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
         """Run with the numbers of a run."""
-        modes = partial(self.modes.mode, zeros=setup.zeros)
-        return self._execution(replace(setup, modes=modes), until, max_jumps).run()
+        setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        loop = self._loop(setup.zeros)
+        batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
+        return self._finish(batch, lambda: setup, until, max_jumps)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         """Return the numbers of a run."""
@@ -347,7 +355,7 @@ class BatchRunner:
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
-                modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
+                modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
             )
             how = runs.OTHER if batch is None else batch.found.ends.item(runs.HOW)
             if how != runs.OTHER:
@@ -378,7 +386,9 @@ class BatchRunner:
             gone = self._gone[zeros] = np.zeros(p, np.bool_)
             gone[list(zeros)] = True
         inputs = call.inputs(self._names, table)
-        asked = BatchInputs(*inputs, until, gone, max_jumps, engine.floor, alone, begun=False)
+        asked = BatchInputs(
+            *inputs, until, gone, max_jumps, engine.floor, alone=alone, begun=False, known=False
+        )
         block = simulator.buffer
         block.used[:] = 0
         made = max(call.start(asked, block, found), 1)
