@@ -1,4 +1,4 @@
-"""What declaring costs: `toppling_stick` against loops written by hand for this very scene.
+"""Cost of a declared model: `toppling_stick` against loops written by hand for this scene.
 
 Three programs, side by side in one process, once compiled:
 
@@ -9,7 +9,7 @@ Three programs, side by side in one process, once compiled:
   DOP853; the tolerance of each is the loosest that reaches the same final error of 1e-9.
 
 Times are of the process, medians of repeats that take turns; ratios are medians of the ratios in
-one turn. Last comes where the time of a run goes.
+one turn.
 
 Run with ``python benchmarks/toppling_stick.py``.
 """
@@ -23,15 +23,13 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from statechart.engines.taylor import Taylor
-from statechart.execution import simulator as made_by
-from statechart.execution.simulator import BatchRunner, Simulator
+from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
@@ -183,6 +181,12 @@ def hand_written_scipy(
     return run
 
 
+def warm_up(function: Callable[[], object]) -> None:
+    """Run a function until its kernels are worth compiling, and are."""
+    for _ in range(2100):
+        function()
+
+
 def turns(functions: Sequence[Callable[[], object]], rounds: int) -> list[list[float]]:
     """Return the process times of each function in microseconds, a median for every turn.
 
@@ -204,40 +208,6 @@ def turns(functions: Sequence[Callable[[], object]], rounds: int) -> list[list[f
 def ratio(times: Sequence[float], others: Sequence[float]) -> float:
     """Return the median of the ratios turn by turn: a clock that drifts does not matter."""
     return statistics.median(a / b for a, b in zip(times, others, strict=True))
-
-
-def shares(trace: Callable[[], object]) -> dict[str, float]:
-    """Return what a run spends where, in microseconds; medians, the timers' own time included."""
-    places: list[tuple[str, Any, str]] = [
-        ("numbers, first mode, flows and jumps: compiled", BatchRunner, "alone"),
-        ("the trace", made_by, "trace_of_row"),
-    ]
-    spent = {what: 0.0 for what, _, _ in places}
-
-    def timed(what: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*args)
-            spent[what] += time.perf_counter() - begin
-            return result
-
-        return call
-
-    kept = [getattr(owner, name) for _, owner, name in places]
-    for (what, owner, name), function in zip(places, kept, strict=True):
-        setattr(owner, name, timed(what, function))
-    found: dict[str, list[float]] = {what: [] for what in [*spent, "the rest"]}
-    for _ in range(ROUNDS * TURN):
-        spent.update(dict.fromkeys(spent, 0.0))
-        begin = time.perf_counter()
-        trace()
-        whole = time.perf_counter() - begin
-        for what, seconds in spent.items():
-            found[what].append(seconds)
-        found["the rest"].append(whole - sum(spent.values()))
-    for (_, owner, name), function in zip(places, kept, strict=True):
-        setattr(owner, name, function)
-    return {what: statistics.median(seconds) * 1e6 for what, seconds in found.items()}
 
 
 def error(found: Found, cell: dict[str, float]) -> float:
@@ -275,6 +245,8 @@ def main() -> None:
             if error(scipy(theta0), cell) < 1e-9:
                 break
         rows.append((f"hand-written, solve_ivp {method} rtol {rtol:g}", partial(scipy, theta0)))
+    for _, function in rows[:3]:
+        warm_up(function)
     found = [function() for _, function in rows]
     # What takes milliseconds needs fewer rounds; the trace takes part in both.
     hand, traced, full = turns([f for _, f in rows[:3]], ROUNDS)
@@ -287,9 +259,6 @@ def main() -> None:
         to_first = "" if first is None else f"{ratio(times, first):10.2f}"
         us = statistics.median(times)
         print(f"{name:42} {us:10.1f} {to_first:>10} {ratio(times, second):10.2f} {shown:>9}")
-    print("\nwhere a run with its trace spends its time")
-    for what, us in shares(trace).items():
-        print(f"  {what:54} {us:8.1f} us")
 
 
 if __name__ == "__main__":

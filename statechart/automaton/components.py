@@ -40,8 +40,8 @@ def split(
 
     A part is its declaration, and neutral name -> name. `moving` are the sections whose entities
     change in time, or say how others do; `regions` those of them whose entities are regions.
-    `reserved` returns the words of the document that no name may be, as names are replaced in
-    texts.
+    `reserved` returns the words of the document. An entity with such a name keeps it, as names are
+    replaced in texts.
     """
     entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
     stops = data.get("stop", {}).get("conditions", {})
@@ -66,15 +66,18 @@ def split(
         # An event without the name of its region is heard from all of them.
         return []
     words = {*reserved(), *_words_of_regions(data, regions)}
-    if words & owners.keys() or any(NEUTRAL.search(text) for text in _texts(data)):
+    if any(NEUTRAL.search(text) for text in _texts(data)):
         return []
     groups[0] = groups[0].union(*idle, (e for e in still if e[0] == "stop"))
     return [
-        _part(data, group.union(*(mentions[e] & still for e in group)), still) for group in groups
+        _part(data, group.union(*(mentions[e] & still for e in group)), still, words)
+        for group in groups
     ]
 
 
-def _part(data: Data, group: set[Entity], still: set[Entity]) -> tuple[Data, dict[str, str]]:
+def _part(
+    data: Data, group: set[Entity], still: set[Entity], words: set[str]
+) -> tuple[Data, dict[str, str]]:
     own = [
         (section, name)
         for section, content in data.items()
@@ -82,7 +85,10 @@ def _part(data: Data, group: set[Entity], still: set[Entity]) -> tuple[Data, dic
         for name in content
         if (section, name) in group and (section, name) not in still
     ]
-    names = {name: f"zz{place}zz" for place, (_, name) in enumerate(own)}
+    names = {
+        name: name if {name, f"d{name}"} & words else f"zz{place}zz"
+        for place, (_, name) in enumerate(own)
+    }
     # The rate of a coordinate is named after it.
     rates = {f"d{name}": f"d{names[name]}" for section, name in own if section == "coordinates"}
     sections = {section for section, _ in group}

@@ -289,28 +289,28 @@ def _instants(
 ) -> list[tuple[float, dict[int, int]]]:
     """Return jumps (time, component, number) in order of time as those of the whole.
 
-    Each is a time, and component -> number of its jump. Components that jump at one instant do so
-    in one `joint` jump, the first jumps of all of them before the second ones; or one after
-    another, in their order.
+    Each is the time of its instant, and component -> number of its jump. Components that jump at
+    one instant do so in one `joint` jump, the first jumps of all of them before the second ones; or
+    one after another, in their order.
     """
     if not joint:
-        order: list[tuple[int, int, int]] = []
-        instant, last = 0, -math.inf
+        order: list[tuple[float, int, int]] = []
+        instant = last = -math.inf
         for time, place, j in jumps:
-            instant += time - last > _ONE_INSTANT * _ULP * time
+            if time - last > _ONE_INSTANT * _ULP * time:
+                instant = time
             last = time
             order.append((instant, place, j))
-        times = {(place, j): time for time, place, j in jumps}
-        return [(times[place, j], {place: j}) for _, place, j in sorted(order)]
+        return [(time, {place: j}) for time, place, j in sorted(order)]
     found: list[tuple[float, dict[int, int]]] = []
-    first, last = 0, -math.inf
+    first, instant, last = 0, -math.inf, -math.inf
     for time, place, j in jumps:
         if time - last > _ONE_INSTANT * _ULP * time:
-            first = len(found)
+            first, instant = len(found), time
         last = time
         rank = next((k for k in range(first, len(found)) if place not in found[k][1]), len(found))
         if rank == len(found):
-            found.append((time, {}))
+            found.append((instant, {}))
         found[rank][1][place] = j
     return found
 

@@ -37,6 +37,24 @@ contacts:
   d: {point: {body: high}, surface: ground, friction: 0.3, restitution: 0.5}
   e: {point: {body: puck}, surface: slope, friction: 0.1, restitution: 0.4}
 """
+# Names of the format, `x` and `y`, as coordinates.
+NAMED = """
+kind: scene
+name: named
+gravity: 9.81
+coordinates:
+  x: {start: 0, rate: 1}
+  y: {start: 0.7, rate: 0}
+  u: {start: 3, rate: -1}
+  v: {start: 0.9, rate: 0}
+bodies:
+  ball: {mass: 2, position: [x, y]}
+  other: {mass: 2, position: [u, v]}
+surfaces: {ground: {height: 0}}
+contacts:
+  a: {point: {body: ball}, surface: ground, friction: 0.2, restitution: 0.6}
+  b: {point: {body: other}, surface: ground, friction: 0.3, restitution: 0.5}
+"""
 ROOMS = """
 kind: chart
 name: rooms
@@ -84,7 +102,7 @@ def near(one: object, other: object) -> object:
     return np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)  # type: ignore[call-overload]
 
 
-@pytest.mark.parametrize(("text", "until"), [(BODIES, 1.5), (ROOMS, 30.0)])
+@pytest.mark.parametrize(("text", "until"), [(BODIES, 1.5), (NAMED, 1.5), (ROOMS, 30.0)])
 def test_components_make_the_run_of_the_product(text: str, until: float, tmp_path: Path) -> None:
     found, expected = both(text, tmp_path, until)
     assert (found.outcome, found.message) == (expected.outcome, expected.message)
