@@ -202,8 +202,8 @@ class SceneNumbers:
         places, fixed = self.coefficients(states)
         found = np.where(places >= 0, values[places], fixed).tolist()
         return tuple(
-            ContactLaw(name, self._region_states[name], *row, contact.impact)
-            for (name, contact), row in zip(self.scene.contacts.items(), found, strict=True)
+            ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
+            for (name, contact), (n, t, e) in zip(self.scene.contacts.items(), found, strict=True)
         )
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:

@@ -385,10 +385,11 @@ class BatchRunner:
         if gone is None:
             gone = self._gone[zeros] = np.zeros(p, np.bool_)
             gone[list(zeros)] = True
-        inputs = call.inputs(self._names, table)
+        code, constants, outputs, inputs = call.inputs(self._names, table)
         asked = BatchInputs(
-            *inputs, until, gone, max_jumps, engine.floor, alone=alone, begun=False, known=False
-        )
+            code, constants, outputs, inputs, until, gone, max_jumps, engine.floor, alone,
+            begun=False, known=False,
+        )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
         made = max(call.start(asked, block, found), 1)
