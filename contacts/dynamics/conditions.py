@@ -83,7 +83,7 @@ class Conditions:
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
-        # Of every contact the first contact of the same point.
+        # For every contact the first contact of the same point.
         touching = [mechanics.scene.contacts[name] for name in contacts]
         self.points = tuple(
             next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
@@ -102,7 +102,7 @@ class Conditions:
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
         for one in self._conditions:
-            # How rates go on depends on the mode.
+            # The derivatives of rates depend on the mode.
             of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
             rate = sp.S.Zero if of_rates else time_derivative(one.margin, rates, mechanics.time)
             outputs += [
@@ -194,13 +194,13 @@ class ConditionsAt:
 
     @cached_property
     def _is_zero(self) -> Bools:
-        """Whether each atom (k,) is zero within its round-off."""
+        """Mask (k,) of the atoms that are zero within their round-off."""
         margins, bands = self._margins
         return np.asarray(np.abs(margins) <= bands)
 
     @property
     def on_boundary(self) -> bool:
-        """Whether an atom is zero within its round-off."""
+        """True if an atom is zero within its round-off."""
         return bool(self._is_zero.any())
 
     @cached_property

@@ -40,7 +40,7 @@ from statechart.kernels.tapes import tape_values
 POINT_MASS = 1e-12
 # Round-off of positions above this part of the length is worth a warning.
 FAR = 1e-10
-# How far the first flow looks ahead, in the scene's own unit of time.
+# First horizon of a run, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
 
@@ -65,7 +65,7 @@ class SceneNumbers:
         }
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
-        # Whether every stop condition holds as soon as one of its margins falls.
+        # Every stop condition holds as soon as one of its margins falls.
         self.disjoint = all(stop.condition.disjoint for stop in stops)
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
@@ -88,7 +88,7 @@ class SceneNumbers:
         self.lint = (*lint(scene), *_unpressed(mechanics))
         # Physical between `bounds` (2, l); None where states of controllers set some of it.
         self.limits: Tape | None = None
-        # What is a number was checked when it was read.
+        # Numbers were checked when they were read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
             bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
@@ -160,7 +160,7 @@ class SceneNumbers:
         )
 
     def _physical(self, values: Array, initial: Array) -> bool:
-        """Whether masses and the like are surely within their bounds."""
+        """Return whether masses and the like are surely within their bounds."""
         if self.limits is None:
             return False
         found, (least, most) = self.limits.at(initial, values, 0.0), self.bounds

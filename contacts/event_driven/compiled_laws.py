@@ -72,11 +72,11 @@ class CompiledSceneLaws:
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
-        """Whether the loop lies compiled on disk."""
+        """Return whether the loop lies compiled on disk."""
         return cast(Kernel, run_batch).is_cached
 
     def ready(self) -> bool:
-        """Whether it does, and costs nothing to have."""
+        """Return whether it does, in a process that has loaded its compiler."""
         return is_ready(run_batch)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
@@ -98,7 +98,7 @@ class CompiledSceneLaws:
         return {**setup.bands, **own} if own else setup.bands
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
-        """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
+        """Return whether a flow skips no bounces, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
         conditions = self._conditions
         own = {*conditions.names, *conditions.back, *conditions.gaps}

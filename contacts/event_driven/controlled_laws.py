@@ -201,7 +201,7 @@ class ControlledLaws:
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
-        # Of a guard with several atoms the first flow in a mode watches all, and is judged.
+        # The first flow in a mode watches all atoms of a guard, and is judged.
         if (rows[watched, 0] > tolerances[watched]).all() and (
             guarded.watch.single or not watched.all()
         ):

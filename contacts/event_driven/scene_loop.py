@@ -79,7 +79,7 @@ _PER_CONTACT = 5
 MOST_AT_ONCE = 16
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
-# What a longer run takes is not worth a row.
+# A run of more pauses is left to an execution of its own.
 _PAUSES = 64
 
 INSTANTS = 3
@@ -216,7 +216,7 @@ def _end(
 
 @kernel
 def _other(values: Array, zeros: Bools) -> bool:
-    """Whether other parameters are zero than these."""
+    """Return whether other parameters are zero than these."""
     other = False
     for i in range(values.shape[0]):
         other = other or (values[i] == 0.0) != zeros[i]
@@ -585,7 +585,7 @@ class _Inputs(NamedTuple):
     constants: Array
     outputs: Ints32
     given: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
-    fixed: Array  # What it takes, but for these.
+    fixed: Array  # Its inputs, but for these.
 
 
 _KNOWN = BatchInputs(

@@ -20,7 +20,7 @@ from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.errors import NonFinite, SimulationError
 
-# Of the round-off of a place; what is zero may be on either side.
+# Multiple of the round-off of a place: a zero may be on either side.
 _MORE = 2.0
 
 # A warning is given where none of the contacts that meet within so many tolerances of gaps is on.

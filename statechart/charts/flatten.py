@@ -330,7 +330,7 @@ class FlatTransition:
 
     @property
     def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps fires it."""
+        """True if the accumulation of jumps fires it."""
         return self.members[0].on_zeno
 
     @property

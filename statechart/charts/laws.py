@@ -150,7 +150,7 @@ def _flows(flat: FlatRegion, state: str) -> dict[str, FiniteText]:
 class ChartLaws:
     """The laws of a chart (see `statechart.automaton.laws.Laws`)."""
 
-    # What its transitions say is not compiled.
+    # Its transitions are not compiled.
     compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:

@@ -79,7 +79,7 @@ class Transition(Part):
 
     @property
     def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps out of the state fires it."""
+        """True if the accumulation of jumps out of the state fires it."""
         return self.on == "zeno"
 
     @property

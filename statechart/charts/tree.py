@@ -73,7 +73,7 @@ class Tree:
 
     @cached_property
     def flat(self) -> bool:
-        """Whether no state holds another."""
+        """True if no state holds another."""
         return all(node.parent <= ROOT for node in self.nodes)
 
     @cached_property

@@ -37,20 +37,20 @@ flow from here has to be made step by step; the pad is full; to be looked at; th
 counted; they accumulate."""
 
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
-"""Where a loop is: the clock, when the run ends, how far to look ahead, when the last jump was; the
-time to an accumulation, as it ends."""
+"""Columns of `BatchResult.now`: the clock, the end of the run, the horizon, the time of the last
+jump, and the time to an accumulation as the loop ends."""
 N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
-"""Likewise: the row of its mode, the number of jumps, the most of them, steps and boxes so far;
-1 where an instant is under way, and the laws are to be asked again."""
+"""Columns of `BatchResult.place`: the row of its mode, the number of jumps, the most of them, steps
+and boxes so far; 1 if an instant is under way, and the laws are asked again."""
 
 LOOK_AHEAD = 16.0
-"""How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
+"""First horizon of a flow, in lengths of the last flow: those of bounces shrink."""
 
 
 UNUSUAL, OTHER, ENDED, CLOSING, STOPPED, HANDED = range(6)
-"""How a run of a batch ends: it is left to an execution of its own; other parameters of it are zero
-than those that the modes were solved for; at the end of the run; there, where it is to be judged
-whether something just happens; at a stop; where an execution goes on from here."""
+"""Ends of a run of a batch: an execution has to make it; other parameters are zero than those that
+the modes were solved for; the end of the run; the end, where an event may be happening; a stop; an
+execution goes on from here."""
 
 HOW, REASON, MARGIN, FIRST_MODE = range(4)
 """Columns of `BatchResult.ends`."""
@@ -69,8 +69,8 @@ class BatchInputs(NamedTuple):
     until: Array  # (m,): when each ends; not a number where that is refused.
     zeros: Bools  # (p,): which parameters are exactly zero.
     most_jumps: int
-    floor: float  # What is smaller counts as so large.
-    alone: bool  # Whether a run is handed over as far as it has come.
+    floor: float  # Smaller magnitudes count as so large.
+    alone: bool  # The one run is handed over as far as it has come.
     begun: bool  # The one run goes on from where it is.
     known: bool  # The numbers of the one run are known.
 
@@ -105,16 +105,16 @@ class Batch(NamedTuple):
     """Runs that have gone through a loop; valid until the next ones do."""
 
     rows: NDArray[np.intp]  # (m,): which they are.
-    found: BatchResult  # Of them alone.
+    found: BatchResult  # Their results.
     block: TraceBuffer  # Holds their arcs and events, and others.
-    kinds: tuple[Kind, ...]  # Of the modes.
+    kinds: tuple[Kind, ...]  # Kinds of the modes.
     modes: LoopModes
     zeros: frozenset[int]  # Places of the parameters that are exactly zero.
     series: Array  # (s, ..): of the jumps of the last run, see `statechart.execution.zeno`.
 
     @property
     def stopped(self) -> Bools:
-        """Which runs (m,) a stop has ended."""
+        """Mask (m,) of the runs that a stop has ended."""
         return np.asarray(self.found.ends[:, HOW] == STOPPED)
 
     def outcome(self, row: int) -> Outcome:
@@ -134,7 +134,7 @@ _STEPS, _PART = 512, 1 << 17
 
 
 class _Worth:
-    """Whether it pays to have something compiled: it is, on disk, or it was asked for often.
+    """Decides whether compiled code pays: it lies on disk, or was asked for often.
 
     To look on the disk takes as long as a short run: that is done when twice as much was asked for.
     """
@@ -179,7 +179,7 @@ class LoopModes:
         return self._compiled[kind]
 
     def knows(self, kind: Kind) -> bool:
-        """Whether loops can go through a mode."""
+        """Return whether loops can go through a mode."""
         return kind in self._compiled
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
@@ -210,7 +210,7 @@ class LoopModes:
         return call if call.starts else None
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
-        """Whether rows of runs have the numbers that this gives for one."""
+        """Return whether rows of runs have the numbers that `setup` gives for one."""
         return self.laws.setup == setup
 
     def flow(
@@ -313,7 +313,7 @@ class LoopModes:
                 packed.ints(compiled.reconstruction.places),
             )
         tapes = np.array([packed.tape(tape) for tape in self.laws.tapes], np.int64)
-        # Of one engine, and so of one order.
+        # All modes have one engine, and so one order.
         pace, n = entry.pace, len(self._automaton.variables)
         steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
         memory = scratch(steps, pace.terms, rows, n, len(self._automaton.parameters))
@@ -339,7 +339,7 @@ class Loop(NamedTuple):
     pace: Pace
     memory: Scratch
     margins: tuple[str, ...]  # Whose tolerances a run may set one by one, in their order.
-    kinds: tuple[Kind, ...]  # Of the rows of the program.
+    kinds: tuple[Kind, ...]  # Kinds of the rows of the program.
 
 
 _NO_TAPE = (0,) * TAPE

@@ -53,12 +53,12 @@ class Execution:
     zeros: frozenset[int]  # Places of the parameters that are exactly zero.
     until: float  # Its end.
     max_jumps: int  # End after so many jumps.
-    progress: bool  # Whether to report to stderr.
+    progress: bool  # Report to stderr.
     # Takes the run through unambiguous instants in compiled code, where that can be.
     loop: LoopModes | None = None
     # Takes all flows and jumps, where the run is made again to prove its motion.
     certificate: Certificate | None = None
-    begun: Batch | None = None  # How far a loop has taken the run from its start.
+    begun: Batch | None = None  # The part of the run that a loop has made from its start.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -348,7 +348,7 @@ class Execution:
             taped = self.modes.taped(self.flow.roles, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
             if met := self.modes.standing.met(taped.mode, taped.guards, at):
-                # What else happens at this instant comes first.
+                # Other events of this instant come first.
                 at = self._instant()
                 made = None if alone(compiled, at, count) else laws.jump(at)
                 if made is None or made[0] is None:
@@ -356,7 +356,7 @@ class Execution:
         return (margin.name,)
 
     def _unbounded(self) -> bool:
-        """Whether rates have grown without bound towards here, and a jump resolves it."""
+        """Return whether rates have grown without bound towards here, and a jump resolves it."""
         flow, laws = self.flow, self.automaton.laws_of_events
         if flow.terms is None or not self.record.arcs:
             return False
@@ -368,7 +368,7 @@ class Execution:
         return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
-        """Whether something may just be happening as the run ends: it belongs to the run.
+        """Return whether an event may be happening as the run ends: it belongs to the run.
 
         Gaps and slips are searched for below zero, and a guard may fall short of its boundary by
         what the run is off.
@@ -437,7 +437,7 @@ class Execution:
         return self._stands()
 
     def _stands(self) -> bool:
-        """Whether the run ends here, on the boundary of a stop condition that counts it."""
+        """Return whether the run ends here, on the boundary of a stop condition."""
         if standing := self.modes.standing:
             taped = self.modes.taped(self.flow.roles, self.zeros)
             met, self.flow = standing.judged(taped.mode, taped.guards, self._instant())
@@ -450,7 +450,7 @@ class Execution:
         self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
     def counted(self) -> bool:
-        """Whether the run ends here, as there were as many jumps as may be.
+        """Return whether the run ends here, at the greatest number of jumps.
 
         Raises
         ------

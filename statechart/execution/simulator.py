@@ -124,16 +124,25 @@ class Simulator:
         return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
 
     def _finish(
-        self, batch: Batch | None, setup: Callable[[], Setup], until: float, max_jumps: int
+        self,
+        batch: Batch | None,
+        setup: Callable[[], Setup],
+        until: float,
+        max_jumps: int,
+        warnings: Sequence[str] | None = None,
     ) -> Trace:
         """Return the trace of a run that a loop has made, or take it on from where that came."""
-        handed = batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED
-        if batch is None or handed or batch.modes.laws.has_remarks:
+        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
             return self._execution(setup(), until, max_jumps, batch).run()
-        return self._trace_of(batch, setup)
+        return self._trace_of(batch, setup, warnings)
 
-    def _trace_of(self, batch: Batch, setup: Callable[[], Setup]) -> Trace:
-        """Return the trace of a run that a loop has made from its start to its end."""
+    def _trace_of(
+        self, batch: Batch, setup: Callable[[], Setup], warnings: Sequence[str] | None
+    ) -> Trace:
+        """Return the trace of a run that a loop has made from its start to its end.
+
+        `warnings` are those of its numbers; by default those of all runs of the model.
+        """
         automaton, engine, found = self.automaton, self.engine, batch.found
         modes, kinds = batch.modes, batch.kinds
         place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
@@ -152,6 +161,9 @@ class Simulator:
         store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
         arcs, jumps = store.sequences()
         arcs.source = batch._replace(block=block)
+        remarks: tuple[str, ...] = ()
+        if modes.laws.has_remarks:
+            remarks = automaton.laws_of_events.remarks(setup(), arcs)
         return Trace(
             name=automaton.name,
             regions=automaton.region_names,
@@ -171,7 +183,7 @@ class Simulator:
             tolerances=LazyMapping(lambda: dict(setup().tolerances)),
             engine=engine.title,
             tolerance=engine.tolerance,
-            warnings=modes.laws.warnings,
+            warnings=(*(modes.laws.warnings if warnings is None else warnings), *remarks),
             counts={
                 "steps": place[runs.N_STEPS],
                 "evaluations": 0,
@@ -229,7 +241,7 @@ class Simulator:
         made: dict[tuple[Automaton, bytes, bytes], Trace] = {}
         for component, places in zip(components, self._places, strict=True):
             own = component.restricted(setup, places)
-            # Of components that start alike one is run.
+            # Components that start alike are run once.
             alike = component.automaton, own.initial.tobytes(), own.values.tobytes()
             trace = made.get(alike)
             if trace is None or trace.t_end > end:
@@ -259,7 +271,7 @@ class Simulator:
         setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
         loop = self._loop(setup.zeros)
         batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
-        return self._finish(batch, lambda: setup, until, max_jumps)
+        return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         """Return the numbers of a run."""
@@ -321,7 +333,7 @@ class BatchRunner:
         self._gone: dict[frozenset[int], Bools] = {}
 
     def ready(self, count: int) -> bool:
-        """Whether so many rows can be run: the call for them is compiled, or worth that now."""
+        """Return whether so many rows can be run: their call is compiled, or worth compiling."""
         return any(modes.batch(count) for _, modes in self.simulator.known())
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
@@ -406,7 +418,7 @@ class BatchRunner:
         return kept
 
     def _closing(self, batch: Batch, row: int, values: Array) -> bool:
-        """Whether something may just be happening as a row ends (see `closing`)."""
+        """Return whether an event may be happening as a row ends (see `closing`)."""
         found, block, simulator = batch.found, batch.block, self.simulator
         setup = self.setup(values)
         kind = batch.kinds[found.place[row, runs.N_MODE]]
