@@ -31,10 +31,11 @@ from statechart.execution.compiled_loop import (
     Packed,
 )
 from statechart.execution.simulator import Simulator
+from statechart.kernels.boxes import Steps
 from statechart.kernels.extremes import widen
 from statechart.kernels.jit import entry, kernel
 from statechart.kernels.quadrature import integrate_outputs
-from statechart.kernels.tapes import tape_values
+from statechart.kernels.tapes import TapeCode, tape_values
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Where, seen, wanted
 
@@ -328,7 +329,7 @@ def _most(moment: Moment) -> int:
 
 
 @kernel
-def _program(formulas: BatchFormulas, tape: Ints) -> tuple[Ints32, Array, Ints32, Ints32, int]:
+def _program(formulas: BatchFormulas, tape: Ints) -> TapeCode:
     # Only the packed arrays are read, which both have.
     return tape_of(formulas, tape)  # type: ignore[arg-type]
 
@@ -413,12 +414,9 @@ def _integrate(
             tape = formulas.integrals[block.arcs[arc, 0]]
             if tape[5] == 0:
                 continue
-            code, constants, outputs, reads, n_fixed = _program(formulas, tape)
             times, terms = _arc_of(block, arc, found.final.shape[1])
-            sums, _ = integrate_outputs(
-                code, constants, outputs, reads, n_fixed, times, terms, found.values[row],
-                block.starts[arc, 0], 0.0, times[-1],
-            )  # fmt: skip
+            steps = Steps(times, terms, found.values[row], block.starts[arc, 0])
+            sums, _ = integrate_outputs(_program(formulas, tape), steps, 0.0, times[-1])
             for i in range(sums.shape[0]):
                 totals[row, formulas.columns[block.arcs[arc, 0], i]] += sums[i]
 
@@ -443,12 +441,10 @@ def _widen_by_arcs(
     result: Array,
 ) -> None:
     for arc in range(found.spans[row, ARCS], found.spans[row, ARCS_END]):
-        code, constants, outputs, reads, n_fixed = _program(formulas, tapes[block.arcs[arc, 0]])
         times, terms = _arc_of(block, arc, found.final.shape[1])
-        widen(
-            code, constants, outputs, reads, n_fixed, times, terms, terms, found.values[row],
-            block.starts[arc, 0], block.starts[arc, 1], result,
-        )  # fmt: skip
+        steps = Steps(times, terms, found.values[row], block.starts[arc, 0])
+        tape = _program(formulas, tapes[block.arcs[arc, 0]])
+        widen(tape, steps, terms, block.starts[arc, 1], result)
 
 
 @kernel

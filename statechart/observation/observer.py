@@ -28,6 +28,7 @@ from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
 from statechart.formulas.tape import Tape, contiguous
 from statechart.formulas.writer import compile_tape
+from statechart.kernels.boxes import Steps
 from statechart.kernels.extremes import widen
 from statechart.observation.sampling import (
     Endpoint,
@@ -268,17 +269,9 @@ class Observer:
         trace.require_motion()
         expressions = (self.programs.expression(formula),)
         for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
-            widen(
-                *tape.program,
-                tape.reads,
-                tape.n_fixed,
-                arc.times,
-                contiguous(resolved),
-                contiguous(coefficients),
-                trace.values,
-                *arc.start,
-                found,
-            )
+            high, low = arc.start
+            steps = Steps(arc.times, contiguous(coefficients), trace.values, high)
+            widen(tape.parts, steps, contiguous(resolved), low, found)
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
