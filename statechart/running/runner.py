@@ -261,8 +261,8 @@ class Runner:
             self._inputs.values(overrides)
             if setting.accuracy is not None or setting.budget is not None:
                 raise DeclarationError(
-                    "an accuracy or a budget takes several runs, a stream is one",
-                    advice="ask for a tolerance, or a step",
+                    "a stream is a single run; an accuracy or a budget needs several",
+                    advice="give a tolerance or a step instead",
                 )
             simulator = self.observers.fresh(setting)
             sampling = self._inputs.sampling(every, end, control)

@@ -252,10 +252,10 @@ def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> N
     [
         ("run toppling_stick --unitl 3", "run: error: no option --unitl; did you mean '--until'"),
         ("draw toppling_stick -o a.svg --sceen", "no option --sceen; did you mean '--scene'?"),
-        ("-q run toppling_stick", "statechart run: error: -q stands behind the verb"),
+        ("-q run toppling_stick", "statechart run: error: write -q after the verb"),
         ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
         ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
-        ("run toppling_stick twice", "'twice' is left over; what has blanks stands in quotes"),
+        ("run toppling_stick twice", "'twice' is left over; put arguments with blanks in quotes"),
         ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),
     ],
 )  # fmt: skip

@@ -179,14 +179,14 @@ def test_names_are_listed_in_the_order_of_their_numbers() -> None:
 def test_an_inertia_in_other_units_than_its_shape_is_warned_of(inertia: str, warned: bool) -> None:
     scene = Runner(read_text(GRAINS.replace("inertia: r**2/2", f"inertia: {inertia}"))).model
     assert isinstance(scene, Scene)
-    said = [line for line in lint(scene) if "are units mixed?" in line]
+    said = [line for line in lint(scene) if "check the units" in line]
     assert bool(said) == warned
 
 
 @pytest.mark.parametrize(
     ("surface", "words"),
     [
-        ("line: [[0, 2], [1, 2]]", "out of the surface; of a line the solid is on the right"),
+        ("line: [[0, 2], [1, 2]]", "out of the surface; the solid of a line is on the right"),
         ("circle: [0, 0], radius: 5", "out of the surface; a circle is solid inside"),
         ("height: 2", "out of the surface"),
     ],

@@ -53,7 +53,7 @@ MISTAKES = {
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
     "height of another name": ("height: 0", "height: level", "unknown name 'level'; known:"),
     "ground in a word": ("{height: 0}", "flat", "must be a mapping, not 'flat'; such as {height:"),
-    "two forms of a surface": ("height: 0", "height: 0, incline: 0", "has one of height, incline"),
+    "two forms of a surface": ("height: 0", "height: 0, incline: 0", "exactly one of height, in"),
     "circle without radius": ("height: 0", "circle: [0, 0]", "write circle: [0, 0], radius: 1"),
     "no surface of this name": ("surface: ground", "surface: floor", "no surface 'floor'; known: "),
     "no body of this name": ("body: rod", "body: stick", "no body 'stick'; known: rod"),
@@ -176,11 +176,11 @@ MISTAKES = {
     "infinite in a word": ("friction: mu", "friction: infinite", "name 'infinite'; write inf"),
     "gravity by its letter": ("gravity: g", "g: 9.81", "5:1: unknown key 'g'; write gravity"),
     "friction by its letter": ("friction: mu", "mu: 0.5", "unknown key 'mu'; write friction"),
-    "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction, one coefficient for st"),
+    "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction: a number for both, or"),
     "body at rest": ("mass: m", "mass: m, static: true", "write surfaces: {floor: {height: 0}}"),
     "body that is led": ("mass: m", "mass: m, kinematic: true", "write a surface with a displace"),
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
-    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body; surfaces are"),
+    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
     "weld": ("stop:", "weld: {}\nstop:", "write one body: of several shapes"),
     "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),
@@ -227,11 +227,11 @@ MISTAKES = {
                          "unknown key 'circle'; write disc"),
     "length of steps": ("outputs:", "settings: {dt: 0.1}\noutputs:",
                         "unknown key 'dt'; write step"),
-    "place for a start": ("start: {y: h, angle: 0.3}", "position: [0, h]", "where a body starts "
-                          "that moves freely is start: {x: 0, y: 1}"),
+    "place for a start": ("start: {y: h, angle: 0.3}", "position: [0, h]", "the initial position "
+                          "of a free body is start: {x: 0, y: 1}"),
     "place of a particle": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [0, h]",
                             "7:18: bodies.rod.position: a position is a formula of coordinates, and"
-                            " the scene has none; where a body starts that moves freely is start"),
+                            " the scene has none; the initial position of a free body is start"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 

@@ -315,7 +315,7 @@ def test_a_point_that_a_joint_leads_into_the_ground_where_friction_wedges_it_is_
     # Slip stops under the hand, which goes on down: no impulse of the ground stops that.
     text = LED.replace("to: [0.4*sin(6*time), 2]", "to: [0, 2 - time]").replace("dx: 2.4", "dy: -1")
     scene = validate(read_text(text.replace("friction: 0.6", "friction: 5")), Scene)
-    with pytest.raises(NoConsistentMode, match="led on into its surface"):
+    with pytest.raises(NoConsistentMode, match="driven into its surface"):
         _run(scene)
 
 

@@ -84,7 +84,7 @@ stop: {time: 0.6}
     _, told = run(text, step)
     assert len(told) == 1
     assert "on_b stays off" in told[0]
-    assert "below the surface b where its conditions begin to hold" in told[0]
+    assert "below the surface b when its conditions become true" in told[0]
 
 
 @STEPS

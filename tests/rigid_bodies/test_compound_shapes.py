@@ -327,7 +327,7 @@ def test_a_compound_hangs_on_a_joint_as_a_pendulum():
         ),
         ("[{disc: 1}, {disc: 0}]", "must be positive, not 0"),
         ("[{disc: 1}, {}]", "a shape is a polygon or a disc"),
-        ("{polygon: [[0, 0], [1, 0], [0, 1]], at: [1, 0]}", "the corners of a polygon say"),
+        ("{polygon: [[0, 0], [1, 0], [0, 1]], at: [1, 0]}", "a polygon has no at"),
         ("{disc: 1, at: [k, 0]}", "unknown name 'k'"),
         ("{disc: 1, at: [inf, 0]}", "must be finite"),
         (json.dumps([{"disc": 1}] * 17), "16"),

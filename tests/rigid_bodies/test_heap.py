@@ -193,8 +193,8 @@ def test_what_hardly_was_meant_of_bodies_with_shapes_is_warned_of():
     text = text.replace("y: 1 + 3", "y: 2 + 3")
     assert Runner(interpret(read_text(text))).run().trace.warnings[:3] == (
         "bodies.block.start.angle: 90 radians are 14.3 turns; of degrees write 90*pi/180",
-        "bodies.idle: nothing collides with it, as no collisions list it in bodies",
-        "surfaces.wall: nothing collides with it, as no collisions list it in surfaces",
+        "bodies.idle: it collides with nothing; list it in bodies of collisions, if it should",
+        "surfaces.wall: it collides with nothing; list it in surfaces of collisions, if it should",
     )
 
 

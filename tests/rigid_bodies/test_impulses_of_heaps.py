@@ -115,7 +115,7 @@ def test_heaps_beside_each_other_take_as_many_steps_at_once_as_one(monkeypatch):
 def test_what_misses_the_tolerance_is_told_and_ends_the_run_at_a_bound_only(capsys):
     arguments = ["run", "granular_column", "--until", "0.2", "--impulse-tolerance", "1e-15"]
     assert main(arguments) == 0
-    assert "miss the contact laws by more than the tolerance of 1e-15" in capsys.readouterr().err
+    assert "contact impulses exceeds the tolerance of 1e-15" in capsys.readouterr().err
     assert main([*arguments, "--impulse-bound", "1e-15"]) == 1
     printed = capsys.readouterr()
     assert "UNSOLVED_IMPULSES" in printed.out + printed.err

@@ -167,7 +167,7 @@ def test_a_run_that_is_over_time_keeps_what_it_has_and_the_one_before_counts() -
     allowance.begin()
     for _ in range(10):
         allowance.check(0.5)
-    with pytest.raises(OutOfBudget, match=r"over at t = 0\.5; allow more time"):
+    with pytest.raises(OutOfBudget, match=r"used up at t = 0\.5; allow more time"):
         allowance.check(0.5)
 
 
@@ -326,7 +326,7 @@ stop: {time: 2}
 def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
     assert result.error_estimate == math.inf
-    assert "accuracy is undefined from t = 0.444059" in result.warnings[-1]
+    assert "there is no accuracy from t = 0.444059" in result.warnings[-1]
 
 
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
@@ -418,7 +418,7 @@ def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
 def test_a_budget_compiles_nothing_that_it_has_no_time_for() -> None:
     result = run("compass_walker", budget=0.02, throw=False)
     assert result.trace.engine == "scipy DOP853"
-    assert any("allowed are too few to compile" in text for text in result.warnings)
+    assert any("are too few to compile" in text for text in result.warnings)
     named = run("compass_walker", engine="taylor", budget=0.02, throw=False)
     assert named.trace.outcome is Outcome.OUT_OF_BUDGET
     assert not named.trace.arcs

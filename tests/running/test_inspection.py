@@ -53,7 +53,7 @@ def test_the_mode_at_the_start_is_given_by_either_name() -> None:
 
 @pytest.mark.parametrize("model", [3, {"name": "block"}, None])
 def test_what_is_no_model_is_told(model: object) -> None:
-    with pytest.raises(statechart.DeclarationError, match="a model is a file, a name or what is"):
+    with pytest.raises(statechart.DeclarationError, match="a model is a file, the name of a"):
         statechart.run(model)  # type: ignore[arg-type]
 
 

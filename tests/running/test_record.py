@@ -266,5 +266,5 @@ def test_a_notebook_shows_a_run_of_which_nothing_was_kept() -> None:
     result = Runner(read_text(BALL), record="nothing").run()
     shown = result._repr_html_()
     assert "lowest" in shown
-    assert "the run recorded nothing between its start and its end" in shown
+    assert "the run recorded no states between its start and its end" in shown
     assert "<iframe" not in shown

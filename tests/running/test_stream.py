@@ -95,9 +95,9 @@ def test_what_a_stream_cannot_do_is_told() -> None:
     for every in (0.0, -1.0, math.nan):
         with pytest.raises(DeclarationError, match="every must be a finite time above 0"):
             runner.stream(every=every)
-    with pytest.raises(DeclarationError, match="say after which time"):
+    with pytest.raises(DeclarationError, match="give the sampling period"):
         runner.stream(control=lambda sample: None)
-    with pytest.raises(DeclarationError, match="takes several runs, a stream is one"):
+    with pytest.raises(DeclarationError, match="a stream is a single run"):
         Runner(read_text(PUSHED), accuracy=1e-6).stream()
     dice = Runner("dice").stream(until=0.01, every=0.005, control=lambda sample: {"g": 1.0})
     with pytest.raises(SimulationError, match="take the engine taylor or scipy"):
@@ -125,7 +125,7 @@ def test_other_runs_of_the_runner_do_not_disturb_a_stream() -> None:
 
 def test_samples_that_the_clock_cannot_tell_apart_are_refused() -> None:
     runner = Runner(read_text(PUSHED))
-    with pytest.raises(DeclarationError, match="above the resolution of time at 2, not 1e-300"):
+    with pytest.raises(DeclarationError, match="above the round-off of time at 2, not 1e-300"):
         next(runner.stream(every=1e-300, control=lambda sample: None))
 
 

@@ -34,7 +34,7 @@ regions:
     transitions: [{name: lift, from: waiting, to: lifting, guard: time >= later}]
 """
 )
-TOLD = "a contact may slide on as well as come off"
+TOLD = "a contact may slide as well as lift off"
 
 
 @pytest.mark.parametrize(
