@@ -237,7 +237,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_with_what_to_write(mistake: str) -> None:
+def test_a_mistake_is_reported_with_advice(mistake: str) -> None:
     old, new, told = MISTAKES[mistake]
     assert old in SCENE
     with pytest.raises(DeclarationError) as caught:
@@ -283,7 +283,7 @@ OF_CHARTS = {
 
 
 @pytest.mark.parametrize("mistake", OF_CHARTS)
-def test_a_mistake_in_a_chart_is_told_with_what_to_write(mistake: str) -> None:
+def test_a_mistake_in_a_chart_is_reported_with_advice(mistake: str) -> None:
     old, new, told = OF_CHARTS[mistake]
     assert old in CHART
     with pytest.raises(DeclarationError) as caught:
@@ -316,7 +316,7 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
         ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts 0.2 inside the solid of"),
     ],
 )  # fmt: skip
-def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:
+def test_likely_mistakes_give_warnings(old: str, new: str, told: str) -> None:
     assert old in SCENE
     text = SCENE.replace(old, new, 1).replace("h: 1", "h: 45" if "angle: h" in new else "h: 1")
     _, warnings = Runner(read_text(text, "f.yaml")).start()
@@ -368,7 +368,7 @@ def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
         ),
     ],
 )  # fmt: skip
-def test_mistakes_that_are_independent_are_told_at_once(
+def test_independent_mistakes_are_reported_together(
     changes: tuple[tuple[str, str], ...], places: tuple[str, ...]
 ) -> None:
     text = SCENE

@@ -172,7 +172,7 @@ def scene(**changes: object) -> Scene:
         ),
     ],
 )
-def test_what_is_built_in_python_is_told_as_what_stands_in_a_file(
+def test_mistakes_in_python_are_reported_like_those_in_files(
     build: Callable[[], object], told: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -227,7 +227,7 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
         ),
     ],
 )
-def test_an_argument_of_another_kind_is_told_before_the_work(
+def test_arguments_of_wrong_type_are_reported_before_the_run(
     call: Callable[[Result], object], told: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:

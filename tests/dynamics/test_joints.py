@@ -216,7 +216,7 @@ def test_a_slider_crank_moves_as_its_closed_form() -> None:
     assert trace.final[0] == pytest.approx(math.cos(_CRANK + 20.0) + math.cos(angle), abs=1e-12)
 
 
-def test_what_drives_a_pivot_pays_for_the_energy() -> None:
+def test_work_of_a_driven_pivot_equals_the_gain_of_energy() -> None:
     # Kapitza's pendulum stands upright where its pivot is shaken fast enough.
     scene = Scene(
         name="kapitza",
@@ -398,7 +398,7 @@ def test_a_loop_that_cannot_close_says_so() -> None:
     assert "no position near the start closes all joints" in problem.advice
 
 
-def test_bodies_that_move_apart_at_the_start_are_told_the_rates_that_do_not() -> None:
+def test_rates_that_separate_a_joint_are_reported_with_rates_that_agree() -> None:
     problem = _refused(_DOCUMENT)
     assert "moving apart at 0.5" in str(problem)
     assert "velocities that it allows: " in problem.advice

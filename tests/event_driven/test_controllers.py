@@ -314,7 +314,7 @@ outputs: {vy: {value: b.dy}}
 """
 
 
-def test_events_that_a_tolerance_merges_are_told() -> None:
+def test_events_merged_by_a_tolerance_give_a_warning() -> None:
     def merged(accuracy: float) -> Result:
         return Runner(read_text(MERGED), engine="scipy", method="RK45", accuracy=accuracy).run()
 

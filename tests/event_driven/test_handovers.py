@@ -61,7 +61,7 @@ def test_a_point_that_meets_the_next_edge_has_no_warning(begin, rise, step):
 
 
 @STEPS
-def test_what_is_far_below_an_edge_has_no_warning(step):
+def test_points_far_below_an_edge_give_no_warning(step):
     _, told = run(planks(0.1, 0.3), step)
     assert told == []
 

@@ -209,7 +209,7 @@ def test_a_configuration_without_directions_is_refused(
     assert "give another" in capsys.readouterr().err
 
 
-def test_a_contact_that_is_off_and_a_joint_that_is_apart_are_told(listed) -> None:
+def test_open_joints_and_contacts_that_are_off_are_reported(listed) -> None:
     gated = BAR.replace("restitution: 0}", "restitution: 0, enabled: bar.angle >= 0.2}", 1)
     found = listed(gated, "--set", "tilt=0")
     assert found["feasibility"]["remarks"] == [

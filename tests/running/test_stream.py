@@ -88,7 +88,7 @@ def test_a_controller_sets_parameters_between_samples(engine: Mapping[str, objec
     assert causes == ["slip"]
 
 
-def test_what_a_stream_cannot_do_is_told() -> None:
+def test_options_that_a_stream_lacks_are_reported() -> None:
     runner = Runner(read_text(PUSHED), engine="taylor")
     with pytest.raises(DeclarationError, match="no parameter 'v'"):
         list(runner.stream(every=0.5, control=lambda sample: {"v": 1.0}))
@@ -129,7 +129,7 @@ def test_samples_that_the_clock_cannot_tell_apart_are_refused() -> None:
         next(runner.stream(every=1e-300, control=lambda sample: None))
 
 
-def test_a_control_that_no_model_allows_is_told_with_its_place() -> None:
+def test_invalid_values_of_a_control_are_reported_with_their_place() -> None:
     runner = Runner(read_text(PUSHED, "pushed.yaml"))
     pieces = runner.stream(every=0.5, control=lambda sample: {"mu": -1.0})
     with pytest.raises(DeclarationError, match=r"^pushed.yaml:10:.*must be zero or positive"):

@@ -249,7 +249,7 @@ def test_a_drive_is_compared_with_the_speeds_that_it_makes(turn: float) -> None:
     assert not again or not runner(DRIVE, named(again[0])).run({"mu": 0.0}).warnings
 
 
-def test_what_steps_miss_of_a_drive_is_its_integral_beside_its_middles() -> None:
+def test_the_quadrature_error_of_a_drive_is_its_integral_less_the_midpoint_rule() -> None:
     # Without friction the speed is A (cos(phase) - cos(w t + phase)) / w.
     w, step = 50.0 * math.pi, 0.02
     found = runner(DRIVE, step).run({"mu": 0.0})

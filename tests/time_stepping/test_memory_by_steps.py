@@ -79,7 +79,7 @@ def off(step: float) -> float:
     return float(np.abs(run(TOWED, step).final - run(TOWED).final).max())
 
 
-def test_what_flows_with_the_motion_is_exact_to_the_second_order() -> None:
+def test_variables_that_flow_with_the_motion_converge_with_order_two() -> None:
     coarse, fine = off(2e-3), off(5e-4)
     assert coarse < 5e-5
     assert fine < coarse / 10.0
