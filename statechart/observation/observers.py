@@ -8,7 +8,7 @@ from dataclasses import replace
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.documents.setting import Record, Setting
-from statechart.engines.budget import Allowance, Limited
+from statechart.engines.budget import Allowance
 from statechart.engines.engine import Engine
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
@@ -16,7 +16,7 @@ from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import OutputAccumulator, Outputs
+from statechart.observation.outputs import OutputAccumulator, outputs_of
 
 
 class Observers:
@@ -27,7 +27,6 @@ class Observers:
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
         self._kept: dict[tuple[Setting, bool], Observer] = {}
-        self._outputs: dict[Observer, Outputs] = {}
         # What is solved of a mode holds at any tolerance, on any engine and from any start.
         self._solved = SolvedModes(automaton)
 
@@ -42,20 +41,14 @@ class Observers:
             simulator = self._simulator(setting, off)
             observer = found = self._kept[setting, off] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
-                simulator.new_outputs = lambda: OutputAccumulator(self.outputs(observer))
-        return found
-
-    def outputs(self, observer: Observer) -> Outputs:
-        """Return what computes the declared outputs by an observer, made ready once."""
-        found = self._outputs.get(observer)
-        if found is None:
-            found = self._outputs[observer] = Outputs(observer)
+                simulator.new_outputs = lambda: OutputAccumulator(outputs_of(observer))
         return found
 
     def engine(self, setting: Setting) -> Engine:
         """Return a new engine as a setting asks for it; see `choose`."""
         engine, _ = choose(setting)
-        return engine if self._allowance is None else Limited(engine, self._allowance)
+        engine.allowance = self._allowance
+        return engine
 
     def floor(self, setting: Setting) -> float:
         """Return the least tolerance of a setting's engine."""

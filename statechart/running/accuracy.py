@@ -27,7 +27,7 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import Difference, compare, distance, modes_apart, paired
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import outputs_of
 from statechart.observation.scales import OutputValue, Scales
 from statechart.tabular import several
 
@@ -177,7 +177,7 @@ class EvaluatedRun:
     @classmethod
     def of(cls, observer: Observer, trace: Trace) -> EvaluatedRun:
         """Evaluate the outputs of a run."""
-        made = Outputs(observer)
+        made = outputs_of(observer)
         return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace))
 
     def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
@@ -491,7 +491,7 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
     made = (trace.outcome.name, len(trace.arcs), cost.steps, cost.evaluations)
     if made != (chosen.outcome, chosen.flows, chosen.steps, chosen.evaluations):
         return None
-    endless = tuple(sorted(Outputs(observer).endless(trace)))
+    endless = tuple(sorted(outputs_of(observer).endless(trace)))
     return RunEstimate(observer, trace, chosen.error, cost, (), endless, chosen.decides)
 
 
