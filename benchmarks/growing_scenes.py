@@ -128,7 +128,7 @@ def row(count: int, found: dict[str, object], base: dict[str, float]) -> str:
 
 
 HEADER = (
-    "| size | whole process, s | a run once built, ms | memory above imports, MB | modes built | "
+    "| size | process, s | second run, ms | memory above imports, MB | modes built | "
     "events | outcome |\n|---|---|---|---|---|---|---|"
 )
 
@@ -143,21 +143,24 @@ def page() -> str:
     lines = [
         "# Scenes of growing size",
         "",
-        "Written by `python benchmarks/growing_scenes.py -o docs/growing-scenes.md`; "
-        f"{platform.machine()}, {os.cpu_count()} cores. Every line is a process of its own from a "
-        "cold start (kernels compiled, flows of modes not), 1 s of motion.",
+        "Run time and memory of events (`taylor`) and of steps (`impulse`), for 1 s of motion. "
+        "Each row is a new process; kernels are compiled, modes are not. *Process* is the time of "
+        "the whole process, *second run* that of a repeated run in it.",
+        "",
+        "`python benchmarks/growing_scenes.py -o docs/growing-scenes.md` writes this page; "
+        f"{platform.machine()}, {os.cpu_count()} cores.",
+        "",
+        "| engine | imports, s | MB |\n|---|---|---|",
     ]
     base: dict[str, dict[str, float]] = {}
     for engine, step in (("taylor", None), STEPS):
         base[engine] = measured(still, engine, step)  # type: ignore[assignment]
-        lines.append(
-            f"Imports, `{engine}`: {base[engine]['s']:.1f} s, {base[engine]['MB']:.0f} MB."
-        )
+        lines.append(f"| `{engine}` | {base[engine]['s']:.1f} | {base[engine]['MB']:.0f} |")
     costs: dict[str, dict[int, float]] = {"taylor": {}, "impulse": {}}
     agains: dict[str, dict[int, float]] = {"taylor": {}, "impulse": {}}
     for engine, step, title in (
-        ("taylor", None, "With events: a bar with N contacts falls and lies down"),
-        ("impulse", 1e-3, "By time steps of 1e-3: the same bar"),
+        ("taylor", None, "Events: a bar with N contacts falls and lies down"),
+        ("impulse", 1e-3, "Steps of 1e-3: the same bar"),
     ):
         lines += ["", f"## {title}", "", HEADER]
         for count in CONTACTS:
@@ -166,14 +169,15 @@ def page() -> str:
             agains[engine][count] = float(found["again"])  # type: ignore[arg-type]
             lines.append(row(count, found, base[engine]))
             print(lines[-1], file=sys.stderr)
-    lines += ["", "## By time steps of 1e-3: a heap of N bodies", "", HEADER]
+    lines += ["", "## Steps of 1e-3: a heap of N bodies", "", HEADER]
     heaps: dict[int, float] = {}
     for count in BODIES:
         found = measured(heap(count), "impulse", 1e-3)
         heaps[count] = float(found["again"])  # type: ignore[arg-type]
         lines.append(row(count, found, base["impulse"]))
         print(lines[-1], file=sys.stderr)
-    lines += ["", "## Where each stops paying", "", *_verdicts(costs, agains, heaps)]
+    start = lines.index("") + 1
+    lines[start:start] = ["## Summary", "", *_verdicts(costs, agains, heaps), "", "## Method", ""]
     return "\n".join(lines) + "\n"
 
 
@@ -185,17 +189,17 @@ def _verdicts(
     slow = [n for n in BODIES if heaps[n] > 1.0]
     first, second, third = _since(cold, CONTACTS), _since(warm, CONTACTS), _since(slow, BODIES)
     return [
-        f"- From a cold start time steps are the cheaper way {first}; for runs of what is built "
-        f"already, {second}. What they give is right to first order in the step; runs with "
-        "events are right to rounding.",
-        f"- Time steps of 1e-3 fall behind real time {third}.",
+        f"- In a new process, steps take less time than events {first}: they build no modes. In "
+        f"repeated runs, steps take less time {second}.",
+        "- Steps have an error of first order in the step; events are exact to round-off.",
+        f"- Steps of 1e-3 are slower than real time {third}.",
     ]
 
 
 def _since(sizes: list[int], measured: tuple[int, ...]) -> str:
     if not sizes:
-        return "at no size measured"
-    return "at every size measured" if sizes[0] == measured[0] else f"from {sizes[0]} on"
+        return "for no size measured"
+    return "for every size measured" if sizes[0] == measured[0] else f"for sizes from {sizes[0]} on"
 
 
 if __name__ == "__main__":

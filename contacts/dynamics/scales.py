@@ -16,8 +16,8 @@ from contacts.scene.joints import Path
 from statechart.arrays import Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
+from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
-from statechart.kernels.ranges import tape_ranges
 
 _EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what

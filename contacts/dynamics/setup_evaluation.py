@@ -32,8 +32,8 @@ from statechart.engines.compiled_flow import Program, tape_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
+from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
-from statechart.kernels.ranges import tape_ranges
 from statechart.kernels.tapes import tape_values
 
 _Reader = Callable[[Sequence[float]], ContactLaw]

@@ -105,7 +105,10 @@ class SceneStage:
             cloud = ahead(cloud, held, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
-        rims = [cones(t, half, when) for t, when in zip(touches, closed, strict=True)]
+        rims = [
+            np.where(when[:, None, None], cones(t, half), t.places[:, None])
+            for t, when in zip(touches, closed, strict=True)
+        ]
         return window(np.concatenate([cloud, *tips, *rims], axis=1))
 
     def _grounds(

@@ -30,7 +30,7 @@ from statechart.formulas.tree import names_in
 
 _OF_CONTACTS = ("gap", "slip", "V", "H")
 
-# What to write in the place of what changes.
+# Advice on formulas that must not change along a run.
 _MOVED = "a surface that moves has a displacement, or a turn; a hill is a height, a formula of x"
 _SWITCHED = (
     "it is constant as long as a state lasts: write a control, which states of a region set, with "
@@ -90,13 +90,13 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
         case "surfaces", "height":
             return parameters | {"x"}
         case ("surfaces", "displacement" | "turn") | ("joints", "to") if loc[-1] != "at":
-            # What controllers remember moves what shapes touch, and what holds them.
+            # Variables of controllers may move surfaces and joints of bodies with shapes.
             if section == "surfaces" or loc[-1] in ("x", "y"):
                 return parameters | {TIME, *(scene.controlled.memory if scene.collisions else ())}
         case "contacts", "friction" | "restitution":
             return parameters | {*scene.controls}
         case "forces", "force" | "moment":
-            # Of a body with copies they may use what each of them is at.
+            # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
             own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
             return scene.kinematic_names | {*scene.controls, *own, *map(scene.rate_name, own)}
@@ -269,7 +269,7 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
 def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check that formulas of parameters alone are finite, and that lines have two ends."""
     for loc, text in scene_formulas(scene):
-        # Of a start that uses the number of a copy each body's own number decides.
+        # A start that uses the number of a copy is checked with each copy's own number.
         if loc[-1] == "friction" or not parse(text).names <= values.keys():
             continue
         value = value_of(text, values, *loc)

@@ -14,7 +14,7 @@ from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
-    declared_transitions,
+    check_changes,
     nested,
 )
 from statechart.documents.fields import (
@@ -25,7 +25,7 @@ from statechart.documents.fields import (
     check_names,
     unit,
 )
-from statechart.errors import DeclarationProblem, Loc, close_matches, undeclared
+from statechart.errors import DeclarationProblem, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 
 Value = TypeVar("Value")
@@ -40,12 +40,6 @@ class ControlState(BaseState):
         "another.",
         examples=[{"torque": "-k*leg.angle"}],
         json_schema_extra=unit("that of the control"),
-    )
-    flows: dict[str, FiniteText] = Field(
-        default={},
-        description="Variable of the region to its time derivative; without one it is constant.",
-        examples=[{"error": "target - leg.angle"}],
-        json_schema_extra=unit("that of the variable, per time"),
     )
     states: dict[NameText, ControlState] = Field(
         default={},
@@ -115,7 +109,7 @@ class Controls:
 
     @cached_property
     def memory(self) -> Mapping[str, FiniteText]:
-        """What regions remember: their variables, and what their transitions wait for times by.
+        """Variables of regions, and the timers of their transitions.
 
         Name -> initial value.
         """
@@ -147,10 +141,7 @@ class Controls:
 
     def flows(self, region: str, state: str) -> dict[str, FiniteText]:
         """Return the flows of the variables of a region in one of its states."""
-        flows: dict[str, FiniteText] = {}
-        for content in self.flat[region].states[state]:
-            if isinstance(content, ControlState):
-                flows |= content.flows
+        flows = self.flat[region].flows(state)
         return {v: flows.get(v, 0) for v, owner in self.flowing.items() if owner == region}
 
     def states(self, region: str) -> Iterator[tuple[ControlState, Loc]]:
@@ -227,7 +218,7 @@ class Controls:
                     see=there,
                 )
         for region, flat in self.flat.items():
-            for words, given in (("set", _set), ("give a flow to", _flowing)):
+            for words, given in (("set", _set), ("give a flow to", lambda state: state.flows)):
                 shared = flat.shared(given)
                 if shared is not None:
                     raise DeclarationProblem(
@@ -258,26 +249,15 @@ class Controls:
     def check_memory(self, known: Collection[str]) -> None:
         """Check that regions change variables of their own, by formulas over `known`."""
         for name, region in self.regions.items():
-            changes: list[tuple[Mapping[str, FiniteText], Loc, Collection[str]]] = []
-            for state, at in self.states(name):
-                changes.append((state.flows, (*at, "flows"), {*known, *self.declared}))
-                changes += [
-                    (state.entry, (*at, "entry"), known),
-                    (state.exit, (*at, "exit"), known),
-                ]
-            for transition, at in declared_transitions(region, "regions", name):
-                changes.append((transition.updates, (*at, "updates"), known))
-            for texts, at, names in changes:
-                for variable, text in texts.items():
-                    loc = (*at, variable)
-                    if variable not in region.variables:
-                        raise DeclarationProblem(
-                            f"no variable {variable!r} of region {name!r}",
-                            advice=undeclared(variable, region.variables),
-                            loc=loc,
-                            key=True,
-                        )
-                    check_names(parse(text), names, *loc)
+            check_changes(
+                region,
+                "regions",
+                name,
+                variables=region.variables,
+                known=known,
+                further=self.declared,
+                of=f" of region {name!r}",
+            )
 
     def check_coefficient(
         self, text: FormulaText, parameters: Collection[str], *loc: str | int
@@ -322,7 +302,3 @@ class Controls:
 
 def _set(state: BaseState) -> Collection[str]:
     return state.sets if isinstance(state, ControlState) else ()
-
-
-def _flowing(state: BaseState) -> Collection[str]:
-    return state.flows if isinstance(state, ControlState) else ()

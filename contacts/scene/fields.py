@@ -271,12 +271,12 @@ class SceneFields(Declaration):
             yield Name(self.rate_name(name)), rate
             yield parse(coordinate.start).root, Name(name)
             yield parse(coordinate.rate).root, rate
-        # What heights are formulas of.
+        # The variable of heights.
         yield Name("x"), POWERS["length"]
         yield from super().facts()
 
     def jams(self, contact: str) -> bool:
-        """Whether a contact may see an impact without collision.
+        """Return whether a contact may see an impact without collision.
 
         It rubs, and its point turns or others can wedge it.
         """
@@ -287,7 +287,7 @@ class SceneFields(Declaration):
         return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
-        """Whether impacts may accumulate: its own, or in turn with others that feel them."""
+        """Return whether impacts may accumulate: its own, or in turn with others that feel them."""
         declared = self.contacts[contact]
         if "free" not in declared.kinds or declared.restitution != 0:
             return "free" in declared.kinds
@@ -329,7 +329,7 @@ class SceneFields(Declaration):
 
     @property
     def kinematic_names(self) -> frozenset[str]:
-        """What formulas of controls, and with them those of forces, may use."""
+        """Names that formulas of controls and of forces may use."""
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.memory
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))

@@ -16,7 +16,7 @@ JOINT_WORDS = {
     ),
     "weld": "one body: of several shapes, or with the masses of both",
 }
-"""What joints are called elsewhere."""
+"""Names of joints in other programs -> what to write here."""
 
 
 class Force(Part):

@@ -55,7 +55,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
     with suppress(DeclarationError, DeclarationProblem):
         yield from _spread(scene)
     with suppress(DeclarationError, DeclarationProblem):
-        # What is wrong with a formula is told where it is used.
+        # Other checks report formulas that have no value.
         yield from _inside_out(scene)
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
@@ -112,15 +112,17 @@ def _inside_out(scene: SceneFields) -> Iterator[str]:
         surface, body = scene.surfaces[contact.surface], scene.bodies[contact.point.body]
         if surface.line is None or surface.body is not None or surface.moves:
             continue
+        if scene.initial_modes.get(name) == "off":
+            continue
         free = (body.start.get("x", 0), body.start.get("y", 0))
         x, y = numbers(body.position or free)
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
         if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
             yield (
-                f"contacts.{name}: {contact.point.body!r} starts with its centre {depth:.3g} in "
-                f"the solid of {contact.surface!r}, which is on the right of the line going from "
-                "one point to two; where the other side is meant, swap the points"
+                f"contacts.{name}: {contact.point.body!r} starts {depth:.3g} inside the solid of "
+                f"{contact.surface!r}, which is on the right of the way from its first point to "
+                "its second; to have the other side solid, swap the points"
             )
 
 
@@ -208,7 +210,7 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
 
 
 def _meet(scene: SceneFields) -> bool:
-    """Whether a body has several contacts, or bodies may feel those of others."""
+    """Return whether a body has several contacts, or bodies may feel those of others."""
     linked = bool(scene.joints) or any(body.position is not None for body in scene.bodies.values())
     touched = sorted(
         body
@@ -220,7 +222,7 @@ def _meet(scene: SceneFields) -> bool:
 
 
 def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -> bool:
-    """Whether all laws are one: no friction, or a particle whose push moves it along the push."""
+    """Return whether all laws agree: no friction, or a particle that moves along the push."""
     if contact.frictionless:
         return True
     if contact.friction is not None:

@@ -21,9 +21,9 @@ FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 class ContactSymbols:
     """A contact's quantities as expressions; lengths, speeds, forces in the scene's units."""
 
-    name: str  # Of the contact
+    name: str  # Name of the contact
     gap: sp.Expr  # Distance from the surface, to first order; >= 0
-    # What round-off has left of the gap where a flight begins: flights are measured from there, so
+    # Round-off of the gap where a flight begins: flights are measured from there, so
     # that how long they are depends on their velocity alone
     gap_offset: sp.Expr
     # `gap_rate`, `slip`: Normal and tangential velocity of the point relative to the surface
@@ -44,7 +44,7 @@ class ContactSymbols:
     # each coordinate
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
     joints: tuple[tuple[sp.Expr, ...], ...]  # Jacobian of the scene's joints, row by row
-    joint_forces: tuple[sp.Symbol, ...]  # Of these rows
+    joint_forces: tuple[sp.Symbol, ...]  # Forces of these rows
     # `closing`, `sticking`: What a closed gap holds in place, and what a point does that does not
     # move
     closing: Hold
@@ -107,12 +107,12 @@ def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
 class Bearing(NamedTuple):
     """Equations of a contact that shares its load."""
 
-    # Where it is on its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion determines
+    # Zone of its cone: `inside`, `upper`, `lower`, `apex`; `OWN` where the motion determines
     # its force
     zone: str
-    # Which of its constraints, along normal and tangent ("n", "t"), the others do not imply
+    # Its constraints, along normal and tangent ("n", "t"), that the others do not imply
     rows: str
-    # Which of its forces, along normal and tangent or along its edge ("e"), may carry the load in
+    # Its forces, along normal and tangent or along its edge ("e"), that may carry the load in
     # the equations of motion
     carriers: str = ""
     coordinates: tuple[int, ...] = ()  # Those whose displacements determine the forces
@@ -158,7 +158,7 @@ def shared(
     }
     carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
     for joint in bearing.joints:
-        # What the joint bears where the contacts share, and where the carriers bear it all.
+        # Force of the joint where the contacts share, and where the carriers bear it all.
         force, row = contact.joint_forces[joint], contact.joints[joint]
         reaction = sp.Symbol(f"x{joint}", real=True)
         carriers[str(force)] = carried[force] = sp.Symbol(f"alone_{force}", real=True)

@@ -34,10 +34,10 @@ MOREAU: ImpactLaw = "moreau"
 """The one that solves for the velocities after the impact, as time stepping does."""
 
 Simultaneous = Literal["plastic", "capped", "sequential"]
-"""What coupled contacts do that are hit at once."""
+"""Law of simultaneous impacts of coupled contacts."""
 
 Resolution = Literal["impact", "stop"]
-"""What follows where no mode of a sliding contact agrees with the state."""
+"""Resolution of Painleve's paradox: no mode of a sliding contact agrees with the state."""
 
 _DeclaredMode = Annotated[
     ContactMode,
@@ -256,12 +256,12 @@ class Surface(Part):
 
     @property
     def moves(self) -> bool:
-        """Whether it has a path in time."""
+        """True if it has a path in time."""
         return self.displacement != (0, 0) or self.turn != 0
 
     @property
     def pivot(self) -> Pair:
-        """What it turns about."""
+        """Centre of its turn."""
         return self.through if self.circle is None else self.circle
 
     @model_validator(mode="after")
@@ -412,7 +412,7 @@ class Contact(Part):
 
     @property
     def frictionless(self) -> bool:
-        """Whether no force acts along the surface: friction is the number 0, or it only bounces."""
+        """True if no force acts along the surface: friction is the number 0, or it only bounces."""
         if self.friction is None:
             return {mode.mode for mode in self.modes} == {"free"}
         return _is_zero(self.friction)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from statechart.automaton.trace import Role
 
 BODY_STATES = ("free", "slide", "pin")
-"""Of a body that collides by its shape."""
+"""States and events of a body that collides by its shape."""
 BODY_BLOW = "impact"
 BODY_CAUSES = ("touchdown", BODY_BLOW, "liftoff", "slip", "stick")
 BODY_EDGES = (

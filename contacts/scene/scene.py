@@ -149,7 +149,7 @@ class Scene(SceneFields):
                 self._member(found, "body", surface.body, self.bodies, "surfaces", name, "body")
                 with found:
                     check_carrier(self, name, surface.body)
-        # Of a body with copies joints hold one, by its number; forces act on one or on all.
+        # Joints hold one copy of a body, by its number; forces act on one or on all.
         single = self.owners()
         for name, joint in self.joints.items():
             at = ("joints", name)

@@ -10,7 +10,7 @@ from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
 
 INDEX = "index"
-"""What formulas of a body's start call the number of a copy, from 0."""
+"""Name of the number of a copy, from 0, in formulas of a body's start."""
 
 MOST_PARTS = 16
 """Shapes that one body may have."""
@@ -80,10 +80,10 @@ LAW_WORDS = {
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
     "coefficientOfRestitution": "restitution",
 }
-"""What coefficients of laws are called elsewhere."""
+"""Names of coefficients in other programs -> ours."""
 
 SOFT = "a force on the body; surfaces are rigid, and bounce by their restitution"
-"""What a contact is that gives way."""
+"""Advice on compliant contacts."""
 
 
 class Collision(Part):

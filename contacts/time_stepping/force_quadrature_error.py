@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import prepare
+from statechart.arrays import Array
+from statechart.kernels.boxes import Steps, along_steps, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import at, look, ready
-from statechart.kernels.tapes import filled
+from statechart.kernels.tapes import TapeCode
 
 # Gauss-Legendre: exact for the fifth power, off by two thousandths over a turn of four radians.
 _PLACES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
@@ -26,31 +26,16 @@ _NARROW = 2.0**-20  # of a step, likewise
 
 
 @kernel
-def force_quadrature_error(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
-) -> tuple[Array, Array]:
+def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
     """Integral of every output over each step less that of its value in the middle, (m, n_out).
 
-    `code`, `constants`, `outputs`, `reads`, `n_fixed`: tape of the forces (n_out,); `parameters`,
-    `start`, `times`, `coeffs`: as in `statechart.kernels.search.search`.
-
-    Returns
-    -------
-    known, unknown : (m, n_out) array
-        The unknown is a bound, of what is not among the known.
+    The tape is that of the forces (n_out,). Returns two arrays (m, n_out): the known part, and a
+    bound of the unknown rest.
     """
-    n, count = coeffs.shape[1], outputs.shape[0]
-    base, regs = filled(code, constants, parameters, n, len(_PLACES))
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets, bounds = ready(along, regs), np.zeros(n)
+    outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
+    count = outputs.shape[0]
+    along, regs = along_steps(tape, steps, len(_PLACES))
+    jets, bounds = ready(along, regs), np.zeros(coeffs.shape[1])
     known = np.zeros((coeffs.shape[0], count))
     unknown = np.zeros((coeffs.shape[0], count))
     middle, mean = np.empty(count), np.empty(count)

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.boxes import enclose, prepare
+from statechart.arrays import Bools
+from statechart.kernels.boxes import Steps, along_steps, enclose, prepare
 from statechart.kernels.jit import kernel
 from statechart.kernels.resolution import ready
-from statechart.kernels.tapes import filled
+from statechart.kernels.tapes import TapeCode
 
 # Boxes of a line; what they leave undecided touches at most.
 _BOXES = 256
@@ -22,27 +22,15 @@ _NARROW = 2.0**-32  # of a line, likewise
 
 
 @kernel
-def passed(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
-    seen: Bools,
-    near: float,
-) -> tuple[int, int, float]:
+def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int, int, float]:
     """First line on which a gap that is open where it begins is less than where it ends.
 
     Parameters
     ----------
-    code, constants, outputs, reads, n_fixed
-        Tape of the gaps (c,).
-    parameters, start, times, coeffs
-        As in `statechart.kernels.search.search`; a line (m) is a step of it.
+    tape : TapeCode
+        The gaps (c,).
+    lines : Steps
+        The lines (m) as steps.
     seen : (m, c) array of bool
         Contacts that take part in the motion where the line begins.
     near : float
@@ -55,11 +43,10 @@ def passed(
     part : float
         How long the contact is closed at least, in parts of the line.
     """
-    n = coeffs.shape[1]
-    base, regs = filled(code, constants, parameters, n, 1)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
+    along, regs = along_steps(tape, lines, 1)
     jets = ready(along, regs)
-    bounds, count = np.zeros(n), outputs.shape[0]
+    bounds, count = np.zeros(coeffs.shape[1]), outputs.shape[0]
     asked, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)
     for line in range(coeffs.shape[0]):

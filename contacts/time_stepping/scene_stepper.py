@@ -34,6 +34,7 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
+from statechart.kernels.boxes import Steps
 
 # A point that goes no deeper between two midpoints, relative to a step at the scene's speed,
 # grazes.
@@ -256,13 +257,8 @@ class SteppedScene(SteppedSystem):
         seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
         line, _, part = passed(
-            *gaps.program,
-            gaps.reads,
-            gaps.n_fixed,
-            self._values,
-            begin,
-            times,
-            lines,
+            gaps.parts,
+            Steps(times, lines, self._values, begin),
             seen,
             _GRAZED * h * self._speed,
         )

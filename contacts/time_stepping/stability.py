@@ -19,6 +19,7 @@ from contacts.time_stepping.force_quadrature_error import force_quadrature_error
 from statechart.arrays import Array, Bools, Ints
 from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
+from statechart.kernels.boxes import Steps
 
 UNSTABLE = 4.0
 """Forces are those in the middle of a step, at the speeds before it. Under a stiffness k and a
@@ -130,13 +131,7 @@ class StepLimits:
         rates = slice(n, 2 * n)
         lines[:, rates, 0], lines[:, rates, 1] = 0.5 * (states[:-1, rates] + states[1:, rates]), 0.0
         known, unknown = force_quadrature_error(
-            *tape.program,
-            tape.reads,
-            tape.n_fixed,
-            values,
-            start,
-            h * np.arange(count + 1.0),
-            lines,
+            tape.parts, Steps(h * np.arange(count + 1.0), lines, values, start)
         )
         mass = self._mass.values(states[0], values, start).reshape(n, n)
         if not np.isfinite(mass).all():

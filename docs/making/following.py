@@ -1,15 +1,17 @@
-"""Follows a page as its reader does: types its files in, and its commands into a shell.
+"""Follows a page as its reader does: writes its files, and runs its commands in a shell.
 
     python docs/making/following.py PAGE [FOLDER]
 
-A block that a line ending in "into `NAME`:" introduces is written to that file, one after "to the
-end of `NAME`:" is added to it. Of a `console` block the lines after `$ ` are commands, the others
-what they print; `...` stands for what differs from machine to machine, alone on a line for lines.
+A block that a line ending in "into `NAME`:" introduces is written to that file; one after "to the
+end of `NAME`:" is added to it. In a `console` block the lines after `$ ` are commands, the others
+are what they print. Words must agree; numbers may differ in their last digits, and by 1e-8, since
+machines round differently. `...` stands for a part of a line, alone on a line for any lines.
 Only Python's own library is needed, so that an installation can be tried from anywhere.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
@@ -18,8 +20,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-# What a command of a page may take, in seconds; the first one on a machine compiles.
+# Longest time of a command in seconds; the first one on a machine compiles.
 _PATIENCE = 900
+
+# Numbers of two machines agree within these, relative and absolute.
+_RELATIVE, _ABSOLUTE = 2e-6, 1e-8
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w|\.\d|\.\.\.)")
 
 _FENCE = re.compile(r"^```(\S*)[^\n]*\n(.*?)^```$", re.M | re.S)
 _TYPED = re.compile(r"(into|to the end of) `([\w./-]+)`:$")
@@ -32,9 +38,9 @@ class Block:
     Attributes
     ----------
     language : str
-        What it is said to be.
+        The language after the fence.
     text : str
-        What stands in it.
+        Its text.
     before : str
         The last line before it that is not empty.
     line : int
@@ -117,19 +123,40 @@ def _commands(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _check(command: str, done: subprocess.CompletedProcess[str], expected: str, place: str) -> None:
-    told = f"{place}: $ {command}\n{done.stdout}{done.stderr}"
+    printed = f"{place}: $ {command}\n{done.stdout}{done.stderr}"
     if not expected.strip():
-        assert done.returncode == 0, told
+        assert done.returncode == 0, printed
     else:
-        assert re.fullmatch(_pattern(expected), done.stdout.rstrip() + "\n"), told
+        assert _agree(expected.rstrip().splitlines(), done.stdout.rstrip().splitlines()), printed
 
 
-def _pattern(expected: str) -> str:
-    lines = []
-    for line in expected.rstrip().splitlines():
-        parts = [re.escape(part) for part in line.split("...")]
-        lines.append("(?:.*\n)*?" if line.strip() == "..." else ".*".join(parts) + "\n")
-    return "".join(lines)
+def _agree(expected: list[str], printed: list[str]) -> bool:
+    """Whether all expected lines are printed in order; `...` stands for any lines between."""
+    reached = {0}  # numbers of printed lines that the expected ones so far may account for
+    for line in expected:
+        if line.strip() == "...":
+            reached = set(range(min(reached), len(printed) + 1)) if reached else reached
+        else:
+            reached = {n + 1 for n in reached if n < len(printed) and _same_line(line, printed[n])}
+    return len(printed) in reached
+
+
+def _same_line(expected: str, printed: str) -> bool:
+    """Whether the words of two lines are the same and their numbers close."""
+    numbers = _NUMBER.findall(expected)
+    words = re.split(rf"({_NUMBER.pattern}|\.\.\.)", expected.strip())
+    special = {"...": ".*"} | dict.fromkeys(numbers, f"({_NUMBER.pattern})")
+    pattern = "".join(special.get(word) or _spaced(word) for word in words)
+    found = re.fullmatch(pattern, printed.strip())
+    return found is not None and all(
+        math.isclose(float(one), float(other), rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+        for one, other in zip(numbers, found.groups(), strict=True)
+    )
+
+
+def _spaced(words: str) -> str:
+    """Pattern of words between which columns may be wider or narrower."""
+    return r"\s+".join(re.escape(word) for word in re.split(r"\s+", words))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.constraints import off_by
+from statechart.kernels.tapes import off_by
 
 
 class Constraints(NamedTuple):

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from statechart.arrays import Array
 from statechart.formulas.tape import Tape, contiguous
+from statechart.kernels.boxes import Steps
 from statechart.kernels.polynomials import sample_states
 from statechart.kernels.quadrature import integrate_outputs
 
@@ -59,15 +60,7 @@ def integrals(
     """
     times, coeffs, parameters = checked_arc(tape, times, coeffs, parameters)
     return integrate_outputs(
-        *tape.program,
-        tape.reads,
-        tape.n_fixed,
-        times,
-        coeffs,
-        parameters,
-        float(start),
-        float(t_from),
-        float(t_to),
+        tape.parts, Steps(times, coeffs, parameters, float(start)), float(t_from), float(t_to)
     )
 
 

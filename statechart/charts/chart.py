@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Literal, Self
 
@@ -12,6 +12,7 @@ from statechart.charts.flatten import FlatRegion, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
+    check_changes,
     check_listening,
     check_periods,
     declared_transitions,
@@ -26,27 +27,19 @@ from statechart.documents.fields import (
     RelationText,
     ValueName,
     check_derived,
-    check_names,
     check_relation,
     check_smooth,
     unit,
     value_of,
 )
 from statechart.documents.quantities import Quantity
-from statechart.errors import DeclarationProblem, Loc, undeclared
+from statechart.errors import DeclarationProblem, Loc
 from statechart.formulas.formula import parse
 
 
 class State(BaseState):
     """One state of a region: how variables change in it, and what holds in it."""
 
-    flows: dict[str, FiniteText] = Field(
-        default={},
-        description="Variable to its time derivative; without one it is constant. Inner states "
-        "may give another.",
-        examples=[{"x": "v", "v": "-g"}],
-        json_schema_extra=unit("that of the variable, per time"),
-    )
     invariants: dict[Label, RelationText] = Field(
         default={},
         description="Named relations that hold as long as the state is active.",
@@ -139,9 +132,9 @@ class Chart(Declaration):
     @model_validator(mode="after")
     def _formulas_use_declared_names(self) -> Self:
         names = {TIME, *self.parameters, *self.variables}
-        for name, flow, loc in self._flows():
-            self._check_variable(name, *loc)
-            check_names(parse(flow), names, *loc)
+        for region, declared in self.regions.items():
+            check_changes(declared, "regions", region, variables=self.variables, known=names)
+        for _, flow, loc in self._flows():
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
             check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
@@ -150,13 +143,10 @@ class Chart(Declaration):
         for state, at in self._states():
             for label, relation in state.invariants.items():
                 check_relation(relation, names, states, changing, *at, "invariants", label)
-            for key in ("entry", "exit"):
-                self._check_updates(getattr(state, key), names, (*at, key))
         for region, declared in self.regions.items():
             for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
                     check_relation(transition.guard, names, states, changing, *at, "guard")
-                self._check_updates(transition.updates, names, (*at, "updates"))
         causes = {name: region.causes for name, region in self.flat.items()}
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
@@ -181,7 +171,7 @@ class Chart(Declaration):
                     see=owner,
                 )
         for region, flat in self.flat.items():
-            shared = flat.shared(lambda state: state.flows if isinstance(state, State) else ())
+            shared = flat.shared(lambda state: state.flows)
             if shared is not None:
                 raise DeclarationProblem(
                     f"{shared.one!r} and {shared.other!r}, which may be active together, both "
@@ -207,19 +197,3 @@ class Chart(Declaration):
         for state, at in self._states():
             for name, flow in state.flows.items():
                 yield name, flow, (*at, "flows", name)
-
-    def _check_updates(
-        self, updates: Mapping[str, FiniteText], names: Collection[str], loc: Loc
-    ) -> None:
-        for name, update in updates.items():
-            self._check_variable(name, *loc, name)
-            check_names(parse(update), names, *loc, name)
-
-    def _check_variable(self, name: str, *loc: str | int) -> None:
-        if name not in self.variables:
-            raise DeclarationProblem(
-                f"no variable {name!r}",
-                advice=undeclared(name, self.variables),
-                loc=loc,
-                key=True,
-            )

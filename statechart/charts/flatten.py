@@ -66,7 +66,7 @@ class _Flattening:
         }
         # Asked in this order: those of inner states first, then as declared.
         self._ranks = _inner_first(found)
-        # What a history remembers while its parent is active matters to those inside alone.
+        # While its parent is active, only transitions inside it can read a history.
         self._recalled = {
             arrow.target
             for arrow in found.arrows
@@ -128,7 +128,7 @@ class _Flattening:
         arrows = self._tree.arrows
         out = [i for i in self._ranks if arrows[i].source in active]
         yield from ((i,) for i in out)
-        # What is taken follows from the first that is enabled of each innermost state.
+        # The first enabled arrow of each innermost state decides the set that is taken.
         choices = [
             [(), *((i,) for i in out if arrows[i].declared.events and arrows[i].source in holders)]
             for leaf in leaves(self._tree, active)
@@ -330,7 +330,7 @@ class FlatTransition:
 
     @property
     def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps fires it."""
+        """True if the accumulation of jumps fires it."""
         return self.members[0].on_zeno
 
     @property
@@ -396,6 +396,12 @@ class FlatRegion:
             Edge(t.name, t.source, t.target, t.trigger, t.reset(self.timers), on_zeno=t.on_zeno)
             for t in self.transitions
         )
+
+    def flows(self, state: str) -> dict[str, FiniteText]:
+        """Return the flows of a configuration: those of inner states replace those of outer."""
+        return {
+            name: flow for content in self.states[state] for name, flow in content.flows.items()
+        }
 
     def active(self, state: str) -> tuple[str, ...]:
         """Return what is active with a configuration: its states, and those that hold them."""

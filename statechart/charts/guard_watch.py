@@ -40,7 +40,7 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 from statechart.kernels.tapes import tape_values
 
-# Of its terms, a margin that is so small is zero, however exactly a run is computed.
+# A margin below this part of its terms is zero, however exactly a run is computed.
 _ZERO_MARGIN = 2.0**-40
 # A few roundings, of an instant and of what it is compared with.
 _TIME_ROUND_OFF = 8.0 * EPS
@@ -291,7 +291,7 @@ class Judgement:
             self._rests.add(atom)
             return not strict
         if fell:
-            # What was found is a fall, or a touch too close to tell: then it must not rise.
+            # The search found a fall, or a touch too close to tell: then it must not rise.
             return margin < -tolerance or not rate > 0.0
         return margin < -tolerance or rate < 0.0 or (rate == 0.0 and not strict)
 

@@ -114,12 +114,13 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         return State(
             tuple(
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
-                for variable, flow in _flows(flat, state).items()
+                for variable, flow in flat.flows(state).items()
             ),
             guard_margins(name, flat, state, symbols.known),
             tuple(
                 Invariant(f"{name}.{label}", text, symbols.known)
-                for content in _contents(flat, state)
+                for content in flat.states[state]
+                if isinstance(content, DeclaredState)
                 for label, text in content.invariants.items()
             ),
         )
@@ -138,19 +139,10 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
     )
 
 
-def _contents(flat: FlatRegion, state: str) -> list[DeclaredState]:
-    return [content for content in flat.states[state] if isinstance(content, DeclaredState)]
-
-
-def _flows(flat: FlatRegion, state: str) -> dict[str, FiniteText]:
-    """Return the flows of a configuration: those of inner states in the place of outer ones."""
-    return {n: flow for content in _contents(flat, state) for n, flow in content.flows.items()}
-
-
 class ChartLaws:
     """The laws of a chart (see `statechart.automaton.laws.Laws`)."""
 
-    # What its transitions say is not compiled.
+    # Transitions of charts are not compiled.
     compiled_laws = None
 
     def __init__(self, chart: Chart, symbols: _Symbols, regions: Sequence[Region]) -> None:
@@ -319,7 +311,7 @@ class ChartLaws:
             known, variables = self._symbols.known, self._symbols.variables
             flows = {
                 variables[variable]: parse(text).to_sympy(known)
-                for variable, text in _flows(region, state).items()
+                for variable, text in region.flows(state).items()
             }
             found = guards(place, name, region.transitions, state), flows
             self._of_states[place, state] = found

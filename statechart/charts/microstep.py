@@ -81,7 +81,7 @@ def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -
     for place in taken:
         arrow = tree.arrows[place]
         if arrow.target >= 0:
-            # What histories stand for is looked up before and after the exits.
+            # Histories are looked up before the exits (domain) and after them (entries).
             domain = _domain(tree, memory, place)
             _descend(tree, arrow.target, entered, kept)
             for target in _effective_targets(tree, kept, arrow.target):

@@ -18,7 +18,7 @@ from statechart.documents.fields import (
     value_of,
 )
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
-from statechart.errors import DeclarationProblem, Loc
+from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
 
@@ -79,7 +79,7 @@ class Transition(Part):
 
     @property
     def on_zeno(self) -> bool:
-        """Whether the accumulation of jumps out of the state fires it."""
+        """True if the accumulation of jumps out of the state fires it."""
         return self.on == "zeno"
 
     @property
@@ -147,6 +147,13 @@ class BaseState(Part):
         examples=[{"count": 0}],
         json_schema_extra=unit("that of the variable"),
     )
+    flows: dict[str, FiniteText] = Field(
+        default={},
+        description="Variable to its time derivative; without one it is constant. Inner states "
+        "may give another.",
+        examples=[{"x": "v", "v": "-g"}],
+        json_schema_extra=unit("that of the variable, per time"),
+    )
 
 
 class BaseRegion(Part):
@@ -188,6 +195,38 @@ def declared_transitions(holder: Holder, *loc: str | int) -> Iterator[tuple[Tran
             yield from declared_transitions(region, *loc, "regions", name)
     for index, transition in enumerate(holder.transitions):
         yield transition, (*loc, "transitions", index)
+
+
+def check_changes(
+    holder: BaseRegion,
+    *loc: str | int,
+    variables: Collection[str],
+    known: Collection[str],
+    further: Collection[str] = (),
+    of: str = "",
+) -> None:
+    """Check that states and transitions change declared variables, by formulas over `known`.
+
+    Flows may use `further` names; `of` says whose variables they are. Raises `DeclarationProblem`
+    at the first that does not.
+    """
+    changes: list[tuple[Mapping[str, FiniteText], Loc]] = []
+    for _, state, at in nested(holder, *loc):
+        if isinstance(state, BaseState):
+            changes += [(getattr(state, key), (*at, key)) for key in ("flows", "entry", "exit")]
+    for transition, at in declared_transitions(holder, *loc):
+        changes.append((transition.updates, (*at, "updates")))
+    for texts, at in changes:
+        for variable, text in texts.items():
+            if variable not in variables:
+                raise DeclarationProblem(
+                    f"no variable {variable!r}{of}",
+                    advice=undeclared(variable, variables),
+                    loc=(*at, variable),
+                    key=True,
+                )
+            names = {*known, *further} if at[-1] == "flows" else known
+            check_names(parse(text), names, *at, variable)
 
 
 def check_periods(
@@ -239,6 +278,6 @@ def check_listening(
                     advice="a transition fires on events of other regions",
                     loc=loc,
                 )
-            # What stands alone is nobody's: no region has the name "".
+            # A word alone belongs to no region: none has the name "".
             single = event.region is None and len(transition.events) == 1
             check_event(event, {**others, "": alone} if single else others, states, *loc)

@@ -48,7 +48,7 @@ class Node:
     parent: int  # what holds it; of the region itself -1
     children: tuple[int, ...]  # what it holds, histories besides
     histories: tuple[int, ...]  # those of its states
-    # What is entered with it where nothing else is said; of a history where nothing is remembered.
+    # Default entry; the one of a history is for an empty memory.
     # -1 where there is no choice.
     initial: int
     declared: Holder
@@ -73,7 +73,7 @@ class Tree:
 
     @cached_property
     def flat(self) -> bool:
-        """Whether no state holds another."""
+        """True if no state holds another."""
         return all(node.parent <= ROOT for node in self.nodes)
 
     @cached_property

@@ -20,7 +20,7 @@ from statechart.tabular import several
 
 # Two contacts that may be off have 16 modes; more cells fit on no slide.
 _MAX_CELLS = 16
-# Of a run through more modes only the first steps are drawn.
+# A run through more modes is drawn by its first steps only.
 _MAX_VISITED = 12
 # An arrow names at most so many regions.
 _MAX_NAMED = 2

@@ -21,7 +21,7 @@ _MAX_LINES, _MAX_CHARACTERS = 3, 24
 
 
 class Meaning(NamedTuple):
-    """When an event happens and what it does.
+    """Guard and effect of an event.
 
     `route` says which of its arrows is meant where there are several meanings; else it is empty.
     """

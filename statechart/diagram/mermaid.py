@@ -11,7 +11,7 @@ from statechart.diagram.legend import TIMES, Guards, Legend, events, fits, legen
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
 from statechart.palette import CLOSED, FAINT, FRAME, INK
 
-# What Mermaid's lexer acts on inside a label (`stateDiagram.jison`): separators, comments,
+# Characters that Mermaid's lexer acts on in a label (`stateDiagram.jison`): separators, comments,
 # entities, quotes, and two phrases it looks for anywhere in a line.
 _SPECIAL = re.compile(r"[^\w \n→….,()*/+=^'|!?-]|(?i:(?<=d)irection(?=\s))|(?i:(?<=e)nd note)")
 

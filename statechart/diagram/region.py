@@ -76,7 +76,7 @@ def region_chart(
         label = "H*" if declared.depth == "deep" else "H"
         return Node(prefix + name, label, inside, infeasible=refused)
 
-    # What holds a state comes before it, outer first.
+    # Enclosing states come before a state, outer first.
     names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
     links = (
         Link(prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e))

@@ -9,22 +9,12 @@ raises the events that its other transitions wait for: ``REGION.STATE`` when a s
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
 from statechart.automaton.regions import UNREACHED, HierarchicalEdge, Region, hierarchical_edges
-from statechart.diagram.model import (
-    Chart,
-    Diagram,
-    Machine,
-    Node,
-    identifiers,
-    named,
-    printable,
-    spell_signs,
-)
-from statechart.errors import FormulaError
+from statechart.diagram.model import Diagram, Machine, named, printable, spell_signs
+from statechart.errors import FormulaError, StatechartError
 from statechart.formulas.formula import Formula, parse
 from statechart.formulas.relation import (
     Comparison,
@@ -46,33 +36,21 @@ NOTES = "urn:contact-statecharts:diagram"
 
 
 def scxml(diagram: Diagram) -> str:
-    """Render a diagram as an SCXML document.
+    """Render the diagram of a model as a machine that runs, with comments on what SCXML lacks.
 
-    A diagram of a model becomes a machine that runs, with comments on what SCXML cannot say. In
-    others guards go to ``cond`` as the formulas they are; resets, which are no SCXML expressions,
-    and all else go to attributes of the namespace `NOTES`, as its schema allows.
+    Titles, reasons and resets, which are no SCXML expressions, go to attributes of the namespace
+    `NOTES`, as its schema allows. Raises `StatechartError` for a diagram without a model.
     """
-    if diagram.machine is not None:
-        root = _MachineWriter(diagram.machine).root
-        for place, sentence in enumerate(lost(diagram.machine)):
-            # Two hyphens would end a comment.
-            words = f" not said: {printable(sentence).replace('--', '- -')} "
-            root.insert(place, ET.Comment(words))
-    else:
-        root = _document()
-        states = identifiers(diagram)
-        initial = next((chart.initial for chart in diagram.charts if chart.initial), None)
-        if initial is not None:
-            root.set("initial", states[initial.name])
-        for chart in diagram.charts:
-            parent = root
-            if len(diagram.charts) > 1:
-                parent = ET.SubElement(root, "state")
-                _annotate(parent, label=chart.title)
-            _annotate(parent, path=" ".join(states[name] for name in chart.path))
-            for node in chart.within(None):
-                _state(parent, node, chart, states)
-    _annotate(root, title=diagram.title, notes="\n".join(diagram.notes))
+    if diagram.machine is None:
+        raise StatechartError(f"diagram {diagram.title!r} shows no model that SCXML could run")
+    root = _MachineWriter(diagram.machine).root
+    for place, sentence in enumerate(lost(diagram.machine)):
+        # Two hyphens would end a comment.
+        words = f" not said: {printable(sentence).replace('--', '- -')} "
+        root.insert(place, ET.Comment(words))
+    for key, text in (("title", diagram.title), ("notes", "\n".join(diagram.notes))):
+        if text:
+            root.set(f"diagram:{key}", printable(text))
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -83,48 +61,12 @@ def lost(machine: Machine) -> tuple[str, ...]:
     return tuple(f"{what}: {', '.join(whose)}" for what, whose in losses.items())
 
 
-def _document() -> ET.Element:
-    return ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
-
-
-def _state(parent: ET.Element, node: Node, chart: Chart, states: dict[str, str]) -> None:
-    leaving = [link for link in chart.links if link.source == node.name]
-    inner = chart.within(node.name)
-    # A <final> may hold neither transitions nor states.
-    tag = "final" if node.final and not leaving and not inner else "state"
-    element = ET.SubElement(parent, tag, {"id": states[node.name]})
-    _annotate(
-        element,
-        name=node.name,
-        label=node.label,
-        invariants="\n".join(node.invariants),
-        infeasible=node.infeasible,
-        visits=node.visits,
-    )
-    for link in leaving:
-        transition = ET.SubElement(element, "transition")
-        if event := re.sub(r"[^\w-]+", ".", printable(link.event)).strip("."):
-            transition.set("event", event)
-        if link.guard:
-            transition.set("cond", printable(link.guard))
-        transition.set("target", states[link.target])
-        _annotate(transition, reset=link.reset, visits=link.visits)
-    for other in inner:
-        _state(element, other, chart, states)
-
-
-def _annotate(element: ET.Element, **values: str | int | None) -> None:
-    for key, value in values.items():
-        if value not in (None, ""):
-            element.set(f"diagram:{key}", printable(str(value)))
-
-
 class _MachineWriter:
     """Writes a machine into `root`; `lost` maps what SCXML cannot say to its transitions."""
 
     def __init__(self, machine: Machine) -> None:
         self.lost: dict[str, list[str]] = {}
-        self.root = _document()
+        self.root = ET.Element("scxml", {"xmlns": SCXML, "xmlns:diagram": NOTES, "version": "1.0"})
         self._data = dict.fromkeys([n for n in machine.values if n.isidentifier()])
         self._used: dict[str, None] = {}
         self._awaited = {

@@ -222,7 +222,7 @@ class Declaration(Part):
             return self.units[name]
         output = self.outputs.get(name)
         if output is not None and not isinstance(output, Integral):
-            # Of a formula that is one name the unit is that of the name.
+            # A formula that is one name has the unit of the name.
             same = str(formula_of(output) or "").strip()
             if same != name and same and same in parse(same).names:
                 return self.unit(same)
@@ -234,7 +234,7 @@ class Declaration(Part):
 
     def __str__(self) -> str:
         """Return the model as a file has it."""
-        # What writes files is loaded by who does.
+        # Only a caller that writes pays for loading the writer.
         from statechart.documents.yaml_writer import dump
 
         return dump(self)

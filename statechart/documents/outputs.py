@@ -38,7 +38,7 @@ class Moment:
 
     @property
     def several(self) -> bool:
-        """Whether the output is a list."""
+        """True if the output is a list."""
         return self.when == "each" or self.most is not None
 
 

@@ -183,7 +183,7 @@ def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
 
 
 def _short(fact: Fact) -> bool:
-    """Whether formulas are no longer than what people write for a quantity."""
+    """Return whether formulas are no longer than what people write for a quantity."""
     trees = [part for part in fact if not isinstance(part, Powers)]
     return all(
         sum(1 for _ in islice(nodes(tree), _MAX_OPERATIONS)) < _MAX_OPERATIONS for tree in trees
@@ -227,7 +227,7 @@ def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
 
 
 def _of_turn(node: Node) -> bool:
-    """Whether a formula is a part of a turn, or turns: an angle by 2*pi is a number of these."""
+    """Return whether a formula has the factor pi: an angle divided by 2*pi is a number of turns."""
     match node:
         case Constant():
             return node.name == "pi"
@@ -297,13 +297,13 @@ def _infer_names(node: Node, powers: Powers, known: _Known) -> None:
             first, second = measured(left, known), measured(right, known)
             sign = 1 if node.operator == "*" else -1
             if sign == 1 and (_of_turn(left) or _of_turn(right)):
-                # How many turns, not the angle that they are.
+                # A number of turns, not an angle.
                 powers = powers._replace(angle=False)
             if first is None and second is not None:
                 _infer_names(left, powers.times(second, -sign), known)
             elif first is not None and second is None:
                 rest = powers.times(first, -1)
-                # What an angle is divided by is a number of parts.
+                # An angle is divided by a number of parts.
                 below = Powers().times(rest, -1)._replace(angle=False)
                 _infer_names(right, rest if sign == 1 else below, known)
         case Binary(operator="**", left=left, right=Number(value=value)) if value:

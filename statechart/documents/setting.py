@@ -199,7 +199,7 @@ class Setting:
 
     @property
     def stepped(self) -> bool:
-        """Whether runs are stepped through time."""
+        """True if runs are stepped through time."""
         return self.engine == "impulse"
 
     @property

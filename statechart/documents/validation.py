@@ -47,7 +47,7 @@ _EXPECTED: Mapping[str, str] = {
 }
 
 
-# What has another form than it should: an example shows which.
+# Errors of form: an example shows the right one.
 _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 
 
@@ -77,7 +77,7 @@ def _combined(found: list[DeclarationError]) -> DeclarationError:
 
 
 def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
-    """Whether an error is no news beside the others."""
+    """Return whether an error is no news beside the others."""
     if _lacks_items(details):
         # A list without two of its items is told so once.
         return any(
@@ -108,7 +108,7 @@ def _empty(
             continue
         shown = example(model, loc, built=False)
         at = document.position(loc, key=True)
-        # What should stand below it is in the same column, and unknown there.
+        # Keys that belong below it stand in the same column, and are unknown there.
         below = unknown and shown.startswith("{")
         yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
@@ -120,7 +120,7 @@ def _empty(
 def _follows_from_empty(
     details: ErrorDetails, empty: Collection[Loc], document: Document | Built
 ) -> bool:
-    """Whether what is wrong may come of a key with nothing behind it: there, above or beside."""
+    """Return whether an error may follow from an empty key there, above or beside."""
     if _key(details) is not None:
         return False
     cause = details.get("ctx", {}).get("error")
@@ -148,7 +148,7 @@ def _key(details: ErrorDetails) -> str | int | None:
 
 
 def _lacks_items(details: ErrorDetails) -> bool:
-    """Whether an item is missing at the end of a list."""
+    """Return whether an item is missing at the end of a list."""
     return details["type"] == "missing" and isinstance(details["loc"][-1], int)
 
 
@@ -232,7 +232,7 @@ def _message_and_advice(
             return f"must have {several(last[0] + 1, 'item')}, not {len(given)}", ""
         return f"{last[0]!r} is missing", ""
     if kind == "too_long":
-        # What has to have a number of items is a pair.
+        # Lists of a fixed length are pairs.
         most = context["max_length"]
         words = f"{'at most ' if most > 2 else ''}{several(most, 'item')}"
         return f"must have {words}, not {context['actual_length']}", ""

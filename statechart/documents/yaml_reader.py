@@ -32,7 +32,7 @@ MAX_VALUES = 20_000
 MAX_DEPTH = 32
 
 
-# How files begin that are named by mistake.
+# First bytes of files that are named by mistake.
 _OTHERS = {
     b"%PDF": "a PDF",
     b"\x89PNG": "a picture",
@@ -99,7 +99,7 @@ class _Builder:
             raise place.error(f"not YAML: {message}", advice) from None
         except ReaderError as error:
             at = int(error.position)
-            # Of UTF-16 every second byte is zero.
+            # Every second byte of UTF-16 is zero.
             wide = text.count("\0") > 1
             raise self._at(text.count("\n", 0, at), at - text.rfind("\n", 0, at) - 1).error(
                 f"the character U+{int(error.character):04X} is not allowed",
@@ -126,7 +126,7 @@ class _Builder:
             self._fail(first, "a model is a mapping", "begin with a line such as kind: chart")
         data: dict[str, Any] = self._value(first, parsed, ())
         for _ in parsed:
-            pass  # What follows must be judged too: it may be a second document.
+            pass  # The rest must be judged too: it may be a second document.
         return data
 
     def _wanted(self, parsed: Iterator[events.Event]) -> Iterator[events.Event]:
@@ -169,7 +169,7 @@ class _Builder:
             if event.style in ("'", '"'):
                 self._values[loc] = self._position(event).shifted(1)
             elif not event.value and loc in self._keys:
-                # What is left out stands nowhere: YAML's own mark is already on the next line.
+                # A value left out has no place of its own: YAML's mark is already on the next line.
                 self._values[loc] = self._keys[loc]
                 self._empty.add(loc)
             return event.value if event.style else self._plain(event)

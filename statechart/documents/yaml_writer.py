@@ -39,7 +39,7 @@ def _document(data: Any) -> Iterator[events.Event]:
 
 
 def _events(value: Any, *, block: bool) -> Iterator[events.Event]:
-    # What is short stands on one line, in braces; the rest is indented.
+    # A short value stands on one line, in braces; a longer one is indented.
     if isinstance(value, Mapping):
         flow = not block or _is_short(value)
         yield events.MappingStartEvent(None, None, implicit=True, flow_style=flow)

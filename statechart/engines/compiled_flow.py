@@ -16,8 +16,7 @@ from statechart.arrays import Array, Bools, Ints32
 from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR
 from statechart.engines.event_location import BOXES
 from statechart.engines.taylor_loop import ORDERS, STRAY, call_step, expand, let_pass, stray
-from statechart.kernels.boxes import Along
-from statechart.kernels.constraints import off_by
+from statechart.kernels.boxes import Along, Steps
 from statechart.kernels.copies import put
 from statechart.kernels.defect import rough_in, unseen
 from statechart.kernels.jit import kernel
@@ -34,7 +33,7 @@ from statechart.kernels.search import (
     search_step,
 )
 from statechart.kernels.search_memory import Memory, Ready, ready_along, room
-from statechart.kernels.tapes import tape_values
+from statechart.kernels.tapes import TapeCode, off_by, tape_values
 
 PLAIN, GAP, SPEED, FORCE = range(4)
 KINDS = ("plain", "gap", "speed", "force")
@@ -79,10 +78,10 @@ class Program(NamedTuple):
 
 
 @kernel
-def tape_of(program: Program, row: NDArray[np.int64]) -> tuple[Ints32, Array, Ints32, Ints32, int]:
-    """Code, constants, outputs, reads and n_fixed of a tape."""
+def tape_of(program: Program, row: NDArray[np.int64]) -> TapeCode:
+    """Return a tape of a table."""
     ints, floats = program.ints, program.floats
-    return (
+    return TapeCode(
         ints[row[0] : row[0] + 3 * row[1]].reshape((row[1], 3)),
         floats[row[2] : row[2] + row[3]],
         ints[row[4] : row[4] + row[5]],
@@ -334,11 +333,11 @@ def flow_to_event(
     row = program.modes[mode]
     times, coeffs, ended = memory.times, memory.coefficients, memory.ended
     state, clock, series = memory.state, memory.clock, memory.series
-    parameters, address = watch.parameters, row[ADDRESS]
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[WATCHED : WATCHED + TAPE])
+    address = row[ADDRESS]
+    tape = tape_of(program, row[WATCHED : WATCHED + TAPE])
     pars, h = memory.pars[: row[PARS]], memory.length
     margins, n = row[MARGINS], initial.shape[0]
-    guards, rates = outputs[:margins], outputs[margins:]
+    guards, rates = tape.outputs[:margins], tape.outputs[margins:]
     tolerances, powers, jets = memory.tolerances, memory.powers, memory.whole
     usual, begun = np.empty(margins), np.empty(margins)
     usual_tolerances(program, row, watch, usual)
@@ -349,10 +348,8 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     reconstruct_any(follows, initial, start)
-    ready = ready_along(
-        code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory.searched
-    )  # fmt: skip
-    _level(ready, ready[0][1] + code.shape[0], jets)
+    ready = ready_along(tape, Steps(times, coeffs, watch.parameters, start), memory.searched)
+    _level(ready, ready[0][1] + tape.code.shape[0], jets)
     _enter(program, row, watch, memory, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
@@ -490,27 +487,21 @@ def _missed(
     doubtful: Bools,
 ) -> bool:
     """Whether steps may have missed something of their surfaces or, the doubtful, their rates."""
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[WITHIN : WITHIN + TAPE])
-    if outputs.shape[0] > 0:
-        rooms = np.full(outputs.shape[0], watch.room)
-        found = search(
-            code, constants, outputs, reads, n_fixed, rooms, times, coeffs,
-            watch.parameters, start, 0, doubtful.shape[0], BOXES,
-        )  # fmt: skip
-        if found[0] != NONE:
+    within = tape_of(program, row[WITHIN : WITHIN + TAPE])
+    steps = Steps(times, coeffs, watch.parameters, start)
+    if within.outputs.shape[0] > 0:
+        rooms = np.full(within.outputs.shape[0], watch.room)
+        if search(within, rooms, steps, 0, doubtful.shape[0], BOXES)[0] != NONE:
             return True
-    code, constants, outputs, reads, n_fixed = tape_of(program, row[RATES : RATES + TAPE])
+    rates = tape_of(program, row[RATES : RATES + TAPE])
     first = 0
     while first < doubtful.shape[0]:
         last = first
         while last < doubtful.shape[0] and doubtful[last]:
             last += 1
         if last > first:
-            found_at = unseen(
-                code, constants, outputs, reads, n_fixed, watch.parameters, start, times, coeffs,
-                first, last, watch.floors, watch.allowed, LOOKS,
-            )[0]  # fmt: skip
-            if found_at >= 0:
+            found = unseen(rates, steps, first, last, watch.floors, watch.allowed, LOOKS)
+            if found[0] >= 0:
                 return True
         first = last + 1
     return False

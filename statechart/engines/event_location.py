@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from statechart.engines.engine import Path
 from statechart.formulas.tape import Tape
+from statechart.kernels.boxes import Steps
 from statechart.kernels.search import BUDGET, CROSSING, GRAZE, NON_FINITE, NONE
 from statechart.kernels.search import search as kernel
 
@@ -113,16 +114,9 @@ def search(
         Greatest number of boxes.
     """
     code, guard, step, s, time, crossed, boxes = kernel(
-        tape.code,
-        tape.constants,
-        tape.outputs,
-        tape.reads,
-        tape.n_fixed,
+        tape.parts,
         tolerances,
-        path.times,
-        path.coefficients,
-        parameters,
-        start,
+        Steps(path.times, path.coefficients, parameters, start),
         first,
         last,
         budget,

@@ -13,6 +13,7 @@ from statechart.engines.engine import Engine
 from statechart.errors import SimulationError
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.formulas.tape import Tape, contiguous
+from statechart.kernels.boxes import Steps
 from statechart.kernels.enclosed_defect import MOMENTS, enclosed_defect
 
 # Most pieces of a step.
@@ -89,12 +90,8 @@ class Certificate:
             if self._states:
                 self._begin(arc, rates)
             bounds, moments, unknown = enclosed_defect(
-                *rates.program,
-                rates.n_fixed,
-                self._setup.values,
-                arc.start.high,
-                arc.times,
-                arc.coefficients,
+                rates.parts,
+                Steps(arc.times, arc.coefficients, self._setup.values, arc.start.high),
                 scale,
                 self._allowed,
                 _PIECES,

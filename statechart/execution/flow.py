@@ -33,6 +33,7 @@ from statechart.execution.finding import (
     relative_error,
 )
 from statechart.formulas.series import sizes_at
+from statechart.kernels.boxes import Steps
 from statechart.kernels.defect import unseen
 from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
@@ -200,13 +201,8 @@ class Advance:
         where = found.crossing or found.undecided
         while True:
             step, s, off, _ = unseen(
-                *rates.program,
-                rates.reads,
-                rates.n_fixed,
-                watch.parameters,
-                watch.start,
-                path.times,
-                path.coefficients,
+                rates.parts,
+                Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
                 last if where is None else where.step + 1,
                 floors(self.engine, len(self.initial)),

@@ -94,12 +94,12 @@ class Condition:
 
     @property
     def single(self) -> bool:
-        """Whether it is one atom and nothing else."""
+        """True if it is one atom and nothing else."""
         return self.root == 0
 
     @property
     def disjoint(self) -> bool:
-        """Whether it holds as soon as one of its atoms does."""
+        """True if it holds as soon as one of its atoms does."""
         return self.single or (
             isinstance(self.root, Some) and all(isinstance(part, int) for part in self.root.parts)
         )

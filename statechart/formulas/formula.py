@@ -147,7 +147,7 @@ class Formula:
 
     @property
     def names_infinity(self) -> bool:
-        """Whether the constant `inf` occurs in it."""
+        """True if the constant `inf` occurs in it."""
         return any(isinstance(node, Constant) and node.name == "inf" for node in nodes(self.root))
 
     def require(self, known: Iterable[str]) -> None:

@@ -79,14 +79,14 @@ _OTHERS: Mapping[str, str] = {
     "fabs": "abs", "sgn": "sign", "minimum": "min", "maximum": "max", "infinity": "inf",
     "infinite": "inf", "t": "time",
 }  # fmt: skip
-# Of what a name is the last part.
+# Last part of a dotted name -> ours.
 _PARTS: Mapping[str, str] = {
     "vx": "dx", "vy": "dy", "xdot": "dx", "ydot": "dy", "omega": "dangle", "theta": "angle",
     "phi": "angle", "normal": "V", "tangential": "H",
 }  # fmt: skip
-# Of these each piece is a formula, or a state with one.
+# Functions in pieces: each piece is a state with a formula.
 _PIECEWISE = frozenset({"if", "where", "piecewise", "heaviside", "step"})
-# Of numbers that are known before a run.
+# Rounding functions, for numbers that are known before a run.
 _WHOLE: Mapping[str, str] = {
     **dict.fromkeys(("ceil", "ceiling"), "-floor(-x)"), "round": "floor(x + 1/2)",
     **dict.fromkeys(("int", "trunc"), "floor(x)"),

@@ -75,7 +75,7 @@ class Comparison:
 
     @property
     def strict(self) -> bool:
-        """Whether it does not hold where both sides are equal."""
+        """True if it does not hold where both sides are equal."""
         return self.operator in ("<", ">", "!=")
 
 

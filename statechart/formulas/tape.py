@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.kernels.tapes import POW, tape_table, tape_values
+from statechart.kernels.tapes import POW, TapeCode, tape_table, tape_values
 
 
 def contiguous(array: ArrayLike) -> Array:
@@ -48,6 +48,11 @@ class Tape:
     def program(self) -> tuple[Ints32, Array, Ints32]:
         """Code, constants and outputs, as kernels take them."""
         return self.code, self.constants, self.outputs
+
+    @cached_property
+    def parts(self) -> TapeCode:
+        """The tape as kernels take it that run it along steps."""
+        return TapeCode(self.code, self.constants, self.outputs, self.reads, self.n_fixed)
 
     def values(self, state: ArrayLike, parameters: ArrayLike, time: float) -> Array:
         """Return the outputs at one point.

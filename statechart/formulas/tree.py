@@ -190,7 +190,7 @@ def nodes(node: Node) -> Iterator[Node]:
 
 
 def is_constant(node: Node) -> bool:
-    """Whether no name stands in a formula."""
+    """Return whether no name stands in a formula."""
     return next(names_in(node), None) is None
 
 

@@ -61,7 +61,7 @@ _RECIPROCAL: dict[type[sp.Basic], str] = {
     sp.csc: "sin",
     sp.sech: "cosh",
 }
-# What is smaller, or larger than its inverse, may overflow in a product with an exponential.
+# A smaller factor, or one larger than its inverse, may overflow beside an exponential.
 _MIN_FACTOR = 1e-60
 # Every processor rounds these alike, and most constants need no others: to load the kernel takes
 # as long as to compose a scene.

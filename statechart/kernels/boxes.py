@@ -1,6 +1,8 @@
-"""What is known of a tape's outputs over a box: a piece [a, b] of a step's own time s."""
+"""Bounds of a tape's outputs over a box: a piece [a, b] of a step's own time s."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +11,29 @@ from statechart.arrays import Array, Ints32
 from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
+from statechart.kernels.tapes import TapeCode, filled
 
 Along = tuple[Ints32, int, int, int, Ints32, Array, Array, float]
-"""What is evaluated along what: code, the register of its first operation, the operations to run
-(from, to), reads, times, coeffs, start."""
+"""A tape along steps: code, the register of its first operation, the operations to run (from, to),
+reads, times, coeffs, start."""
+
+
+class Steps(NamedTuple):
+    """Polynomial steps of a flow, and its parameters."""
+
+    times: Array  # (m + 1,): ends of the steps in local time
+    coeffs: Array  # (m, n, d + 1): polynomials of the variables in the steps' own time
+    parameters: Array
+    start: float  # absolute time of the local time 0
+
+
+@kernel
+def along_steps(tape: TapeCode, steps: Steps, width: int) -> tuple[Along, Array]:
+    """Return a tape along steps, and registers of `width` columns with constants filled in."""
+    base, regs = filled(tape.code, tape.constants, steps.parameters, steps.coeffs.shape[1], width)
+    last = tape.code.shape[0]
+    times, coeffs, start = steps.times, steps.coeffs, steps.start
+    return (tape.code, base, tape.n_fixed, last, tape.reads, times, coeffs, start), regs
 
 
 @kernel
@@ -211,22 +232,9 @@ def judge(
 
 @kernel
 def unclear_by_values(
-    along: Along,
-    outputs: Ints32,
-    tolerances: Array,
-    step: int,
-    bounds: Array,
-    a: float,
-    b: float,
-    jets: Array,
-    state: NDArray[np.uint8],
+    outputs: Ints32, tolerances: Array, jets: Array, state: NDArray[np.uint8]
 ) -> int:
-    """Clear outputs by their ranges on a box; return how many are not.
-
-    That is cheap, and often enough.
-    """
-    m = 0.5 * (a + b)
-    enclose(along, step, bounds, m, max(b - m, m - a), 0, jets)
+    """Clear outputs by their ranges on a box; return how many are not clear."""
     unclear = 0
     for i in range(outputs.shape[0]):
         if state[i] != 0 and jets[outputs[i], 0] + tolerances[i] > 0.0:

@@ -51,7 +51,7 @@ class CodeCache:
             self._folders[:0] = [Path(os.environ["NUMBA_CACHE_DIR"])]
 
     def is_filled(self) -> bool:
-        """Whether code for some signature lies on disk."""
+        """Return whether code for some signature lies on disk."""
         return any(any(folder.glob(self._file("*"))) for folder in self._folders)
 
     def load(self, key: str) -> bytes | None:

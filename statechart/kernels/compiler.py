@@ -47,7 +47,7 @@ def whole(kernel: jit.Kernel) -> Any:
 
     def is_loaded(signature: Signature) -> bool:
         data = kernel.cache.load(_key(signature, made))
-        # What another version of a library wrote may be whole, and of no use.
+        # A file that another version of a library wrote may be whole, and of no use.
         with suppress(Exception):
             if data is not None:
                 made.add_overload(from_bytes(data, made.targetctx))

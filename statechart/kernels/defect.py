@@ -1,16 +1,16 @@
-"""Whether the polynomials of steps follow the rates: their defect, where it can be known."""
+"""Defect of the polynomials of steps, sampled where functions are resolved."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.boxes import Along, prepare
+from statechart.kernels.boxes import Along, Steps, along_steps, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import reaches, slopes_at
 from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
-from statechart.kernels.tapes import filled
+from statechart.kernels.tapes import TapeCode
 
 # Slopes are sums of a series, whose terms are rounded more often than a rate is.
 _SERIES = 64.0
@@ -21,7 +21,7 @@ _SHARE = 1.0 / 64.0
 
 @kernel
 def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
-    """Whether what is not resolved of rates may move a variable farther than is allowed."""
+    """Return whether what is not resolved of rates may move a variable farther than is allowed."""
     rough = False
     for v in range(sizes.shape[0]):
         rough = rough or not time * jets[outputs[v], 2] <= _SHARE * allowed * sizes[v]
@@ -30,15 +30,8 @@ def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: A
 
 @kernel
 def unseen(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
+    tape: TapeCode,
+    steps: Steps,
     first: int,
     last: int,
     floors: Array,
@@ -49,10 +42,9 @@ def unseen(
 
     Parameters
     ----------
-    code, constants, outputs, reads, n_fixed
-        Tape of the rates of all variables.
-    parameters, start, times, coeffs
-        As in `statechart.kernels.search.search`.
+    tape : TapeCode
+        The rates of all variables.
+    steps : Steps
     floors : (n,) array
         What is smaller counts as so large.
     allowed : float
@@ -72,9 +64,9 @@ def unseen(
     boxes : int
         Looked at.
     """
-    n, count = coeffs.shape[1], PLACES.shape[0]
-    base, regs = filled(code, constants, parameters, n, count)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
+    outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
+    n = coeffs.shape[1]
+    along, regs = along_steps(tape, steps, PLACES.shape[0])
     jets = ready(along, regs)
     bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
@@ -106,11 +98,11 @@ def unseen(
                 lefts[top + 1], rights[top + 1] = a, m
                 top += 2
                 continue
-            off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
+            off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
             if not (off <= allowed or known):
                 known = True
                 _round(along, outputs, step, h, rounding, regs)
-                off = _defect(along, outputs, step, a, b, h, sizes, rounding, regs)
+                off = _defect(along, outputs, step, a, b, sizes, rounding, regs)
             if not off <= allowed:
                 return step, b, off, boxes + looked
         boxes += looked
@@ -124,13 +116,13 @@ def _defect(
     step: int,
     a: float,
     b: float,
-    h: float,
     sizes: Array,
     rounding: Array,
     regs: Array,
 ) -> float:
-    """How far the slopes in a box are off the rates, beside rounding, at the worst of places."""
-    coeffs, worst = along[6], 0.0
+    """Return the largest defect at places of a box, beyond round-off, relative to sizes."""
+    times, coeffs, worst = along[5], along[6], 0.0
+    h = times[step + 1] - times[step]
     at(along, step, a, b, PLACES, regs)
     w = b - a
     places = a + PLACES[0] * w, a + PLACES[1] * w, a + PLACES[2] * w
@@ -140,7 +132,7 @@ def _defect(
             off = abs(slopes[j] - h * regs[outputs[v], j])
             if off <= rounding[v]:
                 continue
-            # What has no value is off by all.
+            # A rate without a value counts as infinitely far off.
             worst = max(worst, off / sizes[v] if off == off else INF)
     return worst
 

@@ -84,7 +84,7 @@ def _exp(a: Disc) -> Disc:
 
 @kernel
 def _clear(a: Disc) -> bool:
-    """Whether a disc is off zero and the negative real axis, where roots and logarithms jump."""
+    """Return whether a disc is off zero and the negative real axis, the cut of roots and logs."""
     reach = abs(a[0]) if a[0].real > 0.0 else abs(a[0].imag)
     return reach > a[1]
 

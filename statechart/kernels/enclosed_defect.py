@@ -1,4 +1,4 @@
-"""How far the polynomials of steps are off their differential equation, proved.
+"""Proved bounds of the defect of the polynomials of steps.
 
 The defect p'(s) - h f(p(s)) of a step is enclosed in pieces. Where f is analytic on an ellipse
 around a piece, the polynomial through its values at Chebyshev points is off it by less than
@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from statechart.arrays import Array, Complexes, Ints32
-from statechart.kernels.boxes import Along, place, prepare
+from statechart.kernels.boxes import Along, Steps, along_steps, place, prepare
 from statechart.kernels.copies import put
 from statechart.kernels.discs import run_discs
 from statechart.kernels.intervals import EPS, INF, mul, sub
@@ -24,15 +24,15 @@ from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import reaches
 from statechart.kernels.resolution import NARROW
-from statechart.kernels.tapes import filled, run_tape
+from statechart.kernels.tapes import TapeCode, run_tape
 
 MOMENTS = 4
-"""How many moments of the defect tell what is left of it at the end of a step."""
+"""Number of moments of the defect, from which its effect at the end of a step follows."""
 
 # The ellipse: the sum of its half axes, in half lengths of a piece.
 _RHO = 4.0
 _REACH = 0.5 * (_RHO + 1.0 / _RHO)
-# What is left over falls by rho with every point: with so many it is rounding.
+# The interpolation error falls by rho with every point: with so many it is round-off.
 _POINTS = 26
 _MANY = 8192
 # A piece may miss this part of what is allowed in a step without being halved, for each of what is
@@ -76,15 +76,15 @@ def _spread(
     step: int,
     m: float,
     w: float,
-    shifted: Array,
-    centres: Complexes,
-    radii: Array,
-    found: Array,
+    discs: tuple[Complexes, Array],
+    work: tuple[Array, Array],
 ) -> None:
     """Write how far every rate is from a constant on the ellipse around [m - w, m + w].
 
-    And the slope of every polynomial; both in the step's own time.
+    And the slope of every polynomial; both in the step's own time. `discs` are the centres and
+    radii of registers, `work` a shifted polynomial and the result (n, 2).
     """
+    (centres, radii), (shifted, found) = discs, work
     code, base, first, last, _, times, coeffs, start = along
     n, terms = coeffs.shape[1], coeffs.shape[2]
     h, reach = times[step + 1] - times[step], w * _REACH
@@ -114,26 +114,15 @@ def _spread(
 
 @kernel(interpreted=False)
 def enclosed_defect(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    n_fixed: int,
-    parameters: Array,
-    start: float,
-    times: Array,
-    coeffs: Array,
-    floors: Array,
-    allowed: float,
-    budget: int,
+    tape: TapeCode, steps: Steps, floors: Array, allowed: float, budget: int
 ) -> tuple[Array, Array, Array]:
     """Bound how far the rates would move every variable off the polynomials in each step.
 
     Parameters
     ----------
-    code, constants, outputs, n_fixed
-        Tape of the rates of all variables.
-    parameters, start, times, coeffs
-        As in `statechart.kernels.search.search`.
+    tape : TapeCode
+        The rates of all variables.
+    steps : Steps
     floors : (n,) array
         How large variables are; what one moves in a step counts where that is more.
     allowed : float
@@ -151,12 +140,13 @@ def enclosed_defect(
     unknown : (k, n) array
         By how much these may be off.
     """
+    code, constants, outputs, _, n_fixed = tape
+    times, coeffs = steps.times, steps.coeffs
     n = coeffs.shape[1]
     tail = 4.0 / (_RHO - 1.0) * _RHO ** (1.0 - _POINTS)
-    base, regs = filled(code, constants, parameters, n, 1)
     every = np.arange(n + 1).astype(np.int32)
-    along = (code, base, n_fixed, code.shape[0], every, times, coeffs, start)
-    run_tape(code, 0, n_fixed, base, regs, 1)
+    along, regs = along_steps(TapeCode(code, constants, outputs, every, n_fixed), steps, 1)
+    run_tape(code, 0, n_fixed, along[1], regs, 1)
     jets, centres, radii = _prepared(along, regs)
     thirds, sizes = np.zeros(n), np.empty(n)
     shifted, spread = np.empty(coeffs.shape[2]), np.empty((n, 2))
@@ -177,7 +167,7 @@ def enclosed_defect(
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
             w = max(b - m, m - a)
-            _spread(along, outputs, step, m, w, shifted, centres, radii, spread)
+            _spread(along, outputs, step, m, w, (centres, radii), (shifted, spread))
             smooth = True
             for v in range(n):
                 smooth = smooth and tail * spread[v, 0] <= _SHARE * allowed * sizes[v]
@@ -249,7 +239,7 @@ def _at(
     """Enclose the defects over [m - w, m + w], in columns 4 and 5 of the variables."""
     code, base, first, last = along[:4]
     place(along, step, thirds, m, w, 1, jets)
-    # Where a piece begins at the end of a domain, its points are in it.
+    # A piece may begin at the end of a domain: its points are in it.
     run_jets(code, first, last, base, jets, -1 if w > 0.0 else 0)
     for v in range(along[6].shape[1]):
         row = jets[outputs[v]]

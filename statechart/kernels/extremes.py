@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from statechart.arrays import Array, Ints32
+from statechart.arrays import Array
+from statechart.kernels.boxes import Steps
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import sample_states
 from statechart.kernels.quadrature import integrate_outputs
-from statechart.kernels.tapes import tape_table
+from statechart.kernels.tapes import TapeCode, tape_table
 
 # Grid on which extremes are looked for, in every piece of a step, before they are refined.
 _GRID = 16
@@ -20,63 +21,38 @@ _ROUNDS, _DIVISIONS = 9, 16
 
 
 @kernel
-def along(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    n_fixed: int,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    high: float,
-    low: float,
-    tau: Array,
-    values: Array,
-) -> None:
+def values_along(tape: TapeCode, steps: Steps, low: float, tau: Array, values: Array) -> None:
     """Write the values (m,) of a tape's one output at local times (m,)."""
-    states, clock = sample_states(coeffs, times, tau), np.empty(tau.shape[0])
+    states, clock = sample_states(steps.coeffs, steps.times, tau), np.empty(tau.shape[0])
     for i in range(tau.shape[0]):
-        clock[i] = high + (low + tau[i])
-    found = tape_table(code, constants, outputs, n_fixed, states, parameters, clock)
+        clock[i] = steps.start + (low + tau[i])
+    code, constants, outputs, _, n_fixed = tape
+    found = tape_table(code, constants, outputs, n_fixed, states, steps.parameters, clock)
     for i in range(tau.shape[0]):
         values[i] = found[i, 0]
 
 
 @kernel
-def widen(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    times: Array,
-    resolved: Array,
-    coeffs: Array,
-    parameters: Array,
-    high: float,
-    low: float,
-    extremes: Array,
-) -> None:
+def widen(tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array) -> None:
     """Bring the least and the greatest value up to date by those along an arc.
 
     Parameters
     ----------
-    code, constants, outputs, reads, n_fixed
-        A tape with one output.
-    times, coeffs
+    tape : TapeCode
+        Of one output.
+    steps : Steps
         The arc.
     resolved : (k, n, d + 1) array
-        The arc, without what has no value: pieces are looked for there, nothing in one is
+        Its polynomials, without what has no value: pieces are looked for there, nothing in one is
         narrower than it.
-    parameters : (p,) array
-    high, low : float
-        When the arc starts.
+    low : float
+        The part of the arc's start that is too small for `steps.start`.
     extremes : (2,) array
         Not numbers where nothing had a value; what has none does not count.
     """
-    _, ends = integrate_outputs(
-        code, constants, outputs, reads, n_fixed, times, resolved, parameters, high, 0.0, times[-1]
-    )
+    times = steps.times
+    known = Steps(times, resolved, steps.parameters, steps.start)
+    _, ends = integrate_outputs(tape, known, 0.0, times[-1])
     pieces, begin = ends.shape[0], 0.0
     tau = np.zeros(_GRID * pieces + 1)
     for k in range(pieces):
@@ -85,7 +61,7 @@ def widen(
         begin = ends[k]
     tau[-1] = begin
     grid, near, fine = np.empty(tau.shape[0]), np.empty(_DIVISIONS + 1), np.empty(_DIVISIONS + 1)
-    along(code, constants, outputs, n_fixed, times, coeffs, parameters, high, low, tau, grid)
+    values_along(tape, steps, low, tau, grid)
     last = tau.shape[0] - 1
     for which in range(2):
         sign = 1.0 - 2.0 * which
@@ -109,10 +85,7 @@ def widen(
                 for j in range(_DIVISIONS):
                     near[j] = left + j * ((right - left) / _DIVISIONS)
                 near[_DIVISIONS] = right
-                along(
-                    code, constants, outputs, n_fixed, times, coeffs, parameters, high, low, near,
-                    fine,
-                )  # fmt: skip
+                values_along(tape, steps, low, near, fine)
                 at, least = -1, math.inf
                 for j in range(_DIVISIONS + 1):
                     if sign * fine[j] < least:

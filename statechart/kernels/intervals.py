@@ -137,7 +137,7 @@ def exp(a: Interval) -> Interval:
 
 @kernel
 def extrema(a: Interval, offset: float) -> tuple[float, float]:
-    """How many of the points (k + offset) pi may lie in an interval (at most 2), and the last k."""
+    """Return how many points (k + offset) pi an interval may hold (at most 2), and the last k."""
     size = max(abs(a[0]), abs(a[1])) / math.pi
     if not size < 1e14:
         return 2.0, 0.0

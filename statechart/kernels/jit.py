@@ -99,7 +99,7 @@ class Kernel:
 
     @cached_property
     def is_cached(self) -> bool:
-        """Whether its machine code lies on disk."""
+        """Return whether its machine code lies on disk."""
         return self.cache.is_filled()
 
     @cached_property
@@ -169,7 +169,7 @@ class Native:
 
     @cached_property
     def inner(self) -> Any:
-        """What numba makes of it."""
+        """The kernel as numba compiles it."""
         from statechart.kernels import compiler
 
         return compiler.native(self.py_func)
@@ -218,14 +218,14 @@ def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
 
 
 def is_ready(kernel: Any) -> bool:
-    """Whether a kernel is compiled, or lies on disk, in a process that has imported numba."""
+    """Return whether a kernel is compiled, or on disk, in a process that has imported numba."""
     if _Interpreter.ahead:
         return True
     return numba_is_imported() and (bool(kernel.compiled.overloads) or kernel.is_cached)
 
 
 def numba_is_imported() -> bool:
-    """Whether some kernel has had to be compiled or loaded."""
+    """Return whether some kernel has had to be compiled or loaded."""
     return "statechart.kernels.compiler" in sys.modules
 
 

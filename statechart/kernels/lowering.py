@@ -82,7 +82,7 @@ class _References:
 
 
 def _lends(kind: Any, signature: Any) -> bool:
-    """Whether a function is a kernel whose result is a view of its arguments."""
+    """Return whether a function is a kernel whose result is a view of its arguments."""
     if not isinstance(kind, types.Dispatcher):
         return False
     compiled = kind.dispatcher.overloads.get(plain(signature.args))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.kernels.boxes import prepare
+from statechart.kernels.boxes import Steps, along_steps, prepare
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import (
@@ -17,7 +17,7 @@ from statechart.kernels.resolution import (
     ready,
     roughen_by_places,
 )
-from statechart.kernels.tapes import filled
+from statechart.kernels.tapes import TapeCode
 
 # An integral or an extreme may miss this part of the largest value that was met.
 _EXACT = 1e-15
@@ -37,7 +37,7 @@ _WEIGHTS = _WEIGHTS / 2.0
 def _misses(
     outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
 ) -> bool:
-    """Whether a piece is not resolved for some output; writes how rough each is in it."""
+    """Return whether a piece is not resolved for some output; writes how rough each is in it."""
     missed = False
     for i in range(outputs.shape[0]):
         rough[i] = jets[outputs[i], 2]
@@ -48,27 +48,17 @@ def _misses(
 
 @kernel
 def integrate_outputs(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-    t_from: float,
-    t_to: float,
+    tape: TapeCode, steps: Steps, t_from: float, t_to: float
 ) -> tuple[Array, Array]:
     """Integral of every output over local time [t_from, t_to], and where the pieces end.
 
     A piece is what is left of a step halved until all outputs are resolved in it, kinks down to
     rounding; it is integrated with 16 Gauss nodes.
     """
-    n, count = coeffs.shape[1], _NODES.shape[0]
-    base, regs = filled(code, constants, parameters, n, count)
-    along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
-    jets, bounds = ready(along, regs), np.zeros(n)
+    outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
+    count = _NODES.shape[0]
+    along, regs = along_steps(tape, steps, count)
+    jets, bounds = ready(along, regs), np.zeros(coeffs.shape[1])
     sums = np.zeros((4, outputs.shape[0]))
     result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
     undefined = np.empty(outputs.shape[0], np.bool_)
@@ -101,7 +91,7 @@ def integrate_outputs(
                 look(along, step, bounds, a, b, jets)
                 halve = _misses(outputs, jets, b - a, undefined, largest, rough)
             if halve:
-                # What is as rough at places as in the box, or not rougher than its values are
+                # A register as rough at places as in the box, or no rougher than its values are
                 # rounded there, is the rounding of a kink's zero.
                 halve, rounded = False, np.empty(jets.shape[0])
                 for j in range(2):

@@ -1,4 +1,4 @@
-"""What a polynomial over a step may have missed of a tape that is run along it.
+"""Resolution of a tape along a polynomial: bounds of what sampling a step may miss.
 
 A function is *resolved* on a box if its singularities are as far from the range of its argument
 as that is wide or, where it has none, if it does not turn twice in that range. What is composed of
@@ -50,14 +50,14 @@ from statechart.kernels.tapes import (
 )
 
 PLACES = np.array([0.146, 0.382, 0.764])
-"""Where in a box functions are looked at that are resolved in it."""
+"""Sampled places of a box, in parts of it, for functions that are resolved in it."""
 
 NARROW = 2.0**-48
-"""Of a step: what is rough in so narrow a box is not looked at closer."""
+"""Narrowest box, in parts of a step: a rough one is not halved further."""
 
 # The range of an argument may be so many times as wide as its distance from a singularity.
 _ROOM = 2.0
-# Likewise where there is none, in what a function grows by a factor e or turns by a radian.
+# The limit where there is none, in units of growth by a factor e or a turn by a radian.
 _TURN = 4.0
 
 
@@ -74,7 +74,7 @@ def _size(a: Interval) -> float:
 
 @kernel
 def _resolved(op: int, exponent: int, a: Interval) -> bool:
-    """Whether a function of one operand is resolved on an interval."""
+    """Return whether a function of one operand is resolved on an interval."""
     low, high = a
     span = high - low
     if span == 0.0:
@@ -101,7 +101,7 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
 
 @kernel
 def _power_resolved(x: Interval, y: Interval) -> bool:
-    """Whether x**y is resolved."""
+    """Return whether x**y is resolved."""
     low, high = x
     n = math.floor(0.5 * (y[0] + y[1]) + 0.5)
     if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # a parameter may be a whole number
@@ -133,7 +133,7 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
             elif not _resolved(op, code[k, 2], a):
                 rough = width
             else:
-                # What is resolved is not far from straight.
+                # A resolved function is not far from straight.
                 rough = 4.0 * p * width / (a[1] - a[0]) if p > 0.0 else 0.0
         else:
             j = code[k, 2]

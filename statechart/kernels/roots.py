@@ -1,4 +1,4 @@
-"""Where an output of a tape vanishes along a step, in floats."""
+"""Roots of an output of a tape along a step, in floats."""
 
 from __future__ import annotations
 

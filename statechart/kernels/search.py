@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Ints32
 from statechart.kernels.boxes import (
     Along,
+    Steps,
     enclose,
     judge,
     place_whole,
@@ -18,10 +19,10 @@ from statechart.kernels.boxes import (
 from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.needed import bit, narrowed
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.roots import last_place, returned, value_at
-from statechart.kernels.search_memory import BOXES, Ready, ready_along, room
+from statechart.kernels.search_memory import BOXES, Ready, bit, narrowed, ready_along, room
+from statechart.kernels.tapes import TapeCode
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
 
@@ -42,7 +43,7 @@ def _descent(
     right: float,
     scratch: Scratch,
 ) -> tuple[int, float]:
-    """Where the margin itself vanished, on the descent that ends at `right` below its tolerance.
+    """Return the root of the margin itself, on the descent that ends at `right` below tolerance.
 
     The margin falls on [left, right]. Further to the left the descent is followed as long as the
     slope is proved negative, over the joints of steps too; if the margin is not positive on all
@@ -86,7 +87,7 @@ def _falls(
     b: float,
     scratch: Scratch,
 ) -> tuple[int, float]:
-    """Whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
+    """Return whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
 
     Returns 0 for no, 1 for yes, 2 for undecided. Zero to within rounding at b is a yes if b is
     the end of the step; elsewhere it is decided a little beyond b, if it falls there too.
@@ -118,7 +119,7 @@ def _clear_at_edge(
     bounds: Array,
     jets: Array,
 ) -> bool:
-    """Whether an output is above -tolerance on [a, b] where it is defined, which is nearly all.
+    """Return whether an output is above -tolerance on [a, b] where it is defined, nearly all.
 
     Where a root begins or ends, rounding leaves it undefined: on a box that is narrow, or at both
     ends and the middle of one that is wider. The ends themselves are defined to within rounding,
@@ -137,7 +138,7 @@ def _clear_at_edge(
 
 
 CLEAR, FALLS, OPEN, STUCK = range(4)
-"""What is known of an output on a box: it does not fall, it does, or neither; the last where the
+"""Verdicts on an output in a box: it does not fall, it does, or neither; the last where the
 box is too narrow to look closer."""
 
 
@@ -146,9 +147,9 @@ def _sure(
     along: Along, guard: Ints32, tolerance: float, step: int, here: float, end: float,
     scratch: Scratch,
 ) -> float:  # fmt: skip
-    """Where an output is sure to be below -tolerance that falls from `here` to `end`."""
+    """Return a place where an output that falls from `here` to `end` is surely below -tolerance."""
     bounds, _, jets, aside = scratch
-    # What rounding left over at the float root, the slope carries below 0.
+    # The slope carries the round-off left at the float root below 0.
     enclose(along, step, bounds, here, 0.0, 0, jets)
     rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
     far = min(end, (here + rest * (1.0 + LIBM)) * (1.0 + LIBM))
@@ -199,7 +200,7 @@ def _decided(
         if bounded and jets[output, 1] + tolerance < 0.0:
             return FALLS, a, end
     if a == 0.0 and bounded and not evidence[7] < INF:
-        # What jumps as it starts (an angle at the origin) has its value behind.
+        # A margin that jumps as it starts (an angle at the origin) has its value behind.
         enclose(along, step, bounds, b, 0.0, 0, jets)
         if jets[output, 0] + tolerance > 0.0:
             return CLEAR, INF, INF
@@ -208,19 +209,7 @@ def _decided(
 
 @kernel
 def search(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    tolerances: Array,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-    first: int,
-    last: int,
-    budget: int,
+    tape: TapeCode, tolerances: Array, steps: Steps, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """First fall of an output below minus its tolerance: see `event_location`.
 
@@ -228,21 +217,19 @@ def search(
     Returns (verdict, guard, step and place of the event, its local time, where it is certain,
     boxes).
     """
+    outputs = tape.outputs
     for i in range(outputs.shape[0]):
         if not tolerances[i] >= 0.0:
             raise ValueError("the tolerances of margins are numbers >= 0")
-    n = coeffs.shape[1]
-    registers = n + 1 + parameters.shape[0] + constants.shape[0] + code.shape[0]
-    memory = room(registers, code.shape[0], outputs.shape[0], n)
-    ready = ready_along(
-        code, constants, outputs, reads, n_fixed, times, coeffs, parameters, start, memory
-    )  # fmt: skip
-    return search_along(ready, outputs, tolerances, first, last, budget)
+    n, operations = steps.coeffs.shape[1], tape.code.shape[0]
+    registers = n + 1 + steps.parameters.shape[0] + tape.constants.shape[0] + operations
+    memory = room(registers, operations, outputs.shape[0], n)
+    return search_along(ready_along(tape, steps, memory), outputs, tolerances, first, last, budget)
 
 
 @kernel
 def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
-    """Whether no output falls in a step, as far as the ranges of the variables in it tell.
+    """Return whether no output falls in a step, as far as the ranges of the variables in it tell.
 
     Leaves those of all registers in `jets`, and the first of the marks for `search_step`.
     """
@@ -319,7 +306,10 @@ def search_step(
         if b - a == 1.0:
             unclear = unclear_by_slopes(few, outputs, tolerances, step, bounds, jets, state, work)
         else:
-            unclear = unclear_by_values(few, outputs, tolerances, step, bounds, a, b, jets, state)
+            # Ranges are cheap, and often enough.
+            m = 0.5 * (a + b)
+            enclose(few, step, bounds, m, max(b - m, m - a), 0, jets)
+            unclear = unclear_by_values(outputs, tolerances, jets, state)
         if unclear == 0:
             continue
         few = narrowed(needs, along, _undecided(state, n_out))
@@ -337,7 +327,7 @@ def search_step(
                 verdict = GRAZE if work[i, 4] > -INF and work[i, 5] < INF else NON_FINITE
                 at, far = local_time(times, step, a), local_time(times, step, b)
                 return verdict, i, step, a, at, far, boxes
-            # What is stuck here is a tie with the crossing found, to within rounding.
+            # A stuck output ties with the crossing found, to within round-off.
             state[i] = 0
             if verdict == FALLS and (found < 0 or here < root or (here == root and i < found)):
                 found, root, sure, found_left, improved = i, here, far, a, True

@@ -1,4 +1,8 @@
-"""Memory of searches, and tapes made ready in it to be evaluated along steps."""
+"""Memory of searches, and tapes made ready in it to be evaluated along steps.
+
+A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
+then the others' operations are skipped.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints, Ints32
-from statechart.kernels.boxes import Along
+from statechart.kernels.boxes import Along, Steps
 from statechart.kernels.intervals import INF
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.needed import Needed, follow
-from statechart.kernels.tapes import fill, run_tape
+from statechart.kernels.tapes import POW, SKIP, TapeCode, fill, run_tape
 
 BOXES = 64
 """Boxes still to see, at most: halves of halves down to the narrowest."""
+
+Needed = tuple[Ints, Ints32, Ints32, Ints]
+"""For every register the outputs that need it, a bit each; the operations and the variables that
+are chosen; for which outputs, where the last operation is, how many variables."""
+
+# Bits of a set; the outputs beyond share the last.
+_BITS = 62
 
 Ready = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
 """A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
@@ -31,7 +41,7 @@ class Memory(NamedTuple):
     jets: Array  # shape (r, 6)
     needs: Ints  # shape (r,)
     code: Ints32  # shape (c, 3)
-    # See `statechart.kernels.needed`.
+    # See `Needed`.
     variables: Ints32  # shape (n + 1,)
     kept: Ints  # shape (3,)
     bounds: Array  # (n,): of third derivatives.
@@ -59,19 +69,10 @@ def room(registers: int, operations: int, outputs: int, variables: int) -> Memor
 
 
 @kernel
-def ready_along(
-    code: Ints32,
-    constants: Array,
-    outputs: Ints32,
-    reads: Ints32,
-    n_fixed: int,
-    times: Array,
-    coeffs: Array,
-    parameters: Array,
-    start: float,
-    memory: Memory,
-) -> Ready:
-    """Evaluate what depends on parameters alone."""
+def ready_along(tape: TapeCode, steps: Steps, memory: Memory) -> Ready:
+    """Evaluate the operations that depend on parameters alone."""
+    code, constants, outputs, reads, n_fixed = tape
+    times, coeffs, parameters, start = steps
     n, regs, jets = coeffs.shape[1], memory.registers, memory.jets
     base = n + 1 + parameters.shape[0] + constants.shape[0]
     fill(constants, parameters, n, regs)
@@ -90,3 +91,48 @@ def ready_along(
     needs = memory.needs, memory.code, memory.variables, memory.kept
     follow(along, outputs, needs)
     return along, needs, memory.bounds, regs, jets, memory.evidence, memory.ends, memory.marks
+
+
+@kernel
+def bit(output: int) -> int:
+    """Return the set of one output."""
+    return 1 << min(output, _BITS)
+
+
+@kernel
+def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
+    """Follow which registers the outputs need; of operations, those that `along` runs."""
+    needs, chosen, _, kept = needed
+    code, base, first, last = along[:4]
+    for r in range(base + code.shape[0]):
+        needs[r] = 0
+    for i in range(outputs.shape[0]):
+        needs[outputs[i]] |= bit(i)
+    for k in range(code.shape[0]):
+        chosen[k, 0], chosen[k, 1], chosen[k, 2] = code[k, 0], code[k, 1], code[k, 2]
+    for k in range(last - 1, first - 1, -1):
+        needs[code[k, 1]] |= needs[base + k]
+        if code[k, 0] <= POW:
+            needs[code[k, 2]] |= needs[base + k]
+    kept[0] = kept[1] = kept[2] = 0
+
+
+@kernel
+def narrowed(needed: Needed, along: Along, outputs: int) -> Along:
+    """Return `along` with the operations and variables that a set of outputs needs alone."""
+    needs, chosen, variables, kept = needed
+    code, base, first, last, reads, times, coeffs, start = along
+    if kept[0] != outputs:
+        end, count = first, 0
+        for k in range(first, last):
+            if needs[base + k] & outputs != 0:
+                chosen[k, 0] = code[k, 0]
+                end = k + 1
+            else:
+                chosen[k, 0] = SKIP
+        for r in range(reads.shape[0]):
+            if needs[reads[r]] & outputs != 0:
+                variables[count] = reads[r]
+                count += 1
+        kept[0], kept[1], kept[2] = outputs, end, count
+    return chosen, base, first, kept[1], variables[: kept[2]], times, coeffs, start

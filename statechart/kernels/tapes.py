@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,17 @@ SKIP = -1
 """In the place of an operation that is not to be run."""
 
 _whole = kernel(whole)
+
+
+class TapeCode(NamedTuple):
+    """A tape as kernels take it; see `statechart.formulas.tape.Tape`."""
+
+    code: Ints32  # shape (c, 3)
+    constants: Array
+    outputs: Ints32
+    reads: Ints32
+    n_fixed: int
+
 
 BLOCK = 32  # points evaluated side by side; amortises the dispatch of an operation
 
@@ -183,10 +195,32 @@ def tape_table(
             for v in range(n):
                 regs[v, j] = states[begin + j, v]
             regs[n, j] = times[begin + j]
-        # What depends on parameters alone is computed in the first block; only the last is short.
+        # Operations on parameters alone run in the first block; only the last block is short.
         run_tape(code, first, code.shape[0], base, regs, count)
         first = n_fixed
         for j in range(count):
             for i in range(outputs.shape[0]):
                 result[begin + j, i] = regs[outputs[i], j]
     return result
+
+
+@kernel
+def off_by(
+    code: Ints32,
+    constants: Array,
+    outputs: Ints32,
+    targets: Array,
+    weights: Array,
+    state: Array,
+    parameters: Array,
+    time: float,
+) -> float:
+    """Largest distance of an output from its target, weighted; those without a value count not."""
+    numbers = np.empty(outputs.shape[0])
+    tape_values(code, constants, outputs, state, parameters, time, numbers)
+    off = 0.0
+    for i in range(numbers.shape[0]):
+        distance = weights[i] * abs(numbers[i] - targets[i])
+        if distance > off:
+            off = distance
+    return off

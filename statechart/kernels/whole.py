@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 _ROUNDED = 1e-12
-"""What is so near to a whole number, in parts of it, is one: quotients are rounded, 0.3/0.1 is a
+"""Relative distance below which a number is whole: quotients are rounded, 0.3/0.1 is a
 little less than 3. Numbers of copies and rows are far below its inverse."""
 
 _ALL_WHOLE = 2.0**53

@@ -13,9 +13,9 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.trace import Jump, Key, Trace, sizes
-from statechart.observation.batch_outputs import OutputValue as Output
-from statechart.observation.outputs import NO_SCALES, Scales
 from statechart.observation.sampling import at_times
+from statechart.observation.scales import NO_SCALES, Scales
+from statechart.observation.scales import OutputValue as Output
 from statechart.observation.zeno_tails import without_summed
 
 # A number that is this much smaller than every other of its run is the rounding of zero, and has

@@ -1,4 +1,4 @@
-"""Formulas evaluated along a run: samples, values at jumps, integrals, extremes.
+"""Formulas evaluated along a run: samples, and values at jumps.
 
 A formula over an automaton's observables may use what a mode solves for (contact forces, say);
 it is then compiled once for every mode that it is evaluated in. An observer outlives the runs of
@@ -7,8 +7,8 @@ its simulator, so that the next run finds its programs ready.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
@@ -19,16 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import decimals
-from statechart.automaton.dense_output import integrals
 from statechart.automaton.regions import Margin, Mode, whole_margins
-from statechart.automaton.trace import Arc, Jump, Key, Role, Roles, Trace
+from statechart.automaton.trace import Jump, Key, Role, Roles, Trace
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Singular
-from statechart.formulas.tape import Tape, contiguous
+from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.extremes import widen
 from statechart.observation.sampling import (
     Endpoint,
     Points,
@@ -38,21 +36,13 @@ from statechart.observation.sampling import (
     at_endpoints,
     at_times,
     end_of,
-    passed,
     places_in,
     roles_at,
     seen,
     side_of,
     start_of,
     subdivided,
-    wanted,
 )
-
-
-def include(found: Array, values: Array) -> None:
-    """Let an interval (2,), not numbers at first, hold values, too; what is none does not count."""
-    found[0] = np.fmin.reduce(values, axis=None, initial=found[0])
-    found[1] = np.fmax.reduce(values, axis=None, initial=found[1])
 
 
 class Observer:
@@ -179,106 +169,11 @@ class Observer:
             states = zip(self.automaton.recorded_regions(key), key, strict=True)
             margins = whole_margins(m for r, state in states for m in r.build(Role(state)).margins)
             return margins, self.at(trace, [m.expression for m in margins], jumps, before=True)
-        mode = self._modes(trace)(roles)
+        mode = self.modes_of(trace)(roles)
         margins = () if mode is None else whole_margins(mode.margins)
         points = self._instants(trace, [side_of(jump, True) for jump in jumps])
         tape = self.programs.tape(tuple(m.expression for m in margins), mode)
         return margins, tape.table(points.states, trace.values, points.times)
-
-    def integrals(
-        self,
-        trace: Trace,
-        formulas: Sequence[FormulaLike],
-        during: Sequence[Mapping[str, str]] | None = None,
-        total: Array | None = None,
-    ) -> Array:
-        """Return the integrals (f,) of formulas over time."""
-        trace.require_motion()
-        expressions = self.programs.expressions(formulas)
-        where = wanted(during) if during else ((),) * len(expressions)
-        total = np.zeros(len(expressions)) if total is None else total
-        for arc, places, tape, coefficients, _ in self._pieces(trace, expressions, where):
-            start, end = arc.start.high, arc.duration
-            found, _ = integrals(tape, arc.times, coefficients, trace.values, start, 0.0, end)
-            total[places] += found
-        return total
-
-    def _pieces(
-        self, trace: Trace, expressions: tuple[sp.Expr, ...], where: tuple[Where, ...]
-    ) -> Iterator[tuple[Arc, list[int], Tape, Array, Array]]:
-        """Yield, an arc each, which expressions count there, their tape, what it is over.
-
-        Twice: where a force is not known, in a step with an impact between two others, it adds
-        nothing to an integral, and has no value.
-        """
-        modes = None
-        for arc in trace.arcs:
-            active = self.programs.active(arc.mode, where, expressions)
-            if not active.places:
-                continue
-            if active.needed and arc.solved is not None:
-                known = np.pad(arc.coefficients, ((0, 0), (0, arc.solved.shape[1]), (0, 0)))
-                resolved, variables = known.copy(), len(trace.variables)
-                known[:, variables:, 0] = arc.solved
-                resolved[:, variables:, 0] = np.nan_to_num(arc.solved)
-                tape = self.programs.tape(active.expressions, None, known=True)
-                yield arc, active.places, tape, resolved, known
-                continue
-            mode = None
-            if active.needed:
-                modes = modes or self._modes(trace)
-                mode = modes(arc.roles)
-            tape = self.programs.tape(seen(active.expressions, mode), mode)
-            yield arc, active.places, tape, arc.coefficients, arc.coefficients
-
-    def extremes(
-        self, trace: Trace, formula: FormulaLike | Callable[[Key], sp.Expr]
-    ) -> tuple[float, float]:
-        """Return the least and the greatest value of a formula, perhaps of the mode, over a run.
-
-        Modes of no duration belong to it, its start and its end. Places where the formula is
-        undefined do not count; both are not a number if it is everywhere.
-        """
-        found, jumps = np.full(2, np.nan), passed(trace)
-        flowed = (arc.mode for arc in trace.arcs)
-        jumped = (jump.target for jump in jumps)
-        modes: dict[FormulaLike, set[Key]] = {}
-        for key in dict.fromkeys([trace.start_mode, *flowed, *jumped, trace.final_mode]):
-            # An expression, too, can be called.
-            own = formula if isinstance(formula, str | int | float | sp.Expr) else formula(key)
-            modes.setdefault(own, set()).add(key)
-        for expression, keys in modes.items():
-            if expression in (sp.oo, -sp.oo):
-                include(found, np.array([float(expression)]))
-                continue
-            if trace.start_mode in keys:
-                include(found, self.initial(trace, (expression,)))
-            arcs = trace.arcs
-            if len(modes) > 1:
-                arcs = tuple(arc for arc in arcs if arc.mode in keys)
-            self.widened(replace(trace, arcs=arcs), expression, found)
-            if entered := [jump for jump in jumps if jump.target in keys]:
-                include(found, self.at(trace, (expression,), entered))
-            if trace.final_mode in keys:
-                include(found, self.final(trace, (expression,)))
-        return found.item(0), found.item(1)
-
-    def widened(self, trace: Trace, formula: FormulaLike, found: Array) -> None:
-        """Let an interval (2,) hold the values of a formula over all arcs, too."""
-        trace.require_motion()
-        expressions = (self.programs.expression(formula),)
-        for arc, _, tape, resolved, coefficients in self._pieces(trace, expressions, ((),)):
-            widen(
-                *tape.program,
-                tape.reads,
-                tape.n_fixed,
-                arc.times,
-                contiguous(resolved),
-                contiguous(coefficients),
-                trace.values,
-                *arc.start,
-                found,
-            )
 
     def _table(self, trace: Trace, expressions: tuple[sp.Expr, ...], points: Points) -> Array:
         """Return the values (m, f) of expressions, one call of a kernel per flow."""
@@ -296,7 +191,7 @@ class Observer:
         for roles, end in zip(points.roles(), points.ends, strict=True):
             owners.setdefault(roles, []).append(np.arange(start, end))
             start = end
-        modes = self._modes(trace)
+        modes = self.modes_of(trace)
         for roles, parts in owners.items():
             mode = modes(roles)
             columns = [
@@ -311,7 +206,7 @@ class Observer:
                 result[np.ix_(index, np.array(columns))] = found
         return result
 
-    def _modes(self, trace: Trace) -> Callable[[Roles], Mode | None]:
+    def modes_of(self, trace: Trace) -> Callable[[Roles], Mode | None]:
         """Return the look-up roles -> solved mode; None where its equations have no solution."""
         assert isinstance(self.simulator, Simulator)  # steps have no equations of modes
         solved, zeros = self.simulator.modes.mode, trace.zeros

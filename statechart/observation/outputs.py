@@ -1,53 +1,136 @@
-"""Outputs that a model declares, accumulated over the arcs and jumps of a run, and their scales.
+"""Outputs that a model declares, accumulated over the arcs and jumps of runs.
 
-An error is relative to the largest value of its quantity. A quantity that is zero, or nearly, has
-no such scale: its error is relative to a thousandth of the scale of its kind, for a force the
-largest force of the run, for a length the farthest way that anything goes, for a speed the largest
-speed.
+The formulas of all outputs are tapes for every kind of mode, and one kernel evaluates them
+(`output_kernels`). Its arrays are those of a compiled loop, for one run or hundreds; of any other
+run they are made from its arcs and jumps: a whole run is one piece, a stream many.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
-from types import MappingProxyType
-from typing import NamedTuple
+from itertools import accumulate, pairwise
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from statechart.arrays import Array
-from statechart.automaton.regions import happened
-from statechart.automaton.trace import Arc, Jump, Trace, visited_states
-from statechart.documents.outputs import Event, Moment, Value
-from statechart.documents.quantities import Dimension
-from statechart.execution.compiled_loop import Batch
-from statechart.observation.batch_outputs import BatchOutputs, OutputGroups, OutputValue
-from statechart.observation.observer import FormulaLike, Observer, include
-from statechart.observation.sampling import passed
+from statechart.arrays import Array, Ints
+from statechart.automaton.regions import Mode, happened
+from statechart.automaton.trace import Arc, Jump, Key, Trace
+from statechart.automaton.trace_store import Kind, TraceBuffer
+from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
+from statechart.engines.compiled_flow import TAPE
+from statechart.execution.compiled_loop import (
+    ARCS,
+    ARCS_END,
+    EVENTS,
+    EVENTS_END,
+    FIRST_MODE,
+    HOW,
+    N_MODE,
+    STOPPED,
+    T_HIGH,
+    Batch,
+    BatchResult,
+    Packed,
+)
+from statechart.execution.simulator import Simulator
+from statechart.kernels.jit import entry, numba_is_imported
+from statechart.observation.observer import FormulaLike, Observer
+from statechart.observation.output_kernels import (
+    NORMAL,
+    SOURCE,
+    TARGET,
+    TIME,
+    OutputTapes,
+    OutputValues,
+    compute_outputs,
+)
+from statechart.observation.sampling import (
+    Endpoint,
+    Where,
+    at_endpoints,
+    end_of,
+    passed,
+    seen,
+    side_of,
+    start_of,
+    wanted,
+)
+from statechart.observation.scales import OutputValue, RunScales, Scales
 from statechart.observation.zeno_tails import last_resolved
 
-
-class Scales(NamedTuple):
-    """Scales that errors of a run are relative to, and bounds of the round-off of zero."""
-
-    # (n,): of the variables at the end; None where each is relative to its own largest value.
-    variables: Array | None = None
-    # Of outputs, in their form; counts have none.
-    outputs: Mapping[str, OutputValue] = MappingProxyType({})
-    zero_variables: Array | float = 0.0  # (n,): for the variables.
-    zero_outputs: Mapping[str, float] = MappingProxyType({})  # For the outputs that have a kind.
+Formula: TypeAlias = "FormulaLike | Callable[[Key], FormulaLike | None]"
+"""A formula, perhaps another one in every mode; not defined in those where it is None."""
+_Marks = NDArray[np.uint8]
 
 
-NO_SCALES = Scales()
-"""Each number is relative to itself."""
-
-
-class Outputs(OutputGroups):
+class Outputs:
     """The declared outputs of a model, made ready once for many runs."""
+
+    def __init__(
+        self,
+        observer: Observer,
+        names: Collection[str] | None = None,
+        watched: Sequence[Formula] = (),
+    ) -> None:
+        self.observer = observer
+        declared = observer.automaton.declaration.outputs
+        if names is not None:
+            declared = {name: output for name, output in declared.items() if name in names}
+        self.names = tuple(declared)
+        self.at: list[tuple[str, Value, Moment]] = []
+        self.counts: list[tuple[str, tuple[Event, ...]]] = []
+        self.extremes: list[tuple[str, FormulaLike, int]] = []
+        self.start: dict[str, FormulaLike] = {}
+        self.end: dict[str, FormulaLike] = {}
+        self.integrals: dict[str, Integral] = {}
+        for name, output in declared.items():
+            match output:
+                case Value():
+                    moment = output.moment
+                    if moment.events:
+                        self.at.append((name, output, moment))
+                    else:
+                        values = self.end if moment.when == "end" else self.start
+                        values[name] = output.value
+                case Integral():
+                    self.integrals[name] = output
+                case Count():
+                    self.counts.append((name, output.events))
+                case Minimum():
+                    self.extremes.append((name, output.minimum, 0))
+                case Maximum():
+                    self.extremes.append((name, output.maximum, 1))
+        self._watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
+        waits = [moment.events for _, _, moment in self.at]
+        self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
+        # By the zero parameters of runs: kinds of modes, verdicts on events; tapes, by the number
+        # of kinds, too.
+        self._kinds: dict[frozenset[int], dict[Kind, int]] = {}
+        self._verdicts: dict[frozenset[int], dict[tuple[Any, ...], tuple[int, ...]]] = {}
+        self._tapes: dict[tuple[bool, frozenset[int], int], OutputTapes] = {}
+        self._entry: Callable[..., None] | None = None
+
+    @property
+    def waits(self) -> int:
+        """Number of sets of events that outputs wait for."""
+        return len(self._waits)
+
+    @cached_property
+    def needs_modes(self) -> bool:
+        """Whether formulas use what a mode solves for."""
+        programs = self.observer.programs
+        formulas: list[FormulaLike] = [output.value for _, output, _ in self.at]
+        formulas += [*self.start.values(), *self.end.values()]
+        formulas += [output.integral for output in self.integrals.values()]
+        if any(map(_by_mode, self._watched)):
+            return True
+        formulas += [one for one in self._watched if not _by_mode(one)]
+        return programs.needed(programs.expressions(formulas))
 
     def of(self, trace: Trace) -> dict[str, OutputValue]:
         """Return the outputs of a run, in the order of the declaration.
@@ -59,16 +142,191 @@ class Outputs(OutputGroups):
             return {name: trace.outputs[name] for name in self.names}
         batch = getattr(trace.arcs, "source", None)
         if isinstance(batch, Batch):
-            found = self.batches.of_single(batch, trace.jumps)
-            return {name: found[name] for name in self.names}
+            found = self.of_batch(batch, lambda _, j: trace.jumps[j])
+            return {name: found[name][0] for name in self.names}
         accumulator = OutputAccumulator(self)
-        accumulator.add(trace)
-        return accumulator.end(trace)
+        if accumulator.motion:
+            trace.require_motion()
+        accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
+        return accumulator.found
 
-    @cached_property
-    def batches(self) -> BatchOutputs:
-        """Computes the outputs of runs that compiled loops made."""
-        return BatchOutputs(self)
+    def of_batch(
+        self, batch: Batch, jump_of: Callable[[int, int], Jump]
+    ) -> dict[str, list[OutputValue]]:
+        """Return the outputs of runs that a compiled loop made, a list of the runs each.
+
+        `jump_of` returns the jump of a run by the number of jumps before it.
+        """
+        simulator = self.observer.simulator
+        assert isinstance(simulator, Simulator)
+
+        def mode(kind: Kind) -> Mode | None:
+            known = batch.modes.knows(kind)
+            return simulator.compiled(kind[1], batch.zeros).mode if known else None
+
+        key = True, batch.zeros, len(batch.kinds)
+        if key not in self._tapes:
+            self._tapes[key] = self._taped(batch.kinds, mode)
+        block, found = batch.block, batch.found
+        marks = self._marks(batch, jump_of)
+        values = self.empty_values(len(found.ends), len(marks))
+        self.compute(self._tapes[key], block, block.coefficients, found, marks, values)
+        totals = [
+            span[EVENTS_END] - span[EVENTS] + (end[HOW] == STOPPED)
+            for span, end in zip(found.spans.tolist(), found.ends.tolist(), strict=True)
+        ]
+        return self.values_by_run(values, *self.split(values, marks, totals))
+
+    def compute(self, *arguments: Any) -> None:
+        """Call the kernel: its machine code where there is some, see `entry`."""
+        if self._entry is None and numba_is_imported():
+            self._entry = entry(compute_outputs, *arguments)
+        (self._entry or compute_outputs)(*arguments)
+
+    def empty_values(self, runs: int, events: int) -> OutputValues:
+        """Return the memory for the values of runs with so many events."""
+        return OutputValues(
+            np.empty((len(self.at), events)),
+            np.empty((runs, len(self.start))),
+            np.empty((runs, len(self.end))),
+            np.zeros((runs, len(self.integrals))),
+            np.full((len(self._watched), runs, 2), np.nan),
+        )
+
+    def split(
+        self, values: OutputValues, marks: _Marks, totals: Sequence[int]
+    ) -> tuple[list[list[list[float]]], list[list[int]]]:
+        """Return values at events and counts of events, of each run its own.
+
+        `totals` (m,) are the numbers of events of the runs.
+        """
+        columns = marks.T[:-1]
+        if len(totals) == 1:
+            tallies = [[sum(column)] for column in columns.tolist()]
+        else:
+            runs, count = np.repeat(np.arange(len(totals)), totals), len(totals)
+            tallies = [np.bincount(runs[one > 0], minlength=count).tolist() for one in columns]
+        listed = []
+        for column, (_, _, moment) in zip(values.listed.tolist(), self.at, strict=True):
+            ends = accumulate(tallies[self._waits.index(moment.events)], initial=0)
+            listed.append([column[a:b] for a, b in pairwise(ends)])
+        counted = [tallies[self._waits.index(events)] for _, events in self.counts]
+        return listed, counted
+
+    def values_by_run(
+        self, values: OutputValues, listed: Sequence[list[list[float]]], counted: Any
+    ) -> dict[str, list[OutputValue]]:
+        """Return the outputs, by name a list of the runs each."""
+        found: dict[str, list[OutputValue]] = {}
+        for (name, _, moment), runs in zip(self.at, listed, strict=True):
+            chosen = [run[_part(moment)] for run in runs]
+            found[name] = (
+                [*chosen] if moment.several else [run[0] if run else None for run in chosen]
+            )
+        found |= {name: column for (name, _), column in zip(self.counts, counted, strict=True)}
+        found |= zip(self.start, values.start.T.tolist(), strict=True)
+        found |= zip(self.end, values.end.T.tolist(), strict=True)
+        found |= zip(self.integrals, values.integrals.T.tolist(), strict=True)
+        for name, formula, which in self.extremes:
+            found[name] = values.extremes[self._watched.index(formula), :, which].tolist()
+        return found
+
+    def marks_of(self, jump: Jump) -> tuple[int, ...]:
+        """Return which waits a jump ends."""
+        regions = self.observer.automaton.regions
+        return tuple(
+            [int(any(happened(regions, jump, event) for event in wait)) for wait in self._waits]
+        )
+
+    def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
+        """Return the marks of all events of all runs, a stop being one; see `compute_outputs`.
+
+        Verdicts are stored by what decides them: modes, the regions struck, and what these do.
+        """
+        block, found = batch.block, batch.found
+        verdicts = self._verdicts.setdefault(batch.zeros, {})
+        spans, ends = found.spans.tolist(), found.ends.tolist()
+        marks: list[tuple[int, ...]] = []
+        first, last = spans[0][EVENTS], spans[-1][EVENTS_END]
+        events, numbers = block.events[first:last].tolist(), block.numbers[first:last].tolist()
+        for row, (span, end) in enumerate(zip(spans, ends, strict=True)):
+            flowed = (
+                set(block.arcs[span[ARCS] : span[ARCS_END], 1].tolist()) if self._watched else ()
+            )
+            for j in range(span[EVENTS_END] - span[EVENTS]):
+                place = span[EVENTS] + j - first
+                source, target, _, *codes = events[place]
+                key = (source, target, *codes, any(numbers[place][NORMAL:]))
+                verdict = verdicts.get(key)
+                if verdict is None:
+                    verdict = verdicts[key] = self.marks_of(jump_of(row, j))
+                marks.append((*verdict, j + 1 not in flowed))
+            if end[HOW] == STOPPED:
+                kind = int(found.place[row, N_MODE])
+                verdict = verdicts.get((kind,))
+                if verdict is None:
+                    mode, state = batch.kinds[kind][0], found.final[row]
+                    stop = Jump(0.0, 0, "", "stop", mode, mode, state, state)
+                    verdict = verdicts[kind,] = self.marks_of(stop)
+                marks.append((*verdict, 0))
+        return np.array(marks, np.uint8).reshape(len(marks), len(self._waits) + 1)
+
+    def numbers_of(self, zeros: frozenset[int]) -> dict[Kind, int]:
+        """Return the kinds of modes of runs with these zero parameters, which grow."""
+        return self._kinds.setdefault(zeros, {})
+
+    def tapes_of(
+        self, zeros: frozenset[int], mode_of: Callable[[Kind], Mode | None], *, solved: bool
+    ) -> OutputTapes:
+        """Return the tapes of the kinds of modes that are known; see `_taped`."""
+        kinds = tuple(self.numbers_of(zeros))
+        key = False, zeros, len(kinds)
+        if key not in self._tapes:
+            self._tapes[key] = self._taped(kinds, mode_of, solved=solved)
+        return self._tapes[key]
+
+    def _taped(
+        self,
+        kinds: Sequence[Kind],
+        mode_of: Callable[[Kind], Mode | None],
+        *,
+        solved: bool = False,
+    ) -> OutputTapes:
+        """Return the formulas for kinds of modes.
+
+        `mode_of` returns what solves for the unknowns of a kind, None where nothing does; `solved`:
+        the unknowns are numbers that follow the variables.
+        """
+        packed, programs = Packed(), self.observer.programs
+
+        def tapes(formulas: Sequence[Formula], where: tuple[Where, ...]) -> tuple[Ints, Ints]:
+            made = np.zeros((len(kinds) + 1, TAPE), np.int64)
+            columns = np.zeros((len(kinds) + 1, len(formulas)), np.int64)
+            for place, kind in enumerate(kinds):
+                own = [one(kind[0]) if _by_mode(one) else one for one in formulas]
+                if None in own:
+                    continue
+                expressions = programs.expressions([one for one in own if one is not None])
+                active = programs.active(kind[0], where, expressions)
+                mode = mode_of(kind) if active.needed and not solved else None
+                if active.places and (mode is not None or solved or not active.needed):
+                    chosen = seen(active.expressions, mode)
+                    made[place] = packed.tape(programs.tape(chosen, mode, known=solved))
+                    columns[place, : len(active.places)] = active.places
+            return made, columns
+
+        def apart(formulas: Sequence[Formula]) -> Ints:
+            found = [tapes([formula], ((),))[0] for formula in formulas]
+            return np.array(found, np.int64).reshape(len(found), len(kinds) + 1, TAPE)
+
+        at = apart([output.value for _, output, _ in self.at])
+        points = apart([*self.start.values()]), apart([*self.end.values()]), apart(self._watched)
+        integrals = [output.integral for output in self.integrals.values()]
+        over = tapes(integrals, wanted([output.during for output in self.integrals.values()]))
+        waits = [(self._waits.index(moment.events), output.before) for _, output, moment in self.at]
+        return OutputTapes(
+            *packed.arrays(), at, *points, *over, np.array(waits, np.int64).reshape(len(waits), 2)
+        )
 
     def endless(self, trace: Trace) -> frozenset[str]:
         """Return the outputs that count or list events of which a Zeno sequence has no end.
@@ -135,18 +393,13 @@ class Outputs(OutputGroups):
 
     def _chosen(self, trace: Trace, moment: Moment) -> list[Jump]:
         """Return the first, the last or each of the jumps that are one of a moment's events."""
-        jumps = self.jumps(trace, moment.events)
-        if moment.when == "each":
-            return jumps
-        most = moment.most or 1
-        return jumps[:most] if moment.when == "first" else jumps[-most:]
-
-    def jumps(self, trace: Trace, events: tuple[Event, ...]) -> list[Jump]:
-        """Return the jumps that are one of `events`: by their cause, or by the state entered."""
         regions = self.observer.automaton.regions
-        return [
-            jump for jump in trace.jumps if any(happened(regions, jump, event) for event in events)
+        jumps = [
+            jump
+            for jump in trace.jumps
+            if any(happened(regions, jump, event) for event in moment.events)
         ]
+        return jumps[_part(moment)]
 
 
 class OutputAccumulator:
@@ -156,14 +409,14 @@ class OutputAccumulator:
     depend on the pieces. Implements `statechart.automaton.time_stepper.OutputStream`.
     """
 
-    def __init__(self, outputs: Outputs) -> None:
+    def __init__(self, outputs: Outputs, *, begun: bool = False) -> None:
         self._outputs, self._observer = outputs, outputs.observer
-        self._moments = [_AtMoment(outputs, output, moment) for _, output, moment in outputs.at]
+        self._listed: list[list[float]] = [[] for _ in outputs.at]
         self._counted = [0] * len(outputs.counts)
-        self._extremes = {formula: np.full(2, np.nan) for _, formula, _ in outputs.extremes}
-        self._integrals: Array = np.zeros(len(outputs.integrals))
-        self._start: list[float] | None = None
+        self.values = outputs.empty_values(1, 0)
+        self.begun = begun
         self._last: tuple[Arc, ...] = ()
+        self._waiting: list[Jump] = []
 
     @property
     def events(self) -> bool:
@@ -175,106 +428,131 @@ class OutputAccumulator:
     @property
     def motion(self) -> bool:
         """Whether it needs arcs and jumps between the start and the end."""
-        outputs, programs = self._outputs, self._observer.programs
+        outputs = self._outputs
         if self.events or outputs.extremes or outputs.integrals:
             return True
-        values = programs.expressions([*outputs.start.values(), *outputs.end.values()])
         # Forces of a step that holds an impulse are those of the steps beside it.
-        return bool(programs.needed(values))
+        return outputs.needs_modes
 
     def add(self, piece: Trace) -> None:
         """Take the arcs and jumps since the last call."""
-        outputs, observer = self._outputs, self._observer
-        for place, (_, events) in enumerate(outputs.counts):
-            self._counted[place] += len(outputs.jumps(piece, events))
-        # Values at a jump may need what steps solved for on both sides of it.
+        self._waiting += piece.jumps
         beside = replace(piece, arcs=(*self._last, *piece.arcs)) if self._last else piece
-        for moment in self._moments:
-            moment.add(beside)
-        if not piece.arcs:
-            return
-        if not self._last:
-            self._begin(piece)
-        jumps = passed(piece) if self._extremes else []
-        for formula, found in self._extremes.items():
-            observer.widened(piece, formula, found)
-            if jumps:
-                include(found, observer.at(piece, (formula,), jumps))
-        if outputs.integrals:
-            formulas = [output.integral for output in outputs.integrals.values()]
-            during = [output.during for output in outputs.integrals.values()]
-            self._integrals = observer.integrals(piece, formulas, during, self._integrals)
-        self._last = (piece.arcs[-1],)
+        if beside.arcs:
+            # Values at a jump may need what steps solved for on both sides of it.
+            last = beside.arcs[-1].j
+            known = [jump for jump in self._waiting if jump.j < last]
+            self._waiting = self._waiting[len(known) :]
+            self.take(beside, piece.arcs, known, ended=False)
+            self._last = (beside.arcs[-1],)
 
     def end(self, piece: Trace) -> dict[str, OutputValue]:
         """Take the end of the run, with the whole run or no arcs; return the outputs."""
-        outputs, observer = self._outputs, self._observer
-        if not self._last:
-            self._begin(piece)
-            for formula, extremes in self._extremes.items():
-                if jumps := passed(piece):
-                    include(extremes, observer.at(piece, (formula,), jumps))
         last = piece if piece.arcs else replace(piece, arcs=self._last)
-        found: dict[str, OutputValue] = {}
-        for (name, *_), moment in zip(outputs.at, self._moments, strict=True):
-            found[name] = moment.end(last)
-        found |= {name: n for (name, _), n in zip(outputs.counts, self._counted, strict=True)}
-        for formula, extremes in self._extremes.items():
-            include(extremes, observer.final(last, (formula,)))
-        for name, formula, which in outputs.extremes:
-            found[name] = self._extremes[formula].item(which)
-        found |= zip(outputs.start, self._start or (), strict=True)
-        if outputs.end:
-            values = observer.final(last, list(outputs.end.values())).tolist()
-            found |= zip(outputs.end, values, strict=True)
-        found |= zip(outputs.integrals, self._integrals.tolist(), strict=True)
-        return {name: found[name] for name in outputs.names}
+        self.take(last, (), self._waiting, ended=True)
+        return self.found
 
-    def _begin(self, piece: Trace) -> None:
-        """Take the values at the start."""
-        outputs, observer = self._outputs, self._observer
-        if outputs.start:
-            self._start = observer.initial(piece, list(outputs.start.values())).tolist()
-        for formula, found in self._extremes.items():
-            include(found, observer.initial(piece, (formula,)))
+    @property
+    def found(self) -> dict[str, OutputValue]:
+        """The outputs, in the order of the declaration."""
+        found = self._outputs.values_by_run(
+            self.values, [[one] for one in self._listed], [[count] for count in self._counted]
+        )
+        return {name: found[name][0] for name in self._outputs.names}
+
+    def take(
+        self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], *, ended: bool
+    ) -> None:
+        """Take arcs, and jumps beside arcs of a trace, the start of the run first."""
+        outputs, before = self._outputs, self.values
+        left = {jump.j for jump in passed(trace)} if len(before.extremes) else set[int]()
+        judged = [
+            (jump, own) for jump in jumps if any(own := (*outputs.marks_of(jump), jump.j in left))
+        ]
+        rows = [row for _, row in judged]
+        marks = np.array(rows, np.uint8).reshape(len(rows), outputs.waits + 1)
+        values = outputs.empty_values(1, len(marks))
+        values = values._replace(integrals=before.integrals, extremes=before.extremes)
+        packed = self._packed(trace, arcs, [jump for jump, _ in judged], ended)
+        tapes, block, resolved, found = packed
+        outputs.compute(tapes, block, resolved, found, marks, values)
+        listed, counted = outputs.split(values, marks, [len(marks)])
+        for place, ((new,), (_, _, moment)) in enumerate(zip(listed, outputs.at, strict=True)):
+            self._listed[place] = (self._listed[place] + new)[_part(moment)]
+        for place, (count,) in enumerate(counted):
+            self._counted[place] += count
+        self.values = values._replace(start=before.start) if self.begun else values
+        self.begun = True
+
+    def _packed(
+        self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], ended: bool
+    ) -> tuple[OutputTapes, TraceBuffer, Array, BatchResult]:
+        """Return the arguments of the kernel, but for marks and values."""
+        outputs, width = self._outputs, len(self._observer.programs.solved)
+        zeros = trace.zeros
+        numbers, solved = outputs.numbers_of(zeros), outputs.needs_modes and trace.step is not None
+
+        def number(mode: Any, roles: Any) -> int:
+            kind = mode, roles if outputs.needs_modes and not solved else ()
+            return numbers.setdefault(kind, len(numbers))
+
+        sides = [side_of(jump, before) for jump in jumps for before in (True, False)]
+        instants: list[Endpoint] = [start_of(trace), *sides, end_of(trace)]
+        points = at_endpoints(trace, instants, width)
+        states = points.states
+        if solved and (unknowns := points.unknowns()) is not None:
+            states = np.hstack([states, unknowns])
+        roles = points.roles() if outputs.needs_modes and not solved else [()] * len(instants)
+        kinds = [number(one.mode, own) for one, own in zip(instants, roles, strict=True)]
+        terms = [arc.coefficients for arc in arcs]
+        if solved:
+            terms = [np.pad(one, ((0, 0), (0, width), (0, 0))) for one in terms]
+            for arc, one in zip(arcs, terms, strict=True):
+                one[:, len(trace.variables) :, 0] = arc.solved
+        sizes = [(len(arc.times), one.size) for arc, one in zip(arcs, terms, strict=True)]
+        count, coefficients = len(jumps), np.concatenate([np.empty(0), *map(np.ravel, terms)])
+        block = TraceBuffer(
+            np.array(
+                [
+                    (number(arc.mode, arc.roles), arc.j, *one.shape[::2])
+                    for arc, one in zip(arcs, terms, strict=True)
+                ],
+                np.int32,
+            ).reshape(-1, 4),
+            np.cumsum([(0, 0), *sizes], axis=0)[:-1],
+            np.array([arc.start for arc in arcs], np.float64).reshape(-1, 2),
+            np.concatenate([np.empty(0), *(arc.times for arc in arcs)]),
+            coefficients,
+            np.zeros((count, 6), np.int32),
+            np.zeros((count, 6)),
+            states[1:-1].reshape(count, 2, states.shape[1]),
+            np.zeros(4, np.int64),
+        )
+        block.events[:, [SOURCE, TARGET]] = np.reshape(kinds[1:-1], (count, 2))
+        block.numbers[:, TIME] = points.times[1:-1:2]
+        found = BatchResult.empty(1, len(trace.parameters), states.shape[1], 0)
+        found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
+        found.now[0, T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
+        tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
+        # The last kind has no formulas: what was taken before, or is to come, adds nothing.
+        found.ends[0, FIRST_MODE] = len(numbers) if self.begun else kinds[0]
+        found.place[0, N_MODE] = kinds[-1] if ended else len(numbers)
+        resolved = np.nan_to_num(coefficients) if solved else coefficients
+        return tapes, block, resolved, found
+
+    def _mode_of(self, trace: Trace) -> Callable[[Kind], Mode | None]:
+        if isinstance(self._observer.simulator, Simulator):
+            look_up = self._observer.modes_of(trace)
+            return lambda kind: look_up(kind[1])
+        return lambda _: None
 
 
-class _AtMoment:
-    """Accumulates a value at some events, at most as many as are asked for."""
-
-    def __init__(self, outputs: Outputs, output: Value, moment: Moment) -> None:
-        self._outputs, self._output, self._moment = outputs, output, moment
-        self._most = None if moment.when == "each" else moment.most or 1
-        self._values: deque[float] = deque(maxlen=self._most)
-        self._waiting: list[Jump] = []
-
-    def add(self, beside: Trace) -> None:
-        """Take the jumps of a piece, with the arcs before and after them."""
-        full = self._moment.when == "first" and len(self._values) == self._most
-        if not full:
-            self._waiting += self._outputs.jumps(beside, self._moment.events)
-        if self._waiting and beside.arcs:
-            known = [jump for jump in self._waiting if jump.j < beside.arcs[-1].j]
-            self._waiting = self._waiting[len(known) :]
-            self._evaluate(beside, known)
-
-    def end(self, beside: Trace) -> OutputValue:
-        """Return the value, or those of several events."""
-        self._evaluate(beside, self._waiting)
-        values = list(self._values)
-        if self._moment.several:
-            return values
-        return values[0] if values else None
-
-    def _evaluate(self, beside: Trace, jumps: list[Jump]) -> None:
-        if self._moment.when == "first" and self._most is not None:
-            jumps = jumps[: self._most - len(self._values)]
-        elif self._most is not None:
-            jumps = jumps[-self._most :]
-        if jumps:
-            output = self._output
-            table = self._outputs.observer.at(beside, [output.value], jumps, before=output.before)
-            self._values.extend(table[:, 0].tolist())
+def _part(moment: Moment) -> slice:
+    """Return which of the events of a moment are chosen."""
+    if moment.when == "each":
+        return slice(None)
+    most = moment.most or 1
+    return slice(most) if moment.when == "first" else slice(-most, None)
 
 
 def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
@@ -282,114 +560,41 @@ def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
     return Outputs(observer).of(trace)
 
 
-_NEARLY_ZERO = 1e-3
-"""Part of the scale of its kind below which a quantity is nearly zero."""
+def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float, float]:
+    """Return the least and the greatest value of a formula over a run.
 
-_TRAVELLED: tuple[Dimension, ...] = ("length", "angle")
-"""Kinds whose zero is anywhere: their scale is how far they change."""
-
-_TOLERANCES: Mapping[Dimension, str] = {
-    "length": "gap",
-    "length/time": "speed",
-    "force": "force",
-}
-"""Kind -> the tolerance of a run below which it is zero."""
-
-
-class RunScales:
-    """The scales of one run.
-
-    `variables` (n,) are their largest magnitudes, or the part `_NEARLY_ZERO` of their kinds' scales
-    where that is more; below `zeros` (n,) they are zero but for round-off.
+    Modes of no duration belong to it, its start and its end. Places where the formula is undefined
+    do not count; both are not a number if it is everywhere.
     """
+    trace.require_motion()
+    infinite: set[float] = set()
 
-    def __init__(self, observer: Observer, trace: Trace) -> None:
-        self._observer, self._trace = observer, trace
-        automaton = observer.automaton
-        model = automaton.declaration
-        states = visited_states(trace)
-        largest = np.abs(states).max(axis=0)
-        spread = np.ptp(states, axis=0)
-        self._kinds: dict[Dimension, float] = {}
-        kinds = [model.quantity(name).dimension for name in automaton.names]
-        for kind, size, change in zip(kinds, largest.tolist(), spread.tolist(), strict=True):
-            found = change if kind in _TRAVELLED else size
-            self._kinds[kind] = max(self._kinds.get(kind, 0.0), found)
-        self._kinds[""] = 0.0  # of quantities of unknown kinds each has a scale of its own
-        self._leaves: dict[sp.Symbol, float] = {
-            automaton.time: trace.t_end,
-            **dict(zip(automaton.parameters, np.abs(trace.values).tolist(), strict=True)),
-        }
-        self._fixed = frozenset(automaton.parameters)
-        scales = np.array([self._kinds[kind] for kind in kinds])
-        self._leaves |= zip(automaton.variables, np.maximum(scales, largest).tolist(), strict=True)
-        self.variables: Array = np.maximum(_NEARLY_ZERO * scales, largest)
-        self.zeros: Array = np.array([self._zero(kind) for kind in kinds])
+    def finite(key: Key) -> FormulaLike | None:
+        assert _by_mode(formula)
+        own = formula(key)
+        return None if own in (sp.oo, -sp.oo) else own
 
-    def of(self, formula: FormulaLike, own: float = 0.0) -> float:
-        """Return the scale of a formula that has been as large as `own`.
+    if _by_mode(formula):
+        entered = (jump.target for jump in passed(trace))
+        modes = {trace.start_mode, trace.final_mode, *entered, *(arc.mode for arc in trace.arcs)}
+        infinite = {float(own) for own in map(formula, modes) if own in (sp.oo, -sp.oo)}
+    accumulator = OutputAccumulator(
+        Outputs(observer, (), [finite if _by_mode(formula) else formula])
+    )
+    accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
+    found = [*infinite, *accumulator.values.extremes.ravel().tolist()]
+    return np.fmin.reduce(found).item(), np.fmax.reduce(found).item()
 
-        The scale of its kind is that of its terms: a difference of equal lengths is nearly zero on
-        the scale of lengths.
-        """
-        size = self._size(self._observer.programs.expression(formula))
-        return max(own, _NEARLY_ZERO * (size or 0.0))
 
-    def zero(self, formula: FormulaLike) -> float:
-        """Return what a formula is below where it is zero but for round-off."""
-        return self._zero(self._kind(self._observer.programs.expression(formula)))
+def extremes_along(
+    observer: Observer, trace: Trace, arc: Arc, formulas: Sequence[FormulaLike]
+) -> Array:
+    """Return the least and the greatest values (f, 2) of formulas along an arc."""
+    accumulator = OutputAccumulator(Outputs(observer, (), formulas), begun=True)
+    accumulator.take(trace, [arc], (), ended=False)
+    return np.asarray(accumulator.values.extremes[:, 0])
 
-    def _zero(self, kind: Dimension) -> float:
-        return self._trace.tolerances.get(_TOLERANCES.get(kind, ""), 0.0)
 
-    def _kind(self, expression: sp.Expr) -> Dimension:
-        """Return the kind of an expression that is a symbol, perhaps with a sign."""
-        for name, observable in self._observer.automaton.observables.items():
-            if observable in (expression, -expression) and observable.is_Symbol:
-                return self._observer.automaton.declaration.quantity(name).dimension
-        return ""
-
-    def _size(self, node: sp.Expr) -> float | None:
-        """Return how large an expression gets, told from its terms; None where that is unknown."""
-        if node.free_symbols <= self._fixed:
-            found = abs(float(node.xreplace(self._leaves_fixed)))
-            return found if np.isfinite(found) else None
-        if node.is_Symbol:
-            return self._leaves.get(node) if node in self._leaves else self._unknown(node)
-        if node.is_Pow and not node.exp.is_positive:
-            return None
-        parts = [self._size(argument) for argument in node.args]
-        known = [part for part in parts if part is not None]
-        if node.is_Add or isinstance(node, sp.Min | sp.Max):
-            return max(known, default=None)
-        if not parts or len(known) < len(parts):
-            return None
-        if node.is_Mul:
-            return float(np.prod(known))
-        if node.is_Pow:
-            return float(known[0] ** known[1]) if node.exp.is_number else None
-        if isinstance(node, sp.Abs):
-            return known[0]
-        if isinstance(node, sp.sin | sp.tan | sp.atan):
-            return min(known[0], 1.0)
-        return 1.0 if isinstance(node, sp.cos | sp.sign) else None
-
-    @property
-    def _leaves_fixed(self) -> dict[sp.Symbol, float]:
-        automaton = self._observer.automaton
-        return dict(zip(automaton.parameters, self._trace.values.tolist(), strict=True))
-
-    def _unknown(self, symbol: sp.Symbol) -> float | None:
-        """Return the scale of what modes solve for: of a force that of forces."""
-        if self._kind(symbol) != "force":
-            return None
-        if "force" not in self._kinds:
-            names = self._forces()
-            table = self._observer.sample(self._trace, names, per_step=1).columns
-            known = (np.abs(column[np.isfinite(column)]) for column in table.values())
-            self._kinds["force"] = max((float(one.max(initial=0.0)) for one in known), default=0.0)
-        return self._kinds["force"]
-
-    def _forces(self) -> tuple[str, ...]:
-        quantity = self._observer.automaton.declaration.quantity
-        return tuple(n for n in self._observer.names if quantity(n).dimension == "force")
+def _by_mode(formula: Formula) -> TypeGuard[Callable[[Key], FormulaLike | None]]:
+    # An expression, too, can be called.
+    return not isinstance(formula, str | int | float | sp.Expr)

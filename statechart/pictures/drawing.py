@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart.arrays import Array
 from statechart.palette import FAINT, INK, LINES, PAPER, state_colours
-from statechart.pictures.film import Film, Touch, arrows
+from statechart.pictures.film import Film, Touch, arrows, cones
 from statechart.pictures.names import write_names
 from statechart.pictures.scenery import Scenery, points_of, thinner
 
@@ -23,9 +22,7 @@ FORCE, TRAIL = LINES[1], LINES[0]
 CLOSED = ("pin", "slide", "slide+", "slide-")
 """States of a contact in which it has a force."""
 
-# The cone reaches so far, of the length of a usual arrow.
-_CONE = 1.0
-_FLAT = np.pi / 2.0
+_RIM = 13  # points on the rim of a cone
 _TOUCH, _LEAST = 0.014, 3.0
 # The head of an arrow, of its width; a width, at most of its length.
 _HEAD, _SHAFT = 5.0, 0.2
@@ -59,6 +56,7 @@ class Drawing:
             ax.plot([], [], color=TRAIL, lw=self._thin, alpha=0.55, zorder=1.6)[0]
             for _ in film.trails
         ]
+        self._cones = {touch.name: cones(touch, film.half, _RIM) for touch in film.touches}
         self._contacts = [self._contact(touch) for touch in film.touches]
         self.show(0)
         if names:
@@ -121,7 +119,7 @@ class Drawing:
         )
         mark.set_markeredgecolor(INK if closed else FAINT)
         mark.set_markersize(self._size if closed else 0.7 * self._size)
-        force = arrow_of(film, touch, instant)
+        force = arrows(touch.forces[instant], film.half, film.force)
         # A short arrow has a small head: it would point the other way.
         long = float(np.hypot(*force)) * self._points
         width = min(1.8 * self._thin, _SHAFT * long)
@@ -129,25 +127,6 @@ class Drawing:
         arrow.set_mutation_scale(_HEAD * width)
         arrow.set_visible(long > 0.0)
         arrow.set_positions(tuple(place), tuple(place + force))
-        wedge = cone_of(film, touch, instant)
-        cone.set_visible(closed and len(wedge) > 0)
-        if len(wedge):
-            cone.set_xy(wedge)
-
-
-def arrow_of(film: Film, touch: Touch, instant: int) -> Array:
-    """Return the arrow (2,) of a contact's force, no longer than the picture bears."""
-    return arrows(touch.forces[instant], film.half, film.force)
-
-
-def cone_of(film: Film, touch: Touch, instant: int) -> Array:
-    """Return the corners of the friction cone of a contact; none where it has no width."""
-    friction, normal = float(touch.friction[instant]), touch.normals[instant]
-    if not friction > 0.0:
-        return np.empty((0, 2))
-    half = np.arctan(friction) if friction < np.inf else _FLAT
-    turn = np.linspace(-half, half, 13)
-    c, s = np.cos(turn), np.sin(turn)
-    rim = np.column_stack([c * normal[0] - s * normal[1], s * normal[0] + c * normal[1]])
-    place = touch.places[instant]
-    return np.concatenate([place[None, :], place + _CONE * film.arrow * film.force * rim])
+        rim = self._cones[touch.name][instant]
+        cone.set_visible(closed and bool(touch.friction[instant] > 0.0))
+        cone.set_xy(np.concatenate([place[None], rim]))

@@ -126,13 +126,12 @@ def arrows(forces: Array, half: tuple[float, float], force: float) -> Array:
     return found
 
 
-def cones(touch: Touch, half: tuple[float, float], closed: NDArray[np.bool_]) -> Array:
-    """Return the ends (k, 3, 2) of the friction cones of a contact: both edges and the middle."""
-    edge = np.arctan(touch.friction) * closed
-    turn = edge[:, None] * np.array([-1.0, 0.0, 1.0])
+def cones(touch: Touch, half: tuple[float, float], points: int = 3) -> Array:
+    """Return points (k, points, 2) on the rims of the friction cones of a contact."""
+    turn = np.arctan(touch.friction)[:, None] * np.linspace(-1.0, 1.0, points)
     (x, y), (c, s) = touch.normals.T[:, :, None], (np.cos(turn), np.sin(turn))
     rim = np.stack([c * x - s * y, s * x + c * y], axis=-1)
-    reach = _arrow(half, 1.0) * (edge > 0.0)
+    reach = _arrow(half, 1.0) * (touch.friction > 0.0)
     found: Array = touch.places[:, None] + reach[:, None, None] * rim
     return found
 

@@ -344,7 +344,7 @@ def _controls(automaton: Automaton, samples: Samples) -> list[Panel]:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """How columns of samples are drawn: broken at jumps, which take no time."""
+    """Polyline by which columns of samples are drawn: broken at jumps, which take no time."""
 
     times: Array  # (m,): of the points drawn, not a number at breaks.
     _begins: NDArray[np.intp] | None

@@ -147,6 +147,27 @@ def render(drawing: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
+def frame(ax: Axes, *, hidden: Sequence[str] = ("top", "right"), grid: bool = True) -> None:
+    """Give axes the look of all figures: open on some sides, and a light grid behind the curves."""
+    if grid:
+        ax.grid(visible=True, color=GRID, linewidth=0.6)
+        ax.set_axisbelow(True)
+    for side in hidden:
+        ax.spines[side].set_visible(False)
+
+
+def frame_bands(ax: Axes) -> None:
+    """Give axes the look of rows of coloured stretches."""
+    ax.tick_params(axis="y", length=0)
+    frame(ax, hidden=("top", "right", "left"), grid=False)
+
+
+def entitle(drawing: Figure, title: str) -> Figure:
+    """Write the title of a figure in its upper left corner."""
+    drawing.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
+    return drawing
+
+
 def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
     # Broken at jumps, which take no time: a vertical line would be no part of the motion.
     line = Line.of(samples)
@@ -174,10 +195,7 @@ def _draw_panel(ax: Axes, panel: Panel, samples: Samples, trace: Trace) -> None:
         low, high = _draw_impulses(ax, panel, trace)
     ax.set_ylim(low, high)
     ax.set_ylabel(panel.label)
-    ax.grid(visible=True, color=GRID, linewidth=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    frame(ax)
     if panel.names != (panel.title,) or panel.remarks:
         handles, _ = ax.get_legend_handles_labels()
         legend(ax, [*handles, *remark_lines(panel.remarks)])
@@ -331,9 +349,7 @@ def draw_bands(ax: Axes, automaton: Automaton, trace: Trace, end: float) -> None
     rows = len(places)
     ax.set_ylim(0, rows or 1)
     ax.set_yticks([rows - 0.5 - k for k in range(rows)], [trace.regions[k] for k in places])
-    ax.tick_params(axis="y", length=0)
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
+    frame_bands(ax)
     ax.set_xlim(0.0, end)
     left = remark_lines(unbanded(trace, places))
     if unnamed or left:

@@ -25,7 +25,7 @@ def rows(width: int) -> int:
 
 
 class Pieces:
-    """What is done of a piece of work.
+    """Record of a work in parts: which of them are done, and which failed.
 
     A signal to end that comes now ends the piece at hand and leaves out those that follow; of those
     to `keep` it leaves a short form.

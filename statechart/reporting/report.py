@@ -20,13 +20,13 @@ from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import outputs
+from statechart.observation.outputs import extremes, outputs
 from statechart.reporting.pieces import Pieces
 from statechart.tabular import several, whole
 
 
 class Computation(NamedTuple):
-    """How a run was computed, as far as its trace does not tell."""
+    """Costs and accuracy of a run, as far as its trace does not tell."""
 
     error_estimate: float | None = None  # Where an accuracy was asked for.
     timings: Mapping[str, float] = MappingProxyType({})  # Seconds that parts of the work took.
@@ -196,8 +196,10 @@ def invariants(observer: Observer, trace: Trace) -> dict[str, float]:
 
     def least(one: Invariant) -> float:
         if not one.relation.members:  # of poses, too, which know no modes
-            return observer.extremes(trace, one.margin(automaton.active(())).expression)[0]
-        return observer.extremes(trace, lambda key: one.margin(automaton.active(key)).expression)[0]
+            return extremes(observer, trace, one.margin(automaton.active(())).expression)[0]
+        return extremes(observer, trace, lambda key: one.margin(automaton.active(key)).expression)[
+            0
+        ]
 
     lost = unkept_invariants(automaton, trace)
     return {one.name: least(one) for one in automaton.invariants if one not in lost}

@@ -24,11 +24,11 @@ from statechart.engines.budget import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
 from statechart.execution.time_stepping import SteppingSimulator
-from statechart.observation.batch_outputs import OutputValue
 from statechart.observation.difference import Difference, compare, distance, modes_apart, paired
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs, Scales
+from statechart.observation.outputs import Outputs
+from statechart.observation.scales import OutputValue, Scales
 from statechart.tabular import several
 
 WITHOUT_ERROR = (Outcome.OUT_OF_BUDGET, Outcome.UNSUPPORTED)

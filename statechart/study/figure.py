@@ -15,7 +15,7 @@ import numpy as np
 from statechart.documents.files import write_atomic
 from statechart.errors import StatechartError
 from statechart.palette import GRID, INK, LINES
-from statechart.reporting.figure import STYLE, render
+from statechart.reporting.figure import STYLE, entitle, frame, render
 from statechart.study.measurements import Measurements, Point
 from statechart.study.slopes import Slope, fitted, slopes
 from statechart.study.text import describe_study
@@ -97,8 +97,7 @@ def figure(study: Measurements) -> Figure:
         handles, labels = times.get_legend_handles_labels()
         if handles:
             drawing.legend(handles, labels, loc="outside right center")
-        drawing.suptitle(study.model, x=0.01, ha="left", fontsize=10, fontweight="bold")
-    return drawing
+        return entitle(drawing, study.model)
 
 
 def write(folder: Path | str, study: Measurements) -> None:
@@ -180,10 +179,7 @@ def _dress(ax: Axes, label: str) -> None:
         if axis.get_scale() == "log" and 0.0 < low < high < _SHORT * low:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter("{x:g}")
-    ax.grid(visible=True, color=GRID, linewidth=0.6)
-    ax.set_axisbelow(True)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
+    frame(ax)
 
 
 def _work(point: Point) -> float:

@@ -87,7 +87,7 @@ class Run:
 
 @dataclass(frozen=True)
 class _Apart:
-    """How far two runs are apart: when one left the other for good, and its errors."""
+    """Distance of two runs: when one left the other for good, and its errors."""
 
     parted: float | None
     errors: Errors

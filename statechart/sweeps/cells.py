@@ -26,12 +26,13 @@ from statechart.errors import (
     FormulaError,
     SimulationError,
 )
-from statechart.execution.compiled_loop import T_HIGH, Batch
+from statechart.execution.compiled_loop import EVENTS, EVENTS_END, FIRST_MODE, T_HIGH, Batch
 from statechart.execution.simulator import BatchRunner
 from statechart.formulas.formula import parse
-from statechart.observation.batch_outputs import BatchOutputs, modes_of
 from statechart.observation.observer import Observer
+from statechart.observation.output_kernels import TARGET
 from statechart.observation.outputs import Outputs
+from statechart.observation.scales import OutputValue
 from statechart.running.result import Result
 from statechart.running.runner import Runner
 from statechart.sweeps.plan import Task, lists
@@ -90,6 +91,14 @@ class CellBlock:
         for part in ("outcome", "message", "certified", "t_end", "seconds", "error_estimate"):
             getattr(self, part)[places] = getattr(other, part)
         self.modes[places] = modes
+
+    def take_output(self, name: str, cells: Sequence[int], values: Sequence[OutputValue]) -> None:
+        """Take the values of an output in some cells."""
+        if name in self.lists:
+            for k, value in zip(cells, values, strict=True):
+                self.lists[name][k] = np.array(value, dtype=float)
+        else:
+            self.numbers[name][cells] = [math.nan if v is None else v for v in values]
 
     def end(self, k: int, outcome: str, message: str) -> None:
         """Set why a cell ended."""
@@ -175,26 +184,23 @@ class _Cells:
     ) -> NDArray[np.intp]:
         """Run some of the next rows in one compiled call; return those that did not go through."""
         structure = self._structures.get(key)
-        size = 1 if structure is None else structure.batches.size
+        size = 1 if structure is None else structure.batch_size
         if structure is None or size == 1:
             return places[:size]
         places = places[:size]
         began = working_time()
         done: list[NDArray[np.intp]] = []
-        for batch, numbers, several in structure.batches.run(rows[places]):
+        for batch, outputs in structure.run_batch(rows[places]):
             here = places[batch.rows]
             done.append(here)
-            for name, values in numbers.items():
-                found.numbers[name][here] = values
-            for name, listed in several.items():
-                for k, values in zip(here.tolist(), listed, strict=True):
-                    found.lists[name][k] = values
+            for name, values in outputs.items():
+                found.take_output(name, here.tolist(), values)
             found.outcome[here] = Outcome.HORIZON.name
             found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
             found.message[here] = ""
             found.certified[here] = True
             found.t_end[here] = batch.found.now[:, T_HIGH]
-            texts = map(structure.sequence, modes_of(batch))
+            texts = map(structure.sequence, _modes_of(batch))
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:
             through = np.concatenate(done)
@@ -256,29 +262,53 @@ class _Cells:
             block.error_estimate[k] = result.error_estimate
         if not self._task.outputs:
             return
-        outputs = structure.outputs(result.observer, self._task.outputs)
+        outputs = structure.outputs(result.observer)
         for name, value in outputs.of(trace).items():
-            if isinstance(value, list):
-                block.lists[name][k] = np.array(value, dtype=float)
-            elif value is not None:
-                block.numbers[name][k] = value
+            block.take_output(name, [k], [value])
 
 
 class _Structure:
-    """A runner of the model with one structure, and the evaluation of its runs."""
+    """A runner of the model with one structure, and the evaluation of its runs.
+
+    Cells are run in compiled calls, as far as no instant of them needs more; `through` of them have
+    gone through.
+    """
 
     def __init__(self, runner: Runner, task: Task) -> None:
-        self.runner = runner
-        self.batches = BatchedCells(runner, task)
+        self.runner, self._task = runner, task
+        self._tried, self.through = 0, 0
         self._outputs: dict[Observer, Outputs] = {}
         self._texts: dict[tuple[Key, ...], str] = {}
 
-    def outputs(self, observer: Observer, names: Sequence[str]) -> Outputs:
-        """Return the evaluation of some outputs, made once."""
+    def outputs(self, observer: Observer) -> Outputs:
+        """Return the evaluation of the outputs of the sweep, made once."""
         found = self._outputs.get(observer)
         if found is None:
-            found = self._outputs[observer] = Outputs(observer, names)
+            found = self._outputs[observer] = Outputs(observer, self._task.outputs)
         return found
+
+    @cached_property
+    def _batches(self) -> tuple[Observer, BatchRunner] | None:
+        return self.runner.rows(self._task.names)
+
+    @property
+    def batch_size(self) -> int:
+        """Number of cells to take next; 1 where each is to be run alone."""
+        lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
+        if lost or self._batches is None or not self._batches[1].ready(1):
+            return 1
+        # The first of them enter modes that are not known yet.
+        return min(2 + self._tried, _MAX_BATCH)
+
+    def run_batch(self, table: Array) -> Iterator[tuple[Batch, dict[str, list[OutputValue]]]]:
+        """Run rows (m, p) of values; yield those that go through, with their outputs."""
+        assert self._batches is not None
+        observer, rows = self._batches
+        outputs, until = self.outputs(observer), self._ends(table)
+        self._tried += len(table)
+        for batch in rows.run(table, until, self.runner.model.settings.max_jumps):
+            self.through += len(batch.rows)
+            yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))
 
     def sequence(self, modes: tuple[Key, ...]) -> str:
         """Return the modes of a run, in order, as text."""
@@ -306,49 +336,9 @@ class _Structure:
             return states[0][1] if states else key[0]
         return " ".join(f"{name}:{state}" for name, state in states)
 
-
-class BatchedCells:
-    """Runs cells in compiled calls, as far as no instant of them needs more.
-
-    Attributes
-    ----------
-    through : int
-        Cells that have gone through.
-    """
-
-    def __init__(self, runner: Runner, task: Task) -> None:
-        self._runner, self._task = runner, task
-        self._tried, self.through = 0, 0
-
-    @cached_property
-    def _rows(self) -> tuple[BatchRunner, BatchOutputs] | None:
-        found = self._runner.rows(self._task.names)
-        if found is None:
-            return None
-        return found[1], BatchOutputs(Outputs(found[0], self._task.outputs))
-
-    @property
-    def size(self) -> int:
-        """Number of cells to take next; 1 where each is to be run alone."""
-        lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
-        if lost or self._rows is None or not self._rows[0].ready(1):
-            return 1
-        # The first of them enter modes that are not known yet.
-        return min(2 + self._tried, _MAX_BATCH)
-
-    def run(self, table: Array) -> Iterator[tuple[Batch, dict[str, Array], dict[str, list[Array]]]]:
-        """Run rows (m, p) of values; yield those that go through, with their outputs."""
-        assert self._rows is not None
-        rows, outputs = self._rows
-        until = self._ends(table)
-        self._tried += len(table)
-        for batch in rows.run(table, until, self._runner.model.settings.max_jumps):
-            self.through += len(batch.rows)
-            yield batch, *outputs.of(batch, partial(rows.jump, batch, table[batch.rows]))
-
     def _ends(self, table: Array) -> Array:
         """Return when runs (m,) end; not a number where that is refused."""
-        runner, names, until = self._runner, self._task.names, self._task.until
+        runner, names, until = self.runner, self._task.names, self._task.until
         time = runner.model.stop.time
         if until is not None or time is None or not parse(time).names:
             return np.full(len(table), runner.end(until=until))
@@ -376,4 +366,26 @@ def repeats(words: Sequence[str]) -> list[str]:
         text = " > ".join(words[k : k + period])
         found.append(text if times == 1 else f"({text}) x {times}")
         k += period * times
+    return found
+
+
+def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:
+    """Return the modes of each run of a batch, in order (see `Trace.modes`)."""
+    keys = [kind[0] for kind in batch.kinds]
+    sequences: dict[tuple[int, bytes], tuple[Key, ...]] = {}
+    found = []
+    targets = batch.block.events[:, TARGET]
+    firsts = batch.found.ends[:, FIRST_MODE].tolist()
+    spans = batch.found.spans[:, EVENTS : EVENTS_END + 1].tolist()
+    for first, (begin, end) in zip(firsts, spans, strict=True):
+        entered = targets[begin:end]
+        code = first, entered.tobytes()
+        known = sequences.get(code)
+        if known is None:
+            visited = [keys[first]]
+            for kind in entered.tolist():
+                if keys[kind] != visited[-1]:
+                    visited.append(keys[kind])
+            known = sequences[code] = tuple(visited)
+        found.append(known)
     return found

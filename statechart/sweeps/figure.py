@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from statechart.arrays import Array, Bools
 from statechart.automaton.trace import Outcome
 from statechart.errors import DeclarationError
-from statechart.palette import GRID, LINES
-from statechart.reporting.figure import STYLE
+from statechart.palette import LINES
+from statechart.reporting.figure import STYLE, entitle, frame, frame_bands
 from statechart.sweeps.plan import Plan
 
 if TYPE_CHECKING:
@@ -263,10 +263,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             else:
                 _joined(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
         ax.set_ylabel(plan.entitled(name))
-        ax.grid(visible=True, color=GRID, linewidth=0.6)
-        ax.set_axisbelow(True)
-        for side in ("top", "right"):
-            ax.spines[side].set_visible(False)
+        frame(ax)
     x.put(axes[-1, 0], "x")
     if alone:
         _band(axes[-1, 0], x, cells)
@@ -279,7 +276,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             for k, v in enumerate(np.unique(other))
         ]
         drawing.legend(handles=handles, loc="outside right upper", handlelength=1.4)
-    return _titled(drawing, plan)
+    return entitle(drawing, plan.model.name)
 
 
 def _joined(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
@@ -318,10 +315,8 @@ def _band(ax: Axes, x: _Axis, cells: _Cells) -> None:
         ax.axvspan(edges[k], edges[k + 1], facecolor=_NOTHING, edgecolor=_OTHERS, hatch="////")
     ax.set_ylim(0.0, 1.0)
     ax.set_yticks([0.5], ["modes"])
-    ax.tick_params(axis="y", length=0)
     ax.set_xlim(edges[0], edges[-1])
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
+    frame_bands(ax)
 
 
 def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
@@ -366,7 +361,7 @@ def _maps(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
         loc="outside lower center",
         ncols=_legend_columns(cells, drawing.get_figwidth(), 3 if columns > 2 else 2),
     )
-    return _titled(drawing, plan)
+    return entitle(drawing, plan.model.name)
 
 
 def _map(
@@ -395,8 +390,3 @@ def _map(
         )
     table = values[order].reshape(shape)
     return ax.pcolormesh(x.edges(), y.edges(), table, rasterized=True, **options)
-
-
-def _titled(drawing: Figure, plan: Plan) -> Figure:
-    drawing.suptitle(plan.model.name, x=0.01, ha="left", fontsize=10, fontweight="bold")
-    return drawing

@@ -364,7 +364,11 @@ def _hand_out(work: _Work, executor: Executor) -> None:
             interrupts.check()
             watch.look(bool(returned))
             for future in returned:
-                work.take(pending.pop(future), future.result())
+                job = pending.pop(future)
+                if watch.lost(future):
+                    pending[executor.submit(run_block, work.task, job.rows)] = job
+                    continue
+                work.take(job, future.result())
                 room = min(room + 1, _MAX_BLOCKS)
     except (KeyboardInterrupt, StatechartError, MemoryError):
         raise

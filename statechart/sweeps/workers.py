@@ -132,6 +132,15 @@ class ClusterWatch:
             self._looked = now
             self._ask()
 
+    def lost(self, future: Future[Any]) -> bool:
+        """Whether a worker left just when it had returned a result: run that once more.
+
+        distributed asks for the status of a task after it has its result (`_cascade_future` of its
+        executor), and unpacks the result of a task that was lost meanwhile as if it were an error.
+        """
+        error = None if self._client is None or future.cancelled() else future.exception()
+        return isinstance(error, TypeError) and "cannot unpack non-iterable" in str(error)
+
     def _ask(self) -> None:
         from distributed import Client
 

@@ -33,6 +33,7 @@ from statechart.formulas.relation import (
     parse_relation,
 )
 from statechart.observation.observer import Observer
+from statechart.observation.outputs import extremes_along
 from statechart.observation.sampling import passed
 from statechart.testing.agreement import NUDGE
 from statechart.testing.subject import Subject
@@ -65,13 +66,7 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
-    """Check that no guard's margin is negative between events, on a grid of its own.
-
-    Parameters
-    ----------
-    subject, trace : Subject, Trace
-        The model, and a run of it.
-    """
+    """Check that no guard's margin is negative between events, on a grid of its own."""
     moved = _moved(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
@@ -83,11 +78,6 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
     """Check that declared invariants hold, of states in these: everywhere, peaks included.
 
     Of a run by steps they hold to what a variable changes by in a step.
-
-    Parameters
-    ----------
-    subject, trace : Subject, Trace
-        The model, and a run of it.
     """
     observer = subject.observers[trace.engine.split()[0]]
     moved = _moved(trace)
@@ -96,11 +86,9 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
         if not margins:
             continue
         allowed = _assert_margins(subject, trace, arc, tau, margins, moved)
-        alone = replace(trace, arcs=(arc,))
-        for margin, less in zip(margins, allowed, strict=True):
-            found = np.full(2, np.nan)
-            observer.widened(alone, margin.expression, found)
-            if (least := found[0]) < -less:
+        found = extremes_along(observer, trace, arc, [margin.expression for margin in margins])
+        for margin, less, least in zip(margins, allowed, found[:, 0].tolist(), strict=True):
+            if least < -less:
                 begins, ends = arc.start.high, arc.start.high + arc.duration
                 raise AssertionError(
                     f"{margin.name} falls to {least:.6g} between t = {begins:.6g} and "
@@ -235,13 +223,7 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
 
 
 def assert_relations(subject: Subject, trace: Trace) -> None:
-    """Check that guards and stop conditions are false between events, and conditions true.
-
-    Parameters
-    ----------
-    subject, trace : Subject, Trace
-        The model, and a run of it.
-    """
+    """Check that guards and stop conditions are false between events, and conditions true."""
     _assert_claims(subject, trace, _claims)
 
 

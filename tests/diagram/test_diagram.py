@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from PIL import Image
 from strategies import examples
 
+from statechart import draw
 from statechart.diagram.dot import dot
 from statechart.diagram.legend import GUARDS, TIMES, legend
 from statechart.diagram.mermaid import mermaid
 from statechart.diagram.model import Chart, Diagram, Link, Node, identifiers, printable
-from statechart.diagram.scxml import NOTES, SCXML, scxml
 from statechart.diagram.write import SUFFIXES, write
 from statechart.errors import StatechartError
 
@@ -144,17 +144,6 @@ def check_dot(diagram: Diagram) -> None:
     assert len(drawn) == len(meant)
 
 
-def check_scxml(diagram: Diagram) -> None:
-    root = ET.fromstring(scxml(diagram))
-    assert root.tag == f"{{{SCXML}}}scxml"
-    ids = [element.get("id") for element in root.iter() if element.get("id")]
-    assert len(ids) == len(set(ids)) == len(diagram.nodes)
-    transitions = list(root.iter(f"{{{SCXML}}}transition"))
-    assert len(transitions) == len(diagram.links)
-    assert {element.get("target") for element in transitions} <= set(ids)
-    assert all(re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) for name in ids if name)
-
-
 MERMAID_LINE = re.compile(
     r"""state\ "[^"\n:;{}\[\]<>%]+(?:<br/>[^"\n:;{}\[\]<>%]*)*"\ as\ \w+(?:\ \{)?
     | \w+\ :\ [^:;{}%"]+
@@ -189,11 +178,6 @@ def test_dot_parses_back_to_the_same_states_and_edges(make):
 
 
 @DIAGRAMS
-def test_scxml_is_well_formed_and_its_targets_exist(make):
-    check_scxml(make())
-
-
-@DIAGRAMS
 def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
     check_mermaid(make())
 
@@ -202,17 +186,16 @@ def test_mermaid_has_unique_ids_and_only_lines_its_grammar_knows(make):
 @examples(60)
 def test_any_text_survives_every_renderer(diagram):
     check_dot(diagram)
-    check_scxml(diagram)
     check_mermaid(diagram)
 
 
 @DIAGRAMS
-@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+@pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
 def test_same_diagram_gives_same_text(make, render):
     assert render(make()) == render(make())
 
 
-@pytest.mark.parametrize("render", [dot, mermaid, scxml], ids=lambda render: render.__name__)
+@pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
 def test_guards_resets_and_causes_are_all_there(render):
     text = render(one_contact())
     for word in ("touchdown", "lift-off", "shove", "mu V + H", "impact(v)", "the wall is in"):
@@ -285,8 +268,6 @@ def test_no_picture_is_larger_than_2000_pixels(tmp_path):
 def test_every_renderer_tells_the_path():
     assert "pin → slide+ → pin" in dot(one_contact())
     assert "pin → slide+ → pin" in mermaid(one_contact())
-    root = ET.fromstring(scxml(one_contact()))
-    assert root.get(f"{{{NOTES}}}path") == "tip_pin tip_slide_plus tip_pin"
 
 
 @pytest.mark.parametrize("render", [dot, mermaid], ids=lambda render: render.__name__)
@@ -303,19 +284,6 @@ def test_infeasible_state_is_dashed_and_says_why():
     line = next(line for line in dot(one_contact()).splitlines() if "tip_slide_minus [" in line)
     assert 'style="rounded,dashed,filled"' in line
     assert 'tooltip="the wall is in the way"' in line
-
-
-def test_scxml_nests_groups_and_keeps_guards_and_resets():
-    root = ET.fromstring(scxml(one_contact()))
-    assert root.get("initial") == "tip_pin"
-    group = root.find(f"{{{SCXML}}}state[@id='tip_slide']")
-    assert group is not None
-    assert [child.get("id") for child in group] == ["tip_slide_plus", "tip_slide_minus"]
-    stick = group.find(f".//{{{SCXML}}}transition[@event='stick']")
-    assert stick is not None
-    assert stick.get("cond") == "slip < 0"
-    assert stick.get(f"{{{NOTES}}}reset") == "slip := 0"
-    assert ET.fromstring(scxml(two_states())).find(f"{{{SCXML}}}final") is not None
 
 
 def test_identifiers_differ_for_names_that_look_alike():
@@ -366,7 +334,8 @@ def graphed(diagram: Diagram) -> Diagram:
 @pytest.mark.parametrize("make", [one_contact, hostile], ids=lambda make: make.__name__)
 def test_suffix_names_the_format(make, suffix, tmp_path):
     path = tmp_path / f"chart{suffix}"
-    write(graphed(make()), path)
+    # Only models run as SCXML.
+    write(draw("bouncing_ball") if suffix == ".scxml" else graphed(make()), path)
     assert path.read_bytes().startswith(MAGIC[suffix.lower()])
     assert [path] == list(tmp_path.iterdir())
 
@@ -381,9 +350,12 @@ def test_graphml_holds_any_text(make, tmp_path):
     assert [edge[3] for edge in edges] == [printable(link.guard) for link in diagram.links]
 
 
-def test_a_diagram_made_by_hand_has_no_graph_to_write(tmp_path):
-    with pytest.raises(StatechartError, match="shows no graph"):
-        write(two_states(), tmp_path / "chart.graphml")
+@pytest.mark.parametrize(
+    ("suffix", "lacks"), [("graphml", "shows no graph"), ("scxml", "no model")]
+)
+def test_a_diagram_made_by_hand_has_no_graph_and_no_model(suffix, lacks, tmp_path):
+    with pytest.raises(StatechartError, match=lacks):
+        write(two_states(), tmp_path / f"chart.{suffix}")
     assert not any(tmp_path.iterdir())
 
 

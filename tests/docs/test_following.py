@@ -66,3 +66,18 @@ def test_follow_reports_the_command_whose_output_differs(
 def test_pages_without_commands_or_files_are_not_followed(tmp_path: Path) -> None:
     assert not followed(page(tmp_path, "```text\na\n```\n"))
     assert followed(page(tmp_path, PAGE))
+
+
+@pytest.mark.parametrize("printed", ["a  0.3822630", "a 0.382263", "a 0.3822633"])
+def test_numbers_may_differ_in_their_last_digits_and_columns_in_width(
+    printed: str, tmp_path: Path
+) -> None:
+    text = f"```console\n$ echo '{printed}'\na  0.382263\n```\n"
+    follow(page(tmp_path, text), tmp_path)
+
+
+@pytest.mark.parametrize("printed", ["a 0.3823", "b 0.382263", "a 0.382263 m", "a"])
+def test_other_numbers_and_other_words_are_refused(printed: str, tmp_path: Path) -> None:
+    text = f"```console\n$ echo '{printed}'\na  0.382263\n```\n"
+    with pytest.raises(AssertionError, match="echo"):
+        follow(page(tmp_path, text), tmp_path)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 from making import formats
 
+import contacts
+import statechart
 from statechart.loading.schema import schema
 
 
@@ -48,3 +51,15 @@ def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
     assert told["Body", "mass"][2] == "Above 0. Unit: mass. Such as `m`."
     to = "[formula, formula] or [Point](#scene-point) or [Path](#scene-path)"
     assert told["Joint", "to"][0] == to
+
+
+@pytest.mark.parametrize("package", [statechart, contacts])
+def test_every_public_name_stands_on_one_page_of_the_reference(package: ModuleType) -> None:
+    pages = (Path(__file__).parents[2] / "docs" / "api").glob("*.md")
+    listed = [
+        name
+        for page in pages
+        if f"currentmodule:: {package.__name__}\n" in (text := page.read_text(encoding="utf-8"))
+        for name in re.findall(r"^\.\. auto(?:class|function):: (\w+)$", text, re.M)
+    ]
+    assert sorted(listed) == sorted(package.__all__)

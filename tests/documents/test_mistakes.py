@@ -313,7 +313,7 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
         # Above a floor whose line goes from left to right, and in one whose line goes back.
         ("height: 0", "line: [[-1, -2], [1, -2]]", ""),
         ("height: 0", "line: [[1, 3], [-1, 3]]", ""),
-        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts with its centre 0.2 in the so"),
+        ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts 0.2 inside the solid of"),
     ],
 )  # fmt: skip
 def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:
@@ -321,6 +321,15 @@ def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, tol
     text = SCENE.replace(old, new, 1).replace("h: 1", "h: 45" if "angle: h" in new else "h: 1")
     _, warnings = Runner(read_text(text, "f.yaml")).start()
     assert [told in warning for warning in warnings] == ([True] if told else [])
+
+
+def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
+    text = SCENE.replace("height: 0", "line: [[1, 0.8], [-1, 0.8]]")
+    text = text.replace("restitution: e", "restitution: e, enabled: time > 0.1")
+    _, warnings = Runner(read_text(text, "f.yaml")).start()
+    assert any("inside the solid" in warning for warning in warnings)
+    _, warnings = Runner(read_text(text + "modes: {tip: off}\n", "f.yaml")).start()
+    assert not any("inside the solid" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from strategies import P, T, X, Y, examples, expressions
 
 from statechart.formulas.writer import compile_tape
+from statechart.kernels.boxes import Steps
 from statechart.kernels.discs import run_discs
 from statechart.kernels.enclosed_defect import enclosed_defect
 from statechart.kernels.jit import kernel
@@ -84,8 +85,8 @@ def defect(rates, coefficients, *, h=1.0, start=0.0, floors=1.0, allowed=1e-12):
     tape = compile_tape(rates, variables=[X, Y], parameters=[P], time=T)
     coeffs = np.array([coefficients], dtype=float)
     return enclosed_defect(
-        *tape.program, tape.n_fixed, np.array([2.0]), start, np.array([0.0, h]),
-        coeffs, np.full(2, floors), allowed, 4096,
+        tape.parts, Steps(np.array([0.0, h]), coeffs, np.array([2.0]), start),
+        np.full(2, floors), allowed, 4096,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from statechart.errors import FormulaError
 from statechart.execution.simulator import Simulator
 from statechart.loading.load import load
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import Outputs, outputs
+from statechart.observation.outputs import Outputs, extremes, outputs
 from statechart.reporting.report import Computation, report
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -116,7 +116,8 @@ def test_forces_before_and_after_a_jump_are_those_of_the_modes_left_and_entered(
 
 def test_integral_of_power_is_work(stick: Observer) -> None:
     trace = run(stick)
-    (work,) = stick.integrals(trace, ["tip.H * tip.slip"])
+    ready = declaring(stick, {"work": {"integral": "tip.H * tip.slip"}})
+    work = ready.of(trace)["work"]
     energy = stick.final(trace, ["energy"])[0] - stick.initial(trace, ["energy"])[0]
     assert work < -0.01
     assert work == pytest.approx(energy, abs=1e-13)
@@ -124,11 +125,12 @@ def test_integral_of_power_is_work(stick: Observer) -> None:
 
 def test_states_are_matched_by_their_declared_name_too(stick: Observer) -> None:
     trace = run(stick)
-    time, slide, pin, backward, forward = stick.integrals(
-        trace,
-        ["1"] * 5,
-        [{}, {"tip": "slide"}, {"tip": "pin"}, {"tip": "slide-"}, {"tip": "slide+"}],
-    )
+    states = {"slide": "slide", "pin": "pin", "backward": "slide-", "forward": "slide+"}
+    declared: dict[str, dict[str, object]] = {
+        name: {"integral": "1", "during": {"tip": state}} for name, state in states.items()
+    }
+    found = declaring(stick, {"time": {"integral": "1"}, **declared}).of(trace)
+    time, slide, pin, backward, forward = (found[name] for name in ("time", *states))
     assert time == pytest.approx(trace.t_end, abs=1e-14)
     assert pin == pytest.approx(trace.jumps[0].t, abs=1e-14)
     assert slide == pytest.approx(backward + forward, abs=1e-14)
@@ -139,9 +141,9 @@ def test_extremes_inside_steps_are_found_to_rounding(stick: Observer) -> None:
     trace = run(stick)
     # Constructed extremes, sharper than the grid: 1 at time 1.2345, -1 at time 4.321.
     for centre, sign in ((1.2345, 1.0), (4.321, -1.0)):
-        least, greatest = stick.extremes(trace, f"{sign} / (1 + (10 * (time - {centre}))**2)")
+        least, greatest = extremes(stick, trace, f"{sign} / (1 + (10 * (time - {centre}))**2)")
         assert (greatest if sign > 0 else -least) == pytest.approx(1.0, abs=1e-14)
-    least, greatest = stick.extremes(trace, "stick.y")
+    least, greatest = extremes(stick, trace, "stick.y")
     assert greatest == pytest.approx(math.cos(0.01), abs=1e-15)
     assert least == pytest.approx(0.0, abs=1e-15)
 
@@ -180,7 +182,7 @@ def test_an_empty_run_is_its_initial_state(stick: Observer) -> None:
     assert samples.t.tolist() == [0.0]
     assert samples.columns["stick.angle"].tolist() == [-0.01]
     assert samples.columns["tip.V"][0] == pytest.approx(1.0, abs=2e-4)
-    assert stick.extremes(trace, "stick.angle") == (-0.01, -0.01)
+    assert extremes(stick, trace, "stick.angle") == (-0.01, -0.01)
 
 
 def test_a_mode_of_no_duration_has_its_forces_without_being_compiled(stick: Observer) -> None:

@@ -11,8 +11,7 @@ from contacts.pictures.grounds import grounds
 from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
-from statechart.pictures.drawing import arrow_of, cone_of
-from statechart.pictures.film import Film, placed, strokes
+from statechart.pictures.film import Film, arrows, cones, placed, strokes
 from statechart.pictures.names import crossing
 from statechart.pictures.snapshots import picture
 from statechart.reporting.film import filmed, stage_of, until_rest
@@ -53,11 +52,12 @@ def test_the_force_of_a_pinned_tip_carries_the_stick_within_its_cone():
     assert (np.abs(across) <= 0.2 * normal).all()
     np.testing.assert_array_equal(touch.normals, np.tile([0.0, 1.0], (9, 1)))
     np.testing.assert_allclose(touch.places, 0.0, atol=1e-12)
-    rim = cone_of(film, touch, 0)
-    angles = np.arctan2(rim[1:, 0], rim[1:, 1])
+    rim = cones(touch, film.half, 13)[0]
+    angles = np.arctan2(rim[:, 0], rim[:, 1])
     assert angles.max() == pytest.approx(np.arctan(0.2))
     assert angles.min() == pytest.approx(-np.arctan(0.2))
-    np.testing.assert_allclose(arrow_of(film, touch, 0), film.arrow * touch.forces[0])
+    arrow = arrows(touch.forces[0], film.half, film.force)
+    np.testing.assert_allclose(arrow, film.arrow * touch.forces[0])
 
 
 def test_pendulums_hang_from_their_pivots_and_touch_at_their_rims():
@@ -258,7 +258,7 @@ def test_arrows_of_forces_are_within_the_picture(name):
     film = film_of(name, np.linspace(0.0, 0.9, 40))
     for touch in film.touches:
         for k in range(40):
-            tip = touch.places[k] + arrow_of(film, touch, k)
+            tip = touch.places[k] + arrows(touch.forces[k], film.half, film.force)
             assert (np.abs(tip - film.centres[k]) <= film.half).all()
 
 
@@ -325,7 +325,7 @@ def test_cones_are_within_the_picture():
     film = film_of("no_slip_pencil", np.linspace(0.0, 4.0, 9))
     (touch,) = film.touches
     for k in range(9):
-        inside = np.abs(cone_of(film, touch, k) - film.centres[k]) <= film.half
+        inside = np.abs(cones(touch, film.half, 13)[k] - film.centres[k]) <= film.half
         assert inside.all()
 
 

@@ -85,9 +85,9 @@ def compared(
         run_block(plan.task, table)  # modes are made known
         alone = run_block(plan.task, table)
         (structure,) = sweep_cells._cells(plan.task)._structures.values()
-        assert structure.batches.through == 0
+        assert structure.through == 0
     same(run_block(plan.task, table), alone)
-    return structure.batches.through
+    return structure.through
 
 
 def cells(model: Declaration, count: int) -> Array:
@@ -187,10 +187,10 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     sweep_cells._cells.cache_clear()
     run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
     (structure,) = sweep_cells._cells(plan.task)._structures.values()
-    assert structure.batches.through == 0
+    assert structure.through == 0
     for _ in range(4):
         run_block(plan.task, np.linspace(0.1, 0.9, 90)[:, None])
-    assert structure.batches.through > 50
+    assert structure.through > 50
 
 
 def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:

@@ -20,7 +20,7 @@ Look = Mapping[str, str]
 Point = tuple[float, float]
 
 _POINT = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?),(-?[\d.]+(?:e[+-]?\d+)?)")
-# Where an arrow's head ends, which is no point of its curve.
+# End of an arrow's head, which is no point of its curve.
 _ENDS = re.compile(r"[es],\S+")
 # Length of an arrow's head, which its line stops short of (Graphviz: 10 pt times arrowsize).
 _HEAD = 7.0

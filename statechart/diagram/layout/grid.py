@@ -36,7 +36,7 @@ _MAX_ORDERS = 5040
 # Points: between a state and the frame around it; beside words; between two lines; an arrow's
 # head with some of its line.
 _MARGIN, _AIR, _LINE, _HEAD = 9.0, 4.0, 14.0, 12.0
-# Of lanes down and along: from the line to its words, and around both.
+# Gaps of lanes down and along: from the line to its words, and around both.
 _LANES = ((_AIR, 3 * _AIR), (1.0, _AIR))
 
 Span = tuple[int, int]

@@ -41,7 +41,7 @@ from statechart.tabular import several
 _WIDTH, _WIDEST, _ROOM, _AIR = 740.0, 980.0, 16.0, 3.0
 # A ring has at least so many modes.
 _MIN_RING = 3
-# What comes again in the same order is a round from so many on.
+# A sequence repeated so often counts as rounds.
 _ROUNDS = 1.5
 
 MAX_STEPS = 16

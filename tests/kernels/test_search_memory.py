@@ -12,7 +12,7 @@ from statechart.formulas.writer import compile_tape
 from statechart.kernels.boxes import enclose, prepare
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.needed import bit, follow, narrowed
+from statechart.kernels.search_memory import bit, follow, narrowed
 
 COEFFS, TIMES = contiguous([[[0.7, 0.2, -0.1], [0.4, -0.3, 0.2]]]), contiguous([0.0, 0.5])
 PARAMETERS = contiguous([1.3])

@@ -1,0 +1,152 @@
+"""Scales that errors of a run are relative to.
+
+An error is relative to the largest value of its quantity. A quantity that is zero, or nearly, has
+no such scale: its error is relative to a thousandth of the scale of its kind, for a force the
+largest force of the run, for a length the farthest way that anything goes, for a speed the largest
+speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from statechart.arrays import Array
+from statechart.automaton.trace import Trace, visited_states
+from statechart.documents.quantities import Dimension
+from statechart.observation.observer import FormulaLike, Observer
+
+OutputValue = float | int | list[float] | None
+"""A number; a list for a value at `each` event; None where the event never happened."""
+
+
+class Scales(NamedTuple):
+    """Scales that errors of a run are relative to, and bounds of the round-off of zero."""
+
+    # (n,): of the variables at the end; None where each is relative to its own largest value.
+    variables: Array | None = None
+    # Of outputs, in their form; counts have none.
+    outputs: Mapping[str, OutputValue] = MappingProxyType({})
+    zero_variables: Array | float = 0.0  # (n,): for the variables.
+    zero_outputs: Mapping[str, float] = MappingProxyType({})  # For the outputs that have a kind.
+
+
+NO_SCALES = Scales()
+"""Each number is relative to itself."""
+
+
+_NEARLY_ZERO = 1e-3
+"""Part of the scale of its kind below which a quantity is nearly zero."""
+
+_TRAVELLED: tuple[Dimension, ...] = ("length", "angle")
+"""Kinds whose zero is anywhere: their scale is how far they change."""
+
+_TOLERANCES: Mapping[Dimension, str] = {
+    "length": "gap",
+    "length/time": "speed",
+    "force": "force",
+}
+"""Kind -> the tolerance of a run below which it is zero."""
+
+
+class RunScales:
+    """The scales of one run.
+
+    `variables` (n,) are their largest magnitudes, or the part `_NEARLY_ZERO` of their kinds' scales
+    where that is more; below `zeros` (n,) they are zero but for round-off.
+    """
+
+    def __init__(self, observer: Observer, trace: Trace) -> None:
+        self._observer, self._trace = observer, trace
+        automaton = observer.automaton
+        model = automaton.declaration
+        states = visited_states(trace)
+        largest = np.abs(states).max(axis=0)
+        spread = np.ptp(states, axis=0)
+        self._kinds: dict[Dimension, float] = {}
+        kinds = [model.quantity(name).dimension for name in automaton.names]
+        for kind, size, change in zip(kinds, largest.tolist(), spread.tolist(), strict=True):
+            found = change if kind in _TRAVELLED else size
+            self._kinds[kind] = max(self._kinds.get(kind, 0.0), found)
+        self._kinds[""] = 0.0  # of quantities of unknown kinds each has a scale of its own
+        self._leaves: dict[sp.Symbol, float] = {
+            automaton.time: trace.t_end,
+            **dict(zip(automaton.parameters, np.abs(trace.values).tolist(), strict=True)),
+        }
+        self._fixed = frozenset(automaton.parameters)
+        scales = np.array([self._kinds[kind] for kind in kinds])
+        self._leaves |= zip(automaton.variables, np.maximum(scales, largest).tolist(), strict=True)
+        self.variables: Array = np.maximum(_NEARLY_ZERO * scales, largest)
+        self.zeros: Array = np.array([self._zero(kind) for kind in kinds])
+
+    def of(self, formula: FormulaLike, own: float = 0.0) -> float:
+        """Return the scale of a formula that has been as large as `own`.
+
+        The scale of its kind is that of its terms: a difference of equal lengths is nearly zero on
+        the scale of lengths.
+        """
+        size = self._size(self._observer.programs.expression(formula))
+        return max(own, _NEARLY_ZERO * (size or 0.0))
+
+    def zero(self, formula: FormulaLike) -> float:
+        """Return what a formula is below where it is zero but for round-off."""
+        return self._zero(self._kind(self._observer.programs.expression(formula)))
+
+    def _zero(self, kind: Dimension) -> float:
+        return self._trace.tolerances.get(_TOLERANCES.get(kind, ""), 0.0)
+
+    def _kind(self, expression: sp.Expr) -> Dimension:
+        """Return the kind of an expression that is a symbol, perhaps with a sign."""
+        for name, observable in self._observer.automaton.observables.items():
+            if observable in (expression, -expression) and observable.is_Symbol:
+                return self._observer.automaton.declaration.quantity(name).dimension
+        return ""
+
+    def _size(self, node: sp.Expr) -> float | None:
+        """Return how large an expression gets, told from its terms; None where that is unknown."""
+        if node.free_symbols <= self._fixed:
+            found = abs(float(node.xreplace(self._leaves_fixed)))
+            return found if np.isfinite(found) else None
+        if node.is_Symbol:
+            return self._leaves.get(node) if node in self._leaves else self._unknown(node)
+        if node.is_Pow and not node.exp.is_positive:
+            return None
+        parts = [self._size(argument) for argument in node.args]
+        known = [part for part in parts if part is not None]
+        if node.is_Add or isinstance(node, sp.Min | sp.Max):
+            return max(known, default=None)
+        if not parts or len(known) < len(parts):
+            return None
+        if node.is_Mul:
+            return float(np.prod(known))
+        if node.is_Pow:
+            return float(known[0] ** known[1]) if node.exp.is_number else None
+        if isinstance(node, sp.Abs):
+            return known[0]
+        if isinstance(node, sp.sin | sp.tan | sp.atan):
+            return min(known[0], 1.0)
+        return 1.0 if isinstance(node, sp.cos | sp.sign) else None
+
+    @property
+    def _leaves_fixed(self) -> dict[sp.Symbol, float]:
+        automaton = self._observer.automaton
+        return dict(zip(automaton.parameters, self._trace.values.tolist(), strict=True))
+
+    def _unknown(self, symbol: sp.Symbol) -> float | None:
+        """Return the scale of what modes solve for: of a force that of forces."""
+        if self._kind(symbol) != "force":
+            return None
+        if "force" not in self._kinds:
+            names = self._forces()
+            table = self._observer.sample(self._trace, names, per_step=1).columns
+            known = (np.abs(column[np.isfinite(column)]) for column in table.values())
+            self._kinds["force"] = max((float(one.max(initial=0.0)) for one in known), default=0.0)
+        return self._kinds["force"]
+
+    def _forces(self) -> tuple[str, ...]:
+        quantity = self._observer.automaton.declaration.quantity
+        return tuple(n for n in self._observer.names if quantity(n).dimension == "force")
