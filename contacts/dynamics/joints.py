@@ -120,5 +120,6 @@ def dependent(rows: Sequence[tuple[str, Array]]) -> str:
     )
     return (
         f"the constraints of {', '.join(names)} have become dependent (a dead point of the "
-        "linkage): the motion can go on in more than one way"
+        "linkage), so that the motion is not unique; avoid this configuration, or end the "
+        "run before it"
     )

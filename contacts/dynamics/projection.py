@@ -158,8 +158,8 @@ class Projection:
         gap, rate = rows[k].tolist()
         apart = f"comes apart by {gap:.3g}" if gap * near >= rate * slow else f"parts at {rate:.3g}"
         return NoConsistentMode(
-            f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all be kept at "
-            f"t = {time:.6g}: {self._joints[k]!r} {apart}"
+            f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
+            f"{time:.6g}: {self._joints[k]!r} {apart}"
         )
 
 

@@ -129,7 +129,7 @@ class SceneNumbers:
         for name, margin in zip(self.stops, margins, strict=True):
             if math.isnan(margin) and name in self._single - self.of_forces:
                 raise DeclarationProblem(
-                    "it has no value at the start, so that nobody could watch it",
+                    "it has no value at the start",
                     advice="look for a logarithm, a root or a quotient without a value there",
                     loc=("stop", "conditions", name),
                 )
@@ -171,8 +171,8 @@ class SceneNumbers:
         for (name, place), lever in zip(self.inertias, levers.tolist(), strict=True):
             if place is not None and 0.0 < values[place] < POINT_MASS * lever:
                 warnings.append(
-                    f"the inertia of {name!r}, {values[place]:g}, is below {POINT_MASS:g} of its "
-                    "mass times arm squared: computed as a point mass"
+                    f"the inertia of {name!r}, {values[place]:g}, is below {POINT_MASS:g} of "
+                    "its mass times arm squared; the run takes it for a point mass"
                 )
                 values = values.copy()
                 values[place] = 0.0
@@ -242,8 +242,8 @@ def _far(scales: Scales) -> Iterator[str]:
     """Yield a warning where the scene lies so far from the origin that round-off shows."""
     if scales.rounding > FAR * scales.length:
         yield (
-            f"the scene is {scales.length:.3g} in size, and lies so far from the origin that its "
-            f"positions are known to {scales.rounding:.2g} only; put the origin nearer"
+            f"the scene is {scales.length:.3g} in size, and so far from the origin that "
+            f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
         )
 
 
@@ -264,9 +264,8 @@ def _unpressed(mechanics: Mechanics) -> Iterator[str]:
     ]
     if names:
         yield (
-            f"no coordinate moves {', '.join(names)} along the normal of what is touched: how hard "
-            "that presses does not follow from the motion, and neither does its friction; let the "
-            "body move that way, too"
+            f"no coordinate moves {', '.join(names)} along the normal of its surface, so that "
+            "normal force and friction are undetermined; let the body move that way, too"
         )
 
 

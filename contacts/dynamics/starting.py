@@ -118,7 +118,7 @@ def check_start(
 def _solid(surface: Surface) -> str:
     """Return where the solid of a surface is, of which that is a matter of how it is written."""
     if surface.line is not None or surface.edge is not None:
-        return "; of a line the solid is on the right, going from one point to two"
+        return "; the solid of a line is on the right of the way from its first point to its second"
     if surface.circle is not None:
         return "; a circle is solid around it" if surface.hollow else "; a circle is solid inside"
     return ""

@@ -106,7 +106,9 @@ def closed_at_once(
     if rest > 0.0 and height > max(lowest * setup.scales.length, near):
         return None
     if left is None and slides:
-        warnings.append("what friction takes of the impacts summed is not determined, and left out")
+        warnings.append(
+            "the friction impulse of the summed bounces is undetermined, and is left out"
+        )
     choice = decide(setup, snapshot, shut, paradox)
     if isinstance(choice, Jam):
         return None

@@ -149,8 +149,8 @@ class Switching:
             elif not why and now == OFF:
                 if math.isnan(gap):
                     raise NonFinite(
-                        f"the conditions of contact {self._names[i]!r} hold where its surface has "
-                        "no finite value; write one that fails there"
+                        f"the conditions of contact {self._names[i]!r} hold where its surface "
+                        "has no finite value; add a condition that fails there"
                     )
                 if gap >= -near[i]:
                     result[i] = why
@@ -227,7 +227,7 @@ class Switching:
             left = before[i] != OFF and i in corner
             if left and len(corner) > 1 and all(after[j] == OFF for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
-                return f"{names} meet here, and all of them are off: the point may fall between"
+                return f"{names} meet here, and all are off: the point may fall between them"
         return ""
 
     def watched(

@@ -271,8 +271,8 @@ def impact(
     path = pieces(code)
     if status == WEDGED:
         raise NoConsistentMode(
-            f"{law.name}: its impact wedges the point: slip has stopped, friction lets it "
-            f"slip on neither way, and it is led on into its surface at {-u_n:.3g}"
+            f"{law.name}: the impact wedges the point: it cannot slip either way, and is "
+            f"driven into its surface at {-u_n:.3g}"
         )
     if status == ENDLESS:
         raise NoConsistentMode(

@@ -123,7 +123,7 @@ class Jam:
     considered: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return f"{self.why}; resolved by an impact without collision"
+        return f"{self.why}; an impact without collision resolves it"
 
 
 def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:

@@ -141,10 +141,13 @@ def _at_once(
     plastic = collisions(snapshot, laws, closed, [0.0] * len(laws))
     if not plastic and rebound and any(elastic[i] > 0.0 for i in group):
         done = _in_sequence(snapshot, laws, group)
-        why = f"no impulse at once of {names} agrees with their cones of friction: hit in turn"
+        why = (
+            f"no simultaneous impulse of {names} satisfies the friction cones; the impacts "
+            "follow one another"
+        )
         return done._replace(warning="; ".join(filter(None, (why, done.warning))))
     if not plastic:
-        raise NoConsistentMode(f"no plastic impulse of {names} agrees with their cones of friction")
+        raise NoConsistentMode(f"no plastic impulse of {names} satisfies the friction cones")
     base, found = plastic[0], plastic
     rest, share, target = 1.0, 0.0, base
     warnings: list[str] = []
@@ -154,11 +157,13 @@ def _at_once(
             target = found[0]
             rest, share = _shares(snapshot, group, base, target)
         else:
-            warnings.append(f"{names}: no impulse agrees with Moreau's law; the plastic one taken")
+            warnings.append(f"{names}: no impulse satisfies Moreau's law; the impact is plastic")
     if len(plastic) > 1 or len(found) > 1:
         several = plastic if len(plastic) > 1 else found
         modes = " | ".join(", ".join(one.states[i] for i in group) for one in several)
-        warnings.append(f"{names}: several impulses agree with the laws ({modes}); the first taken")
+        warnings.append(
+            f"{names}: several impulses satisfy the impact law ({modes}); the first is taken"
+        )
     change = rest * base.change + share * target.change
     impulses = rest * base.impulses + share * target.impulses
     modes = ", ".join(f"{laws[i].name}:{base.states[i]}" for i in group)
@@ -219,8 +224,10 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
         if endless:
             names = ", ".join(laws[i].name for i in group)
             told = [
-                f"{names}: the sequence of impacts does not end; after {len(path)} the approach "
-                f"is {approach:.3g}, and the rest is plastic"
+                (
+                    f"{names}: the sequence of impacts does not end; after {len(path)} the "
+                    f"approach velocity is {approach:.3g}, and the rest is plastic"
+                )
             ]
             done = _at_once(now, laws, group, False)._replace(path=["plastic rest"])
         else:

@@ -36,8 +36,9 @@ class ControlState(BaseState):
 
     sets: dict[str, FormulaText] = Field(
         default={},
-        description="Control to its value as long as the state is active; inner states may set "
-        "another.",
+        description=(
+            "Values of controls while the state is active; inner states may override them."
+        ),
         examples=[{"torque": "-k*leg.angle"}],
         json_schema_extra=unit("that of the control"),
     )
@@ -68,7 +69,7 @@ class Controller(ControlRegion):
 
     variables: dict[ValueName, FiniteText] = Field(
         default={},
-        description="What it remembers: variable to its initial value.",
+        description="Variables of the controller and their initial values.",
         examples=[{"seen": 0}],
         json_schema_extra=unit("that of each"),
     )

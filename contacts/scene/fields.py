@@ -78,13 +78,13 @@ class SceneFields(Declaration):
     )
     gravity: Gravity = Field(
         default=0,
-        description="Acceleration downwards, or the components of one: [0, -9.81] is downwards.",
+        description="Acceleration downwards, or its components: [0, -9.81] is downwards.",
         examples=[9.81, ["g*sin(slope)", "-g*cos(slope)"]],
         json_schema_extra=unit("length/time**2"),
     )
     coordinates: dict[ValueName, Coordinate] = Field(
         default={},
-        description="Name to a coordinate that positions of bodies are formulas of.",
+        description="Coordinates, by which positions of bodies are given.",
         examples=[{"theta": {"start": 0.2}}],
     )
     bodies: dict[NameText, Body] = Field(
@@ -94,12 +94,15 @@ class SceneFields(Declaration):
     )
     surfaces: dict[NameText, Surface] = Field(
         default={},
-        description="Name to what points may touch.",
+        description="Surfaces that points and bodies may touch.",
         examples=[{"floor": {"height": 0}}],
     )
     contacts: dict[NameText, Contact] = Field(
         default={},
-        description="Name to a point that may touch a surface: a region of the statechart.",
+        description=(
+            "Contacts: points of bodies that may touch a surface. Each is a region "
+            "of the statechart."
+        ),
         examples=[
             {
                 "tip": {
@@ -113,44 +116,50 @@ class SceneFields(Declaration):
     )
     joints: dict[NameText, Joint] = Field(
         default={},
-        description="Name to a point that is held where it is told.",
+        description="Joints: points of bodies that are held.",
         examples=[{"pivot": {"point": {"body": "arm"}, "to": [0, 0]}}],
     )
     forces: dict[NameText, Force] = Field(
         default={},
-        description="Name to a force or a moment on a body.",
+        description="Forces and moments on bodies.",
         examples=[{"spring": {"body": "rod", "force": ["-k*rod.x", 0]}}],
     )
     collisions: dict[NameText, Collision] = Field(
         default={},
-        description="Which bodies with shapes collide; on the engine impulse alone.",
+        description=("Lists of bodies with shapes that collide; by steps only (engine impulse)."),
         examples=[
             {"all": {"bodies": ["die"], "surfaces": ["floor"], "friction": 0.3, "restitution": 0}}
         ],
     )
     simultaneous: Simultaneous = Field(
         default="capped",
-        description="What contacts, also of bodies with shapes, do that are hit together: plastic, "
-        "Moreau's law as far as the energy allows (capped), or one after another by their own laws "
-        "(sequential).",
+        description=(
+            "Law for contacts that are hit together: plastic; Moreau's law reduced "
+            "until energy does not rise (capped); or one after another by their own "
+            "laws (sequential)."
+        ),
         examples=["sequential"],
     )
     paradox: Resolution = Field(
         default="impact",
-        description="What follows where no mode of a sliding contact agrees with the state "
-        "(Painleve): an impact without collision, or the end of the run.",
+        description=(
+            "Reaction to Painleve's paradox (no mode of a sliding contact agrees "
+            "with the state): an impact without collision, or the end of the run."
+        ),
         examples=["stop"],
     )
     controls: dict[ValueName, FormulaText] = Field(
         default={},
-        description="What states of regions set, to be used in forces and in coefficients of "
-        "contacts: name to its value where no state sets it.",
+        description=(
+            "Controls, which states of regions set, and which forces and "
+            "coefficients of contacts use: the value where no state sets it."
+        ),
         examples=[{"torque": 0}],
         json_schema_extra=unit("that of each"),
     )
     regions: dict[NameText, Controller] = Field(
         default={},
-        description="Controllers: regions beside the contacts.",
+        description="Controllers: regions that run in parallel to the contacts.",
         examples=[
             {
                 "leg": {
@@ -168,7 +177,7 @@ class SceneFields(Declaration):
     ] = Field(
         default={},
         alias="modes",
-        description="Contact to its mode at the start: checked, and found where not given.",
+        description="Modes of contacts at the start; checked, and computed where not given.",
         examples=[{"tip": "pin"}],
     )
 

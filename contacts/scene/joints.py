@@ -33,13 +33,13 @@ class Force(Part):
     body: str = Field(description="What it acts on.", examples=["rod"])
     force: Pair = Field(
         default=(0, 0),
-        description="Its components along x and y.",
+        description="Components along x and y.",
         examples=[["-k*rod.x", 0]],
         json_schema_extra=unit("force"),
     )
     at: Pair = Field(
         default=(0, 0),
-        description="Where it acts, in the body's frame.",
+        description="Point of application in the body's frame.",
         examples=[[0, "L"]],
         json_schema_extra=unit("length"),
     )
@@ -125,10 +125,13 @@ class Joint(Part):
     }
 
     point: Point = Field(
-        description="The point that is held.", examples=[{"body": "arm", "at": ["-L", 0]}]
+        description="Point of a body that the joint holds.",
+        examples=[{"body": "arm", "at": ["-L", 0]}],
     )
     to: _End = Field(
-        description="A point of another body, or a path: [x, y], {x: ...}, {y: ...}.",
+        description=(
+            "Point of another body, or a path in the world: [x, y], {x: ...} or {y: ...}."
+        ),
         examples=[[0, 0], {"body": "rod", "at": [0, "L"]}],
     )
 

@@ -76,7 +76,10 @@ def _idle(scene: SceneFields) -> Iterator[str]:
         ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
     ):
         for name in idle:
-            yield f"{kind}.{name}: nothing collides with it, as no collisions list it in {kind}"
+            yield (
+                f"{kind}.{name}: it collides with nothing; list it in {kind} of "
+                "collisions, if it should"
+            )
 
 
 def _spread(scene: SceneFields) -> Iterator[str]:
@@ -94,9 +97,9 @@ def _spread(scene: SceneFields) -> Iterator[str]:
         most = mass * far**2
         if most > 0.0 and not _MIN_INERTIA * most <= inertia <= _MAX_INERTIA * most:
             yield (
-                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times what all mass "
-                f"at the farthest point of its shape would have, {most:.3g}; are units mixed? "
-                "Of a disc it is m*r**2/2, of a box m*(width**2 + height**2)/12"
+                f"bodies.{name}.inertia: {inertia:.3g} is {inertia / most:.1g} times "
+                f"mass*radius**2 = {most:.3g} of its shape; check the units (a disc has "
+                "m*r**2/2, a box m*(width**2 + height**2)/12)"
             )
 
 
@@ -149,12 +152,12 @@ def stays_off(scene: SceneFields, contact: str, depth: float) -> str:
     surface = scene.contacts[contact].surface
     if scene.surfaces[surface].edge is None:
         return (
-            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} where its "
-            "conditions begin to hold; let surfaces that follow each other meet"
+            f"{contact} stays off: its point is {depth:.3g} below the surface {surface} when "
+            "its conditions become true; let adjacent surfaces meet"
         )
     return (
-        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} where it gets "
-        "over it; let the ends of edges meet"
+        f"{contact} stays off: its point is {depth:.3g} below the edge {surface} when it "
+        "reaches it; let the ends of edges meet"
     )
 
 
@@ -180,8 +183,8 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
             numbers = ("first", "second")
             yield (
                 f"surfaces.{other}.edge: its {numbers[b]} point is {near:.3g} from the "
-                f"{numbers[a]} point of {one!r}, and a point that slides off the one may get under "
-                "the other; where one follows the other, write the same point"
+                f"{numbers[a]} point of {one!r}, so that a sliding point may fall between; "
+                "write the same point for both"
             )
 
 
@@ -191,12 +194,12 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
     if scene.simultaneous == "sequential" and hit and _meet(scene):
         found["simultaneous: sequential"] = (
-            "time stepping resolves what is hit together at once, by Moreau's law, as with capped"
+            "by steps, simultaneous impacts follow Moreau's law, as with capped"
         )
     if scene.paradox == "stop" and scene.collisions:
         found["paradox: stop"] = (
-            "bodies with shapes whose friction presses them in are stopped by an impact, as with "
-            "impact"
+            "bodies with shapes that friction presses into others are stopped by an impact, "
+            "as with impact"
         )
     others: dict[str, list[str]] = {}
     for name, contact in hit.items():
@@ -204,7 +207,7 @@ def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
             others.setdefault(contact.impact, []).append(name)
     for law, names in others.items():
         found[f"impact: {law} at {', '.join(names)}"] = (
-            "time stepping applies Moreau's law: with events, impact: moreau is the same"
+            "steps use Moreau's law instead; impact: moreau gives the same with events"
         )
     return found
 

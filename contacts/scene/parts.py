@@ -24,7 +24,7 @@ Pair = tuple[FiniteText, FiniteText]
 """Two components, along x and y."""
 
 
-FREE_START = "where a body starts that moves freely is start: {x: 0, y: 1}"
+FREE_START = "the initial position of a free body is start: {x: 0, y: 1}"
 
 
 ImpactLaw = Literal["stronge", "newton", "poisson", "moreau"]
@@ -58,7 +58,7 @@ class Coordinate(Part):
     )
     rate: FiniteConstantText = Field(
         default=0,
-        description="Its rate at the start.",
+        description="Rate at the start.",
         examples=[-0.5],
         json_schema_extra=unit("length/time, or rad/time"),
     )
@@ -88,19 +88,25 @@ class Body(Part):
     )
     inertia: FormulaText | None = Field(
         default=None,
-        description="About the centre of mass; a particle has none.",
+        description=(
+            "Moment of inertia about the centre of mass; without one the body is a particle."
+        ),
         examples=["m*L**2/12"],
         json_schema_extra=unit("mass length**2"),
     )
     position: Pair | None = Field(
         default=None,
-        description="Of the centre of mass: x and y as formulas of the scene's coordinates.",
+        description=(
+            "Position of the centre of mass: x and y as formulas of the scene's coordinates."
+        ),
         examples=[["-l*sin(theta)", "l*cos(theta)"]],
         json_schema_extra=unit("length"),
     )
     angle: FiniteText | None = Field(
         default=None,
-        description="Counter-clockwise, a formula of the scene's coordinates; only with position.",
+        description=(
+            "Angle, counter-clockwise, as a formula of the scene's coordinates; only with position."
+        ),
         examples=["theta"],
         json_schema_extra=unit("rad"),
     )
@@ -112,8 +118,9 @@ class Body(Part):
     )
     shape: Shapes = Field(
         default=(),
-        description="Outline, for collisions and pictures: a shape, or a list of those that it is "
-        "made of, which may overlap.",
+        description=(
+            "Outline for collisions and pictures: a shape, or a list of shapes, which may overlap."
+        ),
         examples=[
             {"disc": "r"},
             [{"disc": "r", "at": ["-L/2", 0]}, {"disc": "r", "at": ["L/2", 0]}],
@@ -121,8 +128,10 @@ class Body(Part):
     )
     copies: FiniteConstantText | None = Field(
         default=None,
-        description="How many bodies like this there are: NAME0, NAME1, ...; their start may use "
-        "index, which counts them from 0: in rows of 20, mod(index, 20) and floor(index/20).",
+        description=(
+            "Number of equal bodies NAME0, NAME1, ... Their start may use index, "
+            "which counts from 0; mod(index, 20) and floor(index/20) make rows of 20."
+        ),
         examples=[100],
         json_schema_extra=unit("1"),
     )
@@ -165,8 +174,8 @@ class Body(Part):
             return self
         if self.start:
             raise DeclarationProblem(
-                "a body whose position is a formula starts where its coordinates start",
-                advice="give the initial values under coordinates",
+                "a body with a position has no start",
+                advice="write the start of its coordinates",
                 loc=("start",),
                 key=True,
             )
@@ -192,7 +201,7 @@ class Surface(Part):
 
     height: FiniteText | None = Field(
         default=None,
-        description="y as a formula of x; the solid is below.",
+        description="Height y as a formula of x; the solid is below.",
         examples=[0, "0.1*sin(x)"],
         json_schema_extra=unit("length"),
     )
@@ -210,19 +219,22 @@ class Surface(Part):
     )
     line: tuple[Pair, Pair] | None = Field(
         default=None,
-        description="Two points; the solid is on the right going from one to two.",
+        description=(
+            "Two points of an endless line; the solid is on the right of the way "
+            "from the first to the second."
+        ),
         examples=[[[0, 1], [0, 0]]],
         json_schema_extra=unit("length"),
     )
     edge: tuple[Pair, Pair] | None = Field(
         default=None,
-        description="As a line, but it ends at the two points.",
+        description="Two points of a line that ends there.",
         examples=[[[0, 0], [2, 0]]],
         json_schema_extra=unit("length"),
     )
     circle: Pair | None = Field(
         default=None,
-        description="Centre; the solid is inside.",
+        description="Centre of a circle; the solid is inside.",
         examples=[[0, 0]],
         json_schema_extra=unit("length"),
     )
@@ -234,22 +246,26 @@ class Surface(Part):
     )
     hollow: bool = Field(
         default=False,
-        description="Whether the circle's solid is outside, as that of a drum.",
+        description="Whether the solid is outside the circle, as in a drum.",
         examples=[True],
     )
     body: str | None = Field(
-        default=None, description="What carries it, in that body's frame.", examples=["cart"]
+        default=None,
+        description=("Body that carries the surface; the surface is given in its frame."),
+        examples=["cart"],
     )
     displacement: Pair = Field(
         default=(0, 0),
-        description="How far it has moved as a whole: formulas of time.",
+        description="Displacement of the surface: two formulas of time.",
         examples=[["v*time", 0]],
         json_schema_extra=unit("length"),
     )
     turn: FiniteText = Field(
         default=0,
-        description="By which angle it has turned, counter-clockwise, about a circle's centre, "
-        "the point of an incline, else the origin: a formula of time.",
+        description=(
+            "Angle of rotation, counter-clockwise, as a formula of time; about a "
+            "circle's centre, the point of an incline, else the origin."
+        ),
         examples=["omega*time"],
         json_schema_extra=unit("rad"),
     )
@@ -269,7 +285,7 @@ class Surface(Part):
         forms = (self.height, self.incline, self.line, self.edge, self.circle)
         if sum(form is not None for form in forms) != 1:
             raise DeclarationProblem(
-                "a surface has one of height, incline, line, edge, circle",
+                "a surface needs exactly one of height, incline, line, edge, circle",
                 advice="write height: 0 for flat ground, incline: alpha for a slope",
             )
         if self.incline is None and self.through != (0, 0):
@@ -298,7 +314,7 @@ class Point(Part):
     body: str = Field(description="Whose point.", examples=["rod"])
     at: Pair = Field(
         default=(0, 0),
-        description="Where, in the body's frame.",
+        description="Position in the body's frame.",
         examples=[[0, "-L"]],
         json_schema_extra=unit("length"),
     )
@@ -315,38 +331,44 @@ class Contact(Part):
     OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "stiffness": SOFT, "damping": SOFT}
 
     point: Point = Field(
-        description="The point that may touch.", examples=[{"body": "rod", "at": [0, "-L"]}]
+        description="Point of a body that may touch the surface.",
+        examples=[{"body": "rod", "at": [0, "-L"]}],
     )
     radius: FiniteText | None = Field(
         default=None,
-        description="Of a disc about the point that touches with its rim, and rolls: a wheel, a "
-        "ball, a round foot.",
+        description=(
+            "Radius of a disc about the point, which touches with its rim and rolls: "
+            "a wheel, a ball, a round foot."
+        ),
         examples=["r"],
         json_schema_extra=unit("length"),
     )
     surface: str = Field(description="What it may touch.", examples=["floor"])
     modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(
         default=(Free(), Slide(), Pin()),
-        description="Those that it may take, of free, slide and pin: all where not given, but no "
-        "pin without friction.",
+        description=(
+            "Allowed modes among free, slide and pin; all by default, but no pin with friction: 0."
+        ),
         examples=[["slide", "pin"]],
     )
     friction: FormulaText | None = Field(
         default=None,
-        description="Coulomb's coefficient, 0 to inf; needed with slide.",
+        description="Coulomb's friction coefficient, 0 to inf; needed with slide.",
         examples=["mu"],
         json_schema_extra=unit("1"),
     )
     restitution: FormulaText | None = Field(
         default=None,
-        description="0 (plastic) to 1 (elastic); needed with free.",
+        description=("Coefficient of restitution, 0 (plastic) to 1 (elastic); needed with free."),
         examples=[0],
         json_schema_extra=unit("1"),
     )
     impact: ImpactLaw = Field(
         default="stronge",
-        description="What restitution means: of energy (stronge), velocity (newton) or impulse "
-        "(poisson) on the path of the impact; of velocity, for the velocities after it (moreau).",
+        description=(
+            "Impact law: restitution is a ratio of energies (stronge), impulses "
+            "(poisson) or normal velocities (newton, moreau)."
+        ),
         examples=["newton"],
     )
     enabled: Annotated[
@@ -354,7 +376,9 @@ class Contact(Part):
         BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
     ] = Field(
         default=(),
-        description="Conditions without which the contact is off: a relation, or several.",
+        description=(
+            "Relation, or several that must all hold; while it fails, the contact is off."
+        ),
         examples=["rod.x >= 0"],
     )
 

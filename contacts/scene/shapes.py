@@ -39,7 +39,7 @@ class Shape(Part):
     )
     at: _Pair = Field(
         default=(0, 0),
-        description="Centre of the disc, in the body's frame.",
+        description="Centre of the disc in the body's frame.",
         examples=[["L/2", 0]],
         json_schema_extra=unit("length"),
     )
@@ -52,9 +52,7 @@ class Shape(Part):
                 advice="write polygon: [[-1, -1], [1, -1], [0, 1]], or disc: 0.5",
             )
         if self.disc is None and self.at != (0, 0):
-            raise DeclarationProblem(
-                "the corners of a polygon say where it is", loc=("at",), key=True
-            )
+            raise DeclarationProblem("a polygon has no at", loc=("at",), key=True)
         return self
 
 
@@ -75,14 +73,17 @@ LAW_WORDS = {
     "mu": "friction",
     **dict.fromkeys(
         ("mu_s", "mu_k", "static_friction", "kinetic_friction", "friction_coefficient"),
-        "friction, one coefficient for sticking and for slip",
+        (
+            "friction: a number for both, or a control that a region changes on CONTACT.slip and "
+            "CONTACT.stick"
+        ),
     ),
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
     "coefficientOfRestitution": "restitution",
 }
 """Names of coefficients in other programs -> ours."""
 
-SOFT = "a force on the body; surfaces are rigid, and bounce by their restitution"
+SOFT = "a force on the body: surfaces are rigid"
 """Advice on compliant contacts."""
 
 
@@ -92,20 +93,24 @@ class Collision(Part):
     OTHER_WORDS: ClassVar = LAW_WORDS
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="Those that collide with each other; of copies the name of all. What two lists "
-        "have in common collides by the first.",
+        description=(
+            "Bodies that collide with each other; the name of copies means all of "
+            "them. A pair that two lists contain collides by the first."
+        ),
         examples=[["die"]],
     )
     surfaces: tuple[str, ...] = Field(
-        default=(), description="Those that they collide with, too.", examples=[["floor", "wall"]]
+        default=(),
+        description="Surfaces that the bodies collide with.",
+        examples=[["floor", "wall"]],
     )
     friction: FormulaText = Field(
-        description="Coulomb's coefficient, 0 to inf.",
+        description="Coulomb's friction coefficient, 0 to inf.",
         examples=[0.3],
         json_schema_extra=unit("1"),
     )
     restitution: FormulaText = Field(
-        description="Of velocities, in Moreau's law of impact: 0 (plastic) to 1 (elastic).",
+        description="Coefficient of restitution of Moreau's law: 0 (plastic) to 1 (elastic).",
         examples=[0.2],
         json_schema_extra=unit("1"),
     )

@@ -126,28 +126,28 @@ class DiscretisationError:
         forces = float(((self._drifted + self._unknown) / fastest).max(initial=0.0))
         if forces > _FORCES:
             found.append(
-                f"forces change within steps of {h:g} by more than their middles show: up to "
-                f"{forces:.2g} of the run's speeds is missed; take "
-                f"{0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
+                f"step {h:g} is too long for the forces: velocity error up to {forces:.2g} of "
+                f"the largest; take {0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
             )
         late = float((self._late / fastest).max(initial=0.0))
         if late > _IMPACTS:
             found.append(
-                f"contacts turn on before steps of {h:g} see that they are struck: impacts are off "
-                f"by up to {late:.2g} of the run's speeds; take {0.5 * h * _IMPACTS / late:.1g} or "
-                "less"
+                f"step {h:g} is too long for contacts that are switched on: impacts are off "
+                f"by up to {late:.2g} of the largest velocity; take "
+                f"{0.5 * h * _IMPACTS / late:.1g} or less"
             )
         ahead = float((self._ahead / fastest).max(initial=0.0))
         if ahead > _AHEAD:
             found.append(
-                f"springs swing ahead in steps of {h:g}: speeds are off by up to {ahead:.2g} of "
-                f"the run's in the end; take {0.5 * h * math.sqrt(_AHEAD / ahead):.1g} or less"
+                f"step {h:g} is too long for the springs: velocity error up to {ahead:.2g} of "
+                f"the largest; take {0.5 * h * math.sqrt(_AHEAD / ahead):.1g} or less"
             )
         stopped = float((np.abs(self._stopped) / way).max(initial=0.0))
         if stopped > _WAY:
             found.append(
-                f"slips end within steps of {h:g}, where {stopped:.2g} of the way of a coordinate "
-                f"depends on when; take {0.5 * h * math.sqrt(_WAY / stopped):.1g} or less"
+                f"step {h:g} is too long for the ends of slips: position error up to "
+                f"{stopped:.2g} of the way; use {0.5 * h * math.sqrt(_WAY / stopped):.1g} or "
+                "less"
             )
         return tuple(found)
 

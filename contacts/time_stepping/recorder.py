@@ -214,13 +214,14 @@ class Recorder:
         return (*found, *self.controls) if self.controls else found
 
     def shown(self, chunk: Chunk) -> Ints:
-        """Let a slip that comes to rest in a step last to its end, but for one that is struck."""
+        """Let a slip that comes to rest in a step last to its end, but for one that impacts end."""
         codes = chunk.modes
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
-        return np.where((codes == PIN) & slid & self.sticks & ~chunk.struck, before, codes)
+        felt = chunk.struck | chunk.impulses.any(axis=2)
+        return np.where((codes == PIN) & slid & self.sticks & ~felt, before, codes)
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])

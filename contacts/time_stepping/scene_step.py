@@ -77,9 +77,10 @@ def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
     """Return the least gap that contact i has where a point comes from the surfaces it lies on.
 
     A surface that goes on from another is reached as deep as the point lies in that, at most so
-    many times as the gap of the one changes faster with a coordinate.
+    many times as the gap of the one changes faster with a coordinate. One that it has not left is
+    reached as deep as it lay there.
     """
-    found, n = 0.0, tape.size
+    found, n = memory.level[i] if memory.behind[i] else 0.0, tape.size
     for k in range(len(memory.off)):
         deep = memory.level[k]
         if not memory.off[k] and memory.past[k, 1] < deep:
@@ -257,7 +258,8 @@ def _follow(
     for i in range(len(memory.off)):
         at = tape.first + tape.per * i + 2 * tape.size
         moved = there[at + 2] - tape.numbers[at + 2]
-        holds = there[at + 5] > 0.0 and met.entered[i] + moved >= -near
+        lay = memory.level[i] if memory.behind[i] else 0.0
+        holds = there[at + 5] > 0.0 and met.entered[i] + moved >= lay - near
         if memory.off[i] and not met.leaving[i] and holds and scene.held[i] == 0:
             memory.off[i] = False
 
@@ -270,8 +272,8 @@ def keep_leaving(
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
     In a valley each side leads back to the other, and both hold at the kink. So a contact stays on
-    in a step in which it bears a force, its condition falls no further, and forces of the other
-    contacts keep it from falling. The parameters are those of `step_scene` in its step k.
+    in a step in which it bears a force and its condition rises, or forces of the other contacts
+    keep it from falling. The parameters are those of `step_scene` in its step k.
     """
     n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
     change = equations.change
@@ -314,7 +316,8 @@ def keep_leaving(
         # At rest conditions fall by round-off.
         rounding = _AT_REST * abs(now) + h * scene.rounding
         stays_on = bears[a] and now - then <= rounding
-        if stays_on:
+        if stays_on and then - now <= rounding:
+            # It does not come back by itself.
             apart = there.copy()
             for j in range(n):
                 for b in range(len(which)):

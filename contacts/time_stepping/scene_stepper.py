@@ -317,9 +317,9 @@ class SteppedScene(SteppedSystem):
         name, state = self._source.names[contact], STATES[code]
         if not self._undeclared[contact, code]:
             return NoConsistentMode(
-                f"contact {name!r} can neither slide on nor come off, as friction presses it into "
-                "its surface (Painleve: inconsistent); paradox: impact takes that for an impact "
-                "without collision, and goes on"
+                f"contact {name!r} can neither slide nor lift off: friction presses it into "
+                "its surface (Painleve, inconsistent); with paradox: impact an impact "
+                "without collision resolves this"
             )
         return NoConsistentMode(
             f"contact {name!r} would be {state} by t = {end:.9g}, and {state.rstrip('+-')} is not "
@@ -344,13 +344,12 @@ class SteppedScene(SteppedSystem):
 def _failure(status: int) -> SingularMode | NonFinite:
     if status == BAD_INERTIA:
         return SingularMode(
-            "the equations do not determine the motion: a coordinate without inertia moves "
-            "nothing that could hold it, or what is held contradicts itself"
+            "the equations do not determine the motion: a coordinate has no inertia and "
+            "nothing to hold it, or constraints contradict each other"
         )
     return NonFinite(
-        "a coordinate, what a controller remembers, or a gap or condition of a contact became "
-        "infinite or undefined; look for "
-        "a logarithm, a root or a quotient without a value there, such as a height where it ends"
+        "a coordinate, a controller's variable, or a gap or condition of a contact became "
+        "infinite or undefined; look for a logarithm, root or quotient without a value there"
     )
 
 
@@ -449,4 +448,4 @@ class SceneStepper(Stepper):
             kinds = self._scene.contacts[law.name].kinds
             if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
-                yield f"contact {law.name!r}: friction {mu:g} is computed as {1.0 / STEEPEST:g}"
+                yield (f"contact {law.name!r}: friction {mu:g} is replaced by {1.0 / STEEPEST:g}")

@@ -21,8 +21,8 @@ from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
 
 INDETERMINATE = (
-    "a contact may slide on as well as come off, as friction presses it into its surface "
-    "(Painleve: indeterminate): one of these was taken, another engine or step may take the other"
+    "a contact may slide as well as lift off: friction presses it into its surface "
+    "(Painleve, indeterminate); another engine or step may choose otherwise"
 )
 """What is said where the impulses of a step are not the only ones that the contact laws allow."""
 
@@ -47,9 +47,8 @@ class SolverResidual:
             return None
         k = int(np.argmax(wrong))
         return k, UnsolvedImpulses(
-            "the impulses of a step miss the contact laws by "
-            f"{chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach, and {self._bound:g} is the "
-            "bound; a shorter step may take the bodies past it"
+            f"the residual of the contact impulses is {chunk.efforts[k, RESIDUAL]:.2g} of the "
+            f"fastest approach, above impulse_bound, {self._bound:g}; take a shorter step"
         )
 
     def add(self, chunk: Chunk, start: float) -> None:
@@ -91,8 +90,10 @@ class SolverResidual:
         found: tuple[str, ...] = ()
         if self._softened:
             found += (
-                f"in {several(self._softened, 'step')} no impulses were found that make all "
-                "contacts part as Moreau's law of impact asks: what was hit then did not rebound",
+                (
+                    f"in {several(self._softened, 'step')} no impulses satisfy Moreau's impact "
+                    "law at all contacts: impacts there have no rebound"
+                ),
             )
         if self._ambiguous:
             found += (
@@ -109,14 +110,18 @@ class SolverResidual:
             )
         if self._unended:
             found += (
-                f"in {several(self._unended, 'step')} impacts one after another did not end, as of "
-                f"what is light between what is heavy: after {LONGEST_SEQUENCE} of them the "
-                f"approach was up to {self._left:.3g}; Moreau's law took them together there",
+                (
+                    f"in {several(self._unended, 'step')} sequences of impacts did not end (light "
+                    f"bodies between heavy ones): after {LONGEST_SEQUENCE} impacts the approach "
+                    f"was up to {self._left:.3g}, and Moreau's law took the rest together"
+                ),
             )
         if self._missed:
             found += (
-                f"in {several(self._missed, 'step')} impulses miss the contact laws by more "
-                f"than the tolerance of {self._tolerance:g}: by up to {self.residual:.2g} of "
-                f"the fastest approach, at t = {self._when:.6g}",
+                (
+                    f"in {several(self._missed, 'step')} the residual of the contact impulses "
+                    f"exceeds the tolerance of {self._tolerance:g}: up to {self.residual:.2g} of "
+                    f"the fastest approach, at t = {self._when:.6g}"
+                ),
             )
         return found

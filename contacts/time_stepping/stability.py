@@ -43,8 +43,8 @@ _AT_ONCE = 64
 def unstable(what: str, radians: float, h: float, finest: float) -> StepTooLarge:
     """Return the error of a step under whose forces motion swings ever farther."""
     return StepTooLarge(
-        f"{what} by {radians:.3g} radians in one step of {h:g}, and from 2 on ever farther; take "
-        f"{finest:.1g} or less"
+        f"{what} by {radians:.3g} radians in one step of {h:g}, which is unstable from 2 on; "
+        f"take {finest:.1g} or less"
     )
 
 
@@ -152,8 +152,10 @@ def remarks(swing: float, h: float) -> tuple[str, ...]:
     if not swing * h > _COARSE:
         return ()
     return (
-        f"springs swing by up to {swing * h:.2g} radians in one step of {h:g}: their periods "
-        f"are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less",
+        (
+            f"springs oscillate by up to {swing * h:.2g} radians in one step of {h:g}: their "
+            f"periods are off by {(swing * h) ** 2 / 24:.1%}; take {_FINE / swing:.1g} or less"
+        ),
     )
 
 
@@ -258,7 +260,7 @@ def check_followed(found: Stiffness, inverse: Array, held: Held, h: float) -> No
     if not most > UNSTABLE:
         return
     spring, damper = math.sqrt(max(largest(found.places), 0.0)), 0.5 * largest(found.rates)
-    what = "forces that change with places or speeds swing bodies"
+    what = "position- or velocity-dependent forces oscillate"
     raise unstable(what, math.sqrt(most), h, _FINE * h / max(spring, damper, _FINE))
 
 

@@ -217,6 +217,23 @@ _LATE = 1e-9
 
 
 @kernel
+def _slow(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, met: ContactRoles, i: int,
+    h: float,
+) -> float:  # fmt: skip
+    """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`.
+
+    What has just been struck comes back by turning as well: else it would rebound at every step.
+    """
+    change = met.free[i, 0] - met.before[i, 0]
+    slow = abs(change)
+    if memory.fresh[i] > 0:
+        row = tape.first + tape.per * i
+        slow = max(slow, abs(change + h * tape.numbers[row + 2 * tape.size]))
+    return max(SLOW * slow, scene.still)
+
+
+@kernel
 def find_active(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
@@ -237,7 +254,7 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
-        nearing, slow = -before[0], max(SLOW * abs(free[0] - before[0]), scene.still)
+        nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), BESIDE * h * nearing
         role, level[i], above = arriving(
@@ -340,6 +357,10 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
+    for a in range(m):
+        # After an impact bodies turn otherwise than they did: no slip is left to what they did.
+        if of_group(sudden, groups[:m], groups[a]):
+            wanted[a, 1] = 0.0
     return ContactProblem(
         which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
     )  # fmt: skip

@@ -141,8 +141,8 @@ class SqueezeCheck:
 
 def _no_room(name: str, depth: float) -> UnsolvedImpulses:
     return UnsolvedImpulses(
-        f"no impulses keep {name} out of what it touches: wherever it moves something stays "
-        f"{depth:.3g} deep; what is led or held leaves it no room"
+        f"{name} cannot get out of what it touches: some penetration of {depth:.3g} always "
+        "remains; prescribed motions or constraints leave it no room"
     )
 
 

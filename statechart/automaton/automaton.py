@@ -90,8 +90,8 @@ class Automaton:
         """The laws; raises `Unsupported` if only steps can run the model."""
         if self.laws is None:
             raise Unsupported(
-                f"{self.name!r} runs on the engine impulse alone: say --engine impulse "
-                "--step 1e-3, or write settings: {engine: impulse, step: 1e-3}"
+                f"{self.name!r} runs by steps only; write --engine impulse --step 1e-3, or "
+                "settings: {engine: impulse, step: 1e-3}"
             )
         return self.laws
 

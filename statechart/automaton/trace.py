@@ -31,25 +31,27 @@ Key = tuple[str, ...]
 class Outcome(Enum):
     """Why a run ended, as a sentence that a user can act on."""
 
-    HORIZON = "The end of the time asked for was reached."
-    STOPPED = "A stop condition of the declaration was met."
-    INTERRUPTED = "The run was interrupted; the trace ends where it was."
-    OUT_OF_BUDGET = "The time allowed was over; the trace ends where the run was."
-    NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state: see the margins."
-    AMBIGUOUS_MODE = "Several modes agree with the state and move it differently: see the margins."
-    EVENT_LOOP = "Too many jumps at one instant: the modes listed follow one another for ever."
-    TOO_MANY_JUMPS = "More jumps than settings.max_jumps: raise it, or shorten the run."
-    TOO_LONG = (
-        "The run is longer than it can be computed or kept: shorten it, or take longer steps."
+    HORIZON = "The run reached its end time."
+    STOPPED = "A stop condition became true."
+    INTERRUPTED = "The run was interrupted; the trace ends there."
+    OUT_OF_BUDGET = "The time budget was used up; the trace ends there."
+    NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state; the margins say why."
+    AMBIGUOUS_MODE = (
+        "Several modes agree with the state and move it differently; the margins say why."
     )
-    STEP_FAILURE = "The integrator could not go on with the accuracy asked for."
+    EVENT_LOOP = "Too many jumps at one instant; the listed modes alternate without end."
+    TOO_MANY_JUMPS = "The run has more jumps than settings.max_jumps; raise it, or shorten the run."
+    TOO_LONG = "The run is too long to be computed or stored; shorten it, or take longer steps."
+    STEP_FAILURE = "The integrator could not reach its tolerance."
     NON_FINITE = "A variable or a guard became infinite or undefined."
     UNDECIDED = "A guard could not be decided within its budget of boxes."
-    ZENO = "Jumps accumulate at a finite time and nothing declared says what follows."
-    SINGULAR_MODE = "The equations of the mode entered do not determine the motion."
-    STEP_TOO_LARGE = "The time step is too large for this model: take a smaller one."
-    UNSOLVED_IMPULSES = "No impulses of a time step obey the contact laws nearly enough."
-    UNSUPPORTED = "The engine asked for cannot run this model: take the one named."
+    ZENO = "Jumps accumulate at a finite time, and the model has no transition 'on: zeno'."
+    SINGULAR_MODE = "The equations of the entered mode do not determine the motion."
+    STEP_TOO_LARGE = "The time step is too large for this model; take a smaller one."
+    UNSOLVED_IMPULSES = (
+        "The impulses of a time step do not satisfy the contact laws within impulse_bound."
+    )
+    UNSUPPORTED = "This engine cannot run the model; take the one that the message names."
 
     @property
     def succeeded(self) -> bool:
@@ -65,9 +67,8 @@ def check_size(size: int, jumps: int, time: float) -> None:
     """Raise `TooLong` if a trace of `size` bytes in arrays and of `jumps` jumps is too large."""
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
-            f"the trace up to t = {time:.6g} takes {LARGEST >> 20} MB, as much as it may; "
-            "end the run there, or look for what makes its steps so short or its jumps so many; "
-            "time steps are kept on disk with record: poses"
+            f"the trace up to t = {time:.6g} takes {LARGEST >> 20} MB, the largest allowed; "
+            "end the run there, or record poses or nothing (--record)"
         )
 
 
@@ -337,8 +338,8 @@ class Trace:
         """Raise `StatechartError` if the run recorded only its start and end."""
         if self.record is Record.NOTHING:
             raise StatechartError(
-                "the run recorded nothing between its start and its end: run it with record: "
-                "poses, or --record poses"
+                "the run recorded no states between its start and its end; run it with "
+                "--record poses"
             )
 
     @property

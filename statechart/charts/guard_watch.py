@@ -150,8 +150,8 @@ class GuardWatch:
             margin, size = rows[first, 0], rows[first, 3]
             if guard.name not in fired and margin > _ZERO_MARGIN * size:
                 return (
-                    f"{guard.name} is taken for true, {margin:.2g} short of it: that is within "
-                    "the tolerance of the run"
+                    f"{guard.name} counts as true: it is {margin:.2g} short of it, within the "
+                    "tolerance of the run"
                 )
         return ""
 

@@ -34,40 +34,44 @@ class Transition(Part):
     }
 
     name: NameText = Field(
-        description="What happens: the cause that events and outputs name.", examples=["thrust"]
+        description="Name of the event; outputs and triggers refer to it.", examples=["thrust"]
     )
     source: str = Field(
-        alias="from", description="The state that it leaves.", examples=["compression"]
+        alias="from", description="State that the transition leaves.", examples=["compression"]
     )
     target: str | None = Field(
         default=None,
         alias="to",
-        description="The state that it enters. Without it no state is left: updates alone.",
+        description=(
+            "State that it enters; without one, no state is left and only the updates are made."
+        ),
         examples=["extension"],
     )
     guard: RelationText | None = Field(
-        default=None, description="Fires when this becomes true.", examples=["leg.dlength >= 0"]
+        default=None,
+        description="Relation; the transition fires when it becomes true.",
+        examples=["leg.dlength >= 0"],
     )
     on: EventText | None = Field(
         default=None,
-        description="Fires at an event of another region.",
+        description="Event of another region at which the transition fires.",
         examples=["foot.touchdown"],
     )
     after: FormulaText | None = Field(
         default=None,
-        description="Fires so long after its source was entered.",
+        description="Time after entering the source at which the transition fires.",
         examples=[0.2],
         json_schema_extra=unit("time"),
     )
     every: FormulaText | None = Field(
         default=None,
-        description="Fires at every multiple of this after its source was entered.",
+        description="Period after entering the source with which the transition fires.",
         examples=["T"],
         json_schema_extra=unit("time"),
     )
     updates: dict[str, FiniteText] = Field(
         default={},
-        description="Variable to its new value, of the values before.",
+        description="New values of variables, as formulas of the values before.",
         examples=[{"v": "-k*v"}],
         json_schema_extra=unit("that of the variable"),
     )
@@ -112,7 +116,9 @@ class BaseState(Part):
     """
 
     initial: str | None = Field(
-        default=None, description="The state in it that is entered with it.", examples=["waiting"]
+        default=None,
+        description="Inner state that is entered with the state.",
+        examples=["waiting"],
     )
     states: Mapping[str, BaseState] = Field(
         default={},
@@ -131,26 +137,30 @@ class BaseState(Part):
     )
     history: Literal["shallow", "deep"] | None = Field(
         default=None,
-        description="A target: what was last active of the state that this stands in; "
-        "shallow: of its own states, deep: of those in them, too.",
+        description=(
+            "Makes the state a history: a transition to it enters the state that was "
+            "last active beside it; shallow restores one level, deep all."
+        ),
         examples=["shallow"],
     )
     entry: dict[str, FiniteText] = Field(
         default={},
-        description="Variable to its value once the state is entered.",
+        description="Values of variables when the state is entered.",
         examples=[{"count": "count + 1"}],
         json_schema_extra=unit("that of the variable"),
     )
     exit: dict[str, FiniteText] = Field(
         default={},
-        description="Variable to its value once the state is left.",
+        description="Values of variables when the state is left.",
         examples=[{"count": 0}],
         json_schema_extra=unit("that of the variable"),
     )
     flows: dict[str, FiniteText] = Field(
         default={},
-        description="Variable to its time derivative; without one it is constant. Inner states "
-        "may give another.",
+        description=(
+            "Time derivatives of variables; without one a variable is constant. An "
+            "inner state may override them."
+        ),
         examples=[{"x": "v", "v": "-g"}],
         json_schema_extra=unit("that of the variable, per time"),
     )
@@ -159,7 +169,7 @@ class BaseState(Part):
 class BaseRegion(Part):
     """States of which exactly one is active, and the transitions between them."""
 
-    initial: str = Field(description="The state that it starts in.", examples=["flight"])
+    initial: str = Field(description="State at the start.", examples=["flight"])
     states: Mapping[str, BaseState] = Field(
         description="Name to state.", examples=[{"flight": {}, "stance": {}}]
     )

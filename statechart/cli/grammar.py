@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
             _flag(added, "-q --quiet", "show no progress; warnings and errors remain")
         return added
 
-    verb("validate", "read a model and check it, its initial state too")
+    verb("validate", "check a model and its initial state")
     run = verb("run", "run a model and report what happened")
     _settable(run)
     _running(run)
@@ -92,9 +92,9 @@ def _unknown(argument: str, verb: argparse.ArgumentParser) -> str:
     if name != argument and assigned and not name.startswith("-"):
         return f"{argument!r} is left over; write {assigned[0]} before each"
     if not name.startswith("-"):
-        return f"{argument!r} is left over; what has blanks stands in quotes"
+        return f"{argument!r} is left over; put arguments with blanks in quotes"
     if name in verb._option_string_actions:
-        return f"{name} stands behind the verb"
+        return f"write {name} after the verb"
     advice = close_matches(name, verb._option_string_actions)
     return f"no option {name}; {advice}"
 
@@ -266,7 +266,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, which the list of all options would hide."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n{self.prog} --help has what there is\n")
+        self.exit(2, f"{self.prog}: error: {message}\nfor the options: {self.prog} --help\n")
 
 
 class _Version(argparse.Action):

@@ -36,8 +36,8 @@ def check_folder(output: str | None) -> None:
     path = Path(output).absolute()
     if is_store(output) and path.exists():
         raise DeclarationError(
-            f"--output {output}: there is something of this name",
-            advice="name another store: runs are not written over each other",
+            f"--output {output} exists already",
+            advice="name another store",
         )
     if why := obstacle(path):
         raise DeclarationError(f"--output {output}: {why}", advice="name another folder")

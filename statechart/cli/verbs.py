@@ -203,7 +203,7 @@ def _alternatives(
 ) -> list[dict[str, Any]]:
     """Return where runs under the other choices of the model differ from a run."""
     from statechart.observation.difference import compare
-    from statechart.observation.outputs import Outputs
+    from statechart.observation.outputs import outputs_of
     from statechart.reporting.report import json_safe
 
     rows = []
@@ -214,7 +214,7 @@ def _alternatives(
             other.trace,
             result.outputs,
             other.outputs,
-            scales=Outputs(result.observer).scales(result.trace),
+            scales=outputs_of(result.observer).scales(result.trace),
             endless=result.endless | other.endless,
         )
         report = other.to_dict()

@@ -86,22 +86,22 @@ class Declaration(Part):
 
     kind: str = Field(description="What is declared.", examples=["scene"])
     name: NameText = Field(
-        description="Of the model: letters, digits and _.", examples=["toppling_stick"]
+        description="Name of the model: letters, digits and _.", examples=["toppling_stick"]
     )
     doc: str = Field(
         default="",
-        description="What the model is, in a line.",
+        description="Description of the model in one line.",
         examples=["A stick balanced on its tip topples and may slip."],
     )
     parameters: dict[ValueName, ConstantText] = Field(
         default={},
-        description="Constants: name to a number, or to a formula of others.",
+        description="Constants: numbers, or formulas of other parameters.",
         examples=[{"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3}],
         json_schema_extra=unit("that of each"),
     )
     ranges: dict[str, tuple[Real, Real]] = Field(
         default={},
-        description="What checks vary: parameter to least and greatest value.",
+        description="Ranges of parameters for checks: least and greatest value.",
         examples=[{"mu": [0, 2]}],
         json_schema_extra=unit("that of the parameter"),
     )
@@ -112,23 +112,27 @@ class Declaration(Part):
     )
     invariants: dict[Label, RelationText] = Field(
         default={},
-        description="Named relations that hold in all of a run: tested by check, reported by run.",
+        description=(
+            "Relations that hold during the whole run; check tests them, run reports them."
+        ),
         examples=[{"stays above": "stick.y >= 0"}],
     )
     outputs: dict[NameText, Output] = Field(
         default={},
-        description="What a run reports: name to a value, integral, count, minimum or maximum.",
+        description="Reported quantities: a value, integral, count, minimum or maximum.",
         examples=[{"t_slip": {"value": "time", "at": "first tip.slip"}}],
     )
     units: Units = Field(
         default={},
-        description="For tables and axes: SI, dimensionless, or length, time, mass, force, or a "
-        "name of the model, to its unit. Nothing is converted.",
+        description=(
+            "Units for tables and axes: SI, dimensionless, or a unit for each of "
+            "length, time, mass, force or a name of the model. Nothing is converted."
+        ),
         examples=["SI", {"length": "mm", "time": "s", "mass": "g"}],
     )
     settings: Settings = Field(
         default=Settings(),
-        description="How a run is computed, where nobody asks for something else.",
+        description="Defaults of engine, tolerance and step; options of a run override them.",
         examples=[{"engine": "impulse", "step": 0.001}],
     )
 

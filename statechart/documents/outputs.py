@@ -99,20 +99,23 @@ class Value(Part):
     }
 
     value: FiniteText = Field(
-        description="What is taken: a formula of variables, observables and parameters.",
+        description="Formula of variables, observables and parameters.",
         examples=["abs(stick.angle)"],
         json_schema_extra=unit("that of the formula"),
     )
     at: Annotated[str, _that(_parse_moment)] = Field(
         default="end",
-        description="When: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT, "
-        "last 10 EVENT. An event is a cause, such as slip, one of a contact, tip.slip, or the "
-        "entering of a state, tip.pin; several are joined by or.",
+        description=(
+            "Time: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT "
+            "or last 10 EVENT. An event is a cause such as slip, a cause of one "
+            "contact such as tip.slip, or a state that is entered such as tip.pin; "
+            "join several by or."
+        ),
         examples=["first tip.slip"],
     )
     before: StrictBool = Field(
         default=False,
-        description="Take the state just before the jump, not just after it.",
+        description="Evaluate just before the jump instead of just after it.",
         examples=[True],
     )
 
@@ -132,13 +135,13 @@ class Integral(Part):
     """A formula integrated over time, or over the time that regions spend in given states."""
 
     integral: FiniteText = Field(
-        description="What is integrated over time.",
+        description="Formula that is integrated over time.",
         examples=["abs(tip.slip)"],
         json_schema_extra=unit("that of the formula; of the integral, it times time"),
     )
     during: dict[str, str] = Field(
         default={},
-        description="Region to the state in which it counts; all of the time by default.",
+        description=("Region and its state during which to integrate; the whole run by default."),
         examples=[{"tip": "slide"}],
     )
 
@@ -147,7 +150,7 @@ class Count(Part):
     """The number of times that an event happened."""
 
     count: EventText = Field(
-        description="The event, or several joined by or.", examples=["tip.touchdown"]
+        description="Event to count, or several joined by or.", examples=["tip.touchdown"]
     )
 
     @property
@@ -160,7 +163,7 @@ class Minimum(Part):
     """The least value of a formula over the run."""
 
     minimum: FiniteText = Field(
-        description="What the least value is taken of.",
+        description="Formula whose least value is reported.",
         examples=["stick.y"],
         json_schema_extra=unit("that of the formula"),
     )
@@ -170,7 +173,7 @@ class Maximum(Part):
     """The greatest value of a formula over the run."""
 
     maximum: FiniteText = Field(
-        description="What the greatest value is taken of.",
+        description="Formula whose greatest value is reported.",
         examples=["tip.V"],
         json_schema_extra=unit("that of the formula"),
     )

@@ -164,8 +164,10 @@ class Setting:
         bound, allowed = self.impulse_bound, self.impulse_tolerance
         if bound is not None and allowed is not None and bound < allowed:
             raise DeclarationProblem(
-                f"impulse_bound is {bound:g}, and impulses are good to impulse_tolerance, "
-                f"{allowed:g}, only: it would end runs whose impulses are found",
+                (
+                    f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}: it would "
+                    "end runs whose impulses are within tolerance"
+                ),
                 advice="give a larger bound, or a smaller tolerance",
                 loc=("impulse_bound",),
             )

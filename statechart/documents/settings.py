@@ -38,13 +38,13 @@ class Stop(Part):
 
     time: FormulaText | None = Field(
         default=None,
-        description="When it ends at the latest: a formula of parameters.",
+        description="End time of the run, a formula of parameters.",
         examples=[10, "2*pi/omega"],
         json_schema_extra=unit("time"),
     )
     conditions: dict[Label, RelationText] = Field(
         default={},
-        description="Words to a relation: the run ends as soon as one becomes true.",
+        description="Named relations; the run ends as soon as one becomes true.",
         examples=[{"fallen": "stick.angle <= -pi/2"}],
     )
 
@@ -60,60 +60,69 @@ class Settings(Part):
 
     engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
         default="auto",
-        description="What integrates: taylor or scipy, which locate events; impulse, which takes "
-        "fixed steps; auto chooses.",
+        description=(
+            "Engine: taylor or scipy locate events, impulse takes fixed steps, auto chooses."
+        ),
         examples=["impulse"],
     )
     method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = Field(
-        default=None, description="Of the engine scipy; DOP853 by default.", examples=["Radau"]
+        default=None,
+        description="Method of the engine scipy; DOP853 by default.",
+        examples=["Radau"],
     )
     tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None,
-        description="Relative tolerance of every step.",
+        description="Relative tolerance of each step.",
         examples=[1e-9],
         json_schema_extra=unit("1"),
     )
     accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None,
-        description="Relative error allowed in the result: tolerances are tightened, or steps of "
-        "the engine impulse shortened, until the estimated error is below it.",
+        description=(
+            "Allowed relative error of the result. Tolerances or steps are reduced "
+            "until the estimated error is below it."
+        ),
         examples=[1e-6],
         json_schema_extra=unit("1"),
     )
     step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
-        description="Length of every step in time, of the engine impulse; of the longest where an "
-        "accuracy is asked for.",
+        description="Time step of the engine impulse; with an accuracy, the longest one.",
         examples=[0.001],
         json_schema_extra=unit("time"),
     )
     max_step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
-        description="Length of the longest step in time, of an engine that chooses its own.",
+        description="Longest time step of the engines taylor and scipy.",
         examples=[0.01],
         json_schema_extra=unit("time"),
     )
     impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
         default=None,
-        description="By how much the impulses of a step of the engine impulse may miss the contact "
-        "laws, in parts of the step's fastest approach: 1e-6. What misses by more is told.",
+        description=(
+            "Allowed residual of the contact impulses in a step, relative to its "
+            "fastest approach velocity: 1e-6. Steps above it are counted in a "
+            "warning."
+        ),
         examples=[1e-8],
         json_schema_extra=unit("1"),
     )
     impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
-        description="What misses by more than this ends the run; nothing does by itself.",
+        description=("Residual of the contact impulses above which the run ends; none by default."),
         examples=[0.01],
         json_schema_extra=unit("1"),
     )
     record: Literal["modes", "poses", "nothing"] = Field(
         default="modes",
-        description="What is kept of a run of the engine impulse: modes of contacts, with their "
-        "events; poses, the states at every step; nothing but start, end and outputs.",
+        description=(
+            "Recording of the engine impulse: modes with all events, poses with the "
+            "states at every step, or nothing but start, end and outputs."
+        ),
         examples=["poses"],
     )
     max_jumps: Annotated[StrictInt, Field(gt=0)] = Field(
-        default=100_000, description="A run ends after so many jumps.", examples=[1000]
+        default=100_000, description="Number of jumps after which the run ends.", examples=[1000]
     )
 
     @model_validator(mode="after")

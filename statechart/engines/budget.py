@@ -38,8 +38,8 @@ class Allowance:
         """
         if self.clock() + seconds > self._until:
             raise OutOfBudget(
-                f"the {self.seconds:g} s allowed are too few to compile what integrates the mode; "
-                "allow more time, or take the engine scipy"
+                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more "
+                "time, or take the engine scipy"
             )
 
     def check(self, now: float) -> None:
@@ -51,8 +51,8 @@ class Allowance:
         """
         if self.clock() > self._until:
             raise OutOfBudget(
-                f"the {self.seconds:g} s allowed were over at t = {now:.6g}; "
-                "allow more time, shorten the run, or take a looser tolerance"
+                f"the {self.seconds:g} s were used up at t = {now:.6g}; allow more time, "
+                "shorten the run, or take a looser tolerance"
             )
 
 

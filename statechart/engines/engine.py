@@ -58,15 +58,15 @@ class Path:
         capacity = capacity if needed <= capacity else max(2 * capacity, needed, _ROOM)
         if 8 * self.count * variables * terms > LARGEST:
             raise TooLong(
-                f"{self.count} steps in one mode take {LARGEST >> 20} MB, as much as a trace may; "
-                "end the run earlier, or look for what makes the steps so short"
+                f"{self.count} steps in one mode take {LARGEST >> 20} MB, the largest trace "
+                "allowed; end the run earlier, or remove what makes the steps so short"
             )
         try:
             times, coefficients = np.zeros(capacity + 1), np.zeros((capacity, variables, terms))
         except MemoryError:
             raise StepFailure(
-                f"{self.count} steps in one mode fill the memory; end the run earlier, or look for "
-                "what makes the steps so short"
+                f"{self.count} steps in one mode fill the memory; end the run earlier, or "
+                "remove what makes the steps so short"
             ) from None
         if self.count > 0:
             times[: self.count + 1] = self.times[: self.count + 1]

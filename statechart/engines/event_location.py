@@ -35,7 +35,7 @@ class Verdict(Enum):
     NONE = "It is proved that no margin falls below minus its tolerance."
     CROSSING = "The first crossing is located, and proved to be the first."
     GRAZE = "A margin meets minus its tolerance too closely to tell whether it passes."
-    BUDGET = "The budget of boxes was spent before the search was decided."
+    BUDGET = "The search used up its boxes undecided."
     NON_FINITE = "A polynomial or a margin is infinite or undefined."
 
 

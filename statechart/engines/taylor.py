@@ -204,8 +204,8 @@ class Taylor(Engine):
             self.check(stepper, state, watch.parameters, start)
             if np.isfinite(stepper.rates.values(state, watch.parameters, start)).all():
                 raise Unsupported(
-                    f"the Taylor series of the rates overflows at t = {start:.6g}, though "
-                    "they do not; use engine: scipy"
+                    f"the Taylor series of the rates overflows at t = {start:.6g}; use "
+                    "engine: scipy"
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
         if h == 0.0 and left > 0.0:

@@ -443,8 +443,10 @@ class Execution:
             return False
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
-            f"t = {self.clock.high:.6g}: {margin} is zero to within rounding; "
-            f"it is watched with the tolerance {wide:.3g}"
+            (
+                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance is "
+                f"{wide:.3g} there"
+            )
         ] = None
         return True
 

@@ -98,8 +98,8 @@ def decided(
             return where._replace(guard=guard, crossed=where.time)
     name = names[where.guard] if where.guard >= 0 else "one of " + ", ".join(names)
     raise NonFinite(
-        f"the guard {name} cannot be evaluated near t = {time:.6g}; look for a logarithm, a root "
-        "or a quotient without a value there, such as a height where it ends"
+        f"the guard {name} has no value near t = {time:.6g}; look for a logarithm, root or "
+        "quotient without a value there"
     )
 
 

@@ -37,8 +37,8 @@ from statechart.kernels.boxes import Steps
 from statechart.kernels.defect import unseen
 from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
-FOLLOWED = "the slopes of all steps were held against the rates"
-UNFOLLOWED = "steps are not known to follow the rates: what is narrow may have been missed"
+FOLLOWED = "the slopes of all steps were compared with the rates"
+UNFOLLOWED = "steps may not follow the rates: narrow features may have been missed"
 # A chunk may end this far off its constraints, in tolerances; inside it may be farther.
 _DRIFT = 0.2
 # A single step that ends so far off was blind to something; of what rounding does this is no part.
@@ -315,8 +315,8 @@ def _check_pace(steps: int, took: float, left: float) -> None:
     pace = took / steps
     if pace * _TOO_MANY < left:
         raise TooLong(
-            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or write "
-            "what varies so fast by its mean"
+            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or "
+            "replace the fast variation by its mean"
         )
 
 

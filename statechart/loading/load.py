@@ -61,7 +61,10 @@ def resolved(model: Declaration | Document | str | Path) -> tuple[Declaration, D
         return interpret(model), model
     if not isinstance(model, Declaration):
         raise DeclarationError(
-            f"a model is a file, a name or what is built, not of type {type(model).__name__}",
+            (
+                "a model is a file, the name of a shipped model, or a Scene or Chart, not of "
+                f"type {type(model).__name__}"
+            ),
             advice="build contacts.Scene(...) or statechart.Chart(...), or write a file",
         )
     return model, None

@@ -55,9 +55,9 @@ def _sentence(several: Sequence[Graze]) -> str:
     graze, more = several[0], len(several) - 1
     if graze.least < -graze.room:
         return (
-            f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, less "
-            "than its tolerance where the flow began, and does not fire; let the flow begin "
-            "farther from the boundary"
+            f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, "
+            "less than its tolerance at the start of the flow, and does not fire; start the "
+            "flow farther from the boundary"
         )
     how = "fires" if graze.fired else "comes to its boundary"
     would = "would have been" if graze.fired else "is"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy as sp
@@ -55,6 +55,7 @@ class Observer:
     def __init__(self, simulator: Simulator | SteppingSimulator) -> None:
         self.simulator = simulator
         self.programs = Programs(simulator.automaton)
+        self.outputs: Any = None  # see `statechart.observation.outputs.outputs_of`
 
     @property
     def automaton(self) -> Automaton:

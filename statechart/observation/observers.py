@@ -16,7 +16,7 @@ from statechart.execution.perturbation import nudged
 from statechart.execution.simulator import Simulator
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.observer import Observer
-from statechart.observation.outputs import OutputAccumulator, Outputs
+from statechart.observation.outputs import OutputAccumulator, outputs_of
 
 
 class Observers:
@@ -27,7 +27,6 @@ class Observers:
     ) -> None:
         self._automaton, self._allowance, self._progress = automaton, allowance, progress
         self._kept: dict[tuple[Setting, bool], Observer] = {}
-        self._outputs: dict[Observer, Outputs] = {}
         # What is solved of a mode holds at any tolerance, on any engine and from any start.
         self._solved = SolvedModes(automaton)
 
@@ -42,14 +41,7 @@ class Observers:
             simulator = self._simulator(setting, off)
             observer = found = self._kept[setting, off] = Observer(simulator)
             if isinstance(simulator, SteppingSimulator) and simulator.record is not Record.MODES:
-                simulator.new_outputs = lambda: OutputAccumulator(self.outputs(observer))
-        return found
-
-    def outputs(self, observer: Observer) -> Outputs:
-        """Return what computes the declared outputs by an observer, made ready once."""
-        found = self._outputs.get(observer)
-        if found is None:
-            found = self._outputs[observer] = Outputs(observer)
+                simulator.new_outputs = lambda: OutputAccumulator(outputs_of(observer))
         return found
 
     def engine(self, setting: Setting) -> Engine:

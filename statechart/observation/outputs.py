@@ -108,6 +108,8 @@ class Outputs:
         self._watched = (*dict.fromkeys(formula for _, formula, _ in self.extremes), *watched)
         waits = [moment.events for _, _, moment in self.at]
         self._waits = tuple(dict.fromkeys([*waits, *(events for _, events in self.counts)]))
+        # By what decides it: which waits a jump ends.
+        self._marked: dict[tuple[Any, ...], tuple[int, ...]] = {}
         # By the zero parameters of runs: kinds of modes, verdicts on events; tapes, by the number
         # of kinds, too.
         self._kinds: dict[frozenset[int], dict[Kind, int]] = {}
@@ -119,6 +121,16 @@ class Outputs:
     def waits(self) -> int:
         """Number of sets of events that outputs wait for."""
         return len(self._waits)
+
+    @cached_property
+    def value_waits(self) -> tuple[int, ...]:
+        """Those of values."""
+        return tuple({self._waits.index(moment.events) for _, _, moment in self.at})
+
+    @cached_property
+    def count_waits(self) -> tuple[int, ...]:
+        """Those of counts, in their order."""
+        return tuple([self._waits.index(events) for _, events in self.counts])
 
     @cached_property
     def needs_modes(self) -> bool:
@@ -210,7 +222,7 @@ class Outputs:
         for column, (_, _, moment) in zip(values.listed.tolist(), self.at, strict=True):
             ends = accumulate(tallies[self._waits.index(moment.events)], initial=0)
             listed.append([column[a:b] for a, b in pairwise(ends)])
-        counted = [tallies[self._waits.index(events)] for _, events in self.counts]
+        counted = [tallies[wait] for wait in self.count_waits]
         return listed, counted
 
     def values_by_run(
@@ -233,10 +245,14 @@ class Outputs:
 
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
         """Return which waits a jump ends."""
-        regions = self.observer.automaton.regions
-        return tuple(
-            [int(any(happened(regions, jump, event) for event in wait)) for wait in self._waits]
-        )
+        key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
+        found = self._marked.get(key)
+        if found is None:
+            regions = self.observer.automaton.regions
+            found = self._marked[key] = tuple(
+                [int(any(happened(regions, jump, event) for event in wait)) for wait in self._waits]
+            )
+        return found
 
     def _marks(self, batch: Batch, jump_of: Callable[[int, int], Jump]) -> _Marks:
         """Return the marks of all events of all runs, a stop being one; see `compute_outputs`.
@@ -466,21 +482,23 @@ class OutputAccumulator:
         """Take arcs, and jumps beside arcs of a trace, the start of the run first."""
         outputs, before = self._outputs, self.values
         left = {jump.j for jump in passed(trace)} if len(before.extremes) else set[int]()
-        judged = [
-            (jump, own) for jump in jumps if any(own := (*outputs.marks_of(jump), jump.j in left))
-        ]
-        rows = [row for _, row in judged]
-        marks = np.array(rows, np.uint8).reshape(len(rows), outputs.waits + 1)
+        every = [(*outputs.marks_of(jump), jump.j in left) for jump in jumps]
+        for place, wait in enumerate(outputs.count_waits):
+            self._counted[place] += sum([own[wait] for own in every])
+        needed = (*outputs.value_waits, outputs.waits)
+        # Values are needed at some of them.
+        chosen = [k for k, own in enumerate(every) if any(own[wait] for wait in needed)]
+        marks = np.array([every[k] for k in chosen], np.uint8)
+        marks = marks.reshape(len(chosen), outputs.waits + 1)
+        if not (outputs.integrals or len(before.extremes)):
+            arcs = ()
         values = outputs.empty_values(1, len(marks))
         values = values._replace(integrals=before.integrals, extremes=before.extremes)
-        packed = self._packed(trace, arcs, [jump for jump, _ in judged], ended)
-        tapes, block, resolved, found = packed
-        outputs.compute(tapes, block, resolved, found, marks, values)
-        listed, counted = outputs.split(values, marks, [len(marks)])
+        packed = self._packed(trace, arcs, [jumps[k] for k in chosen], ended)
+        outputs.compute(*packed, marks, values)
+        listed, _ = outputs.split(values, marks, [len(marks)])
         for place, ((new,), (_, _, moment)) in enumerate(zip(listed, outputs.at, strict=True)):
             self._listed[place] = (self._listed[place] + new)[_part(moment)]
-        for place, (count,) in enumerate(counted):
-            self._counted[place] += count
         self.values = values._replace(start=before.start) if self.begun else values
         self.begun = True
 
@@ -555,9 +573,17 @@ def _part(moment: Moment) -> slice:
     return slice(most) if moment.when == "first" else slice(-most, None)
 
 
+def outputs_of(observer: Observer) -> Outputs:
+    """Return the declared outputs of an observer's model, made ready once."""
+    if observer.outputs is None:
+        observer.outputs = Outputs(observer)
+    found: Outputs = observer.outputs
+    return found
+
+
 def outputs(observer: Observer, trace: Trace) -> dict[str, OutputValue]:
     """Return the declared outputs of one run; see `Outputs.of`."""
-    return Outputs(observer).of(trace)
+    return outputs_of(observer).of(trace)
 
 
 def extremes(observer: Observer, trace: Trace, formula: Formula) -> tuple[float, float]:

@@ -33,7 +33,7 @@ def stage_of(automaton: Automaton) -> Stage:
     made = kind(name).stage
     if made is None:
         raise StatechartError(
-            f"a {name} has no bodies to look at; its figure and its diagram show what it does"
+            f"a {name} has no bodies to draw; its figure and its diagram show the run"
         )
     return made(automaton)
 

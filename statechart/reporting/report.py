@@ -345,7 +345,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
         found.append(
             {
                 "what": f"the equations of {'all ' * (total > 1)}{several(total, 'mode')}",
-                "why": "a step solves for all contacts at once, and modes are told from it",
+                "why": ("a step solves all contacts together, and modes follow from the solution"),
             }
         )
         found.append(
@@ -358,7 +358,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
             found.append(
                 {
                     "what": "modes of contacts and their events",
-                    "why": f"record: {trace.record.value} keeps none; ask for record: modes",
+                    "why": f"record: {trace.record.value} stores none; use record: modes",
                 }
             )
     elif made < total:
@@ -371,7 +371,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     found += [
         {
             "what": f"the invariant {one.name!r}",
-            "why": f"record: {trace.record.value} keeps none of its states; ask for record: modes",
+            "why": f"record: {trace.record.value} stores no states; use record: modes",
         }
         for one in unkept_invariants(automaton, trace)
     ]

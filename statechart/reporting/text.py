@@ -84,7 +84,7 @@ def computed(report: Mapping[str, Any]) -> list[str]:
         )
         if report["asked"]["not_judged"]:
             names = ", ".join(report["asked"]["not_judged"])
-            lines.append(f"not judged: {names} (of events without end)")
+            lines.append(f"without estimate: {names} (they count infinitely many events)")
     if report["condition"] is not None:
         condition = float(report["condition"])
         lines.append(f"times of events magnify errors of the state by up to {condition:.2g}")

@@ -27,7 +27,7 @@ from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import Difference, compare, distance, modes_apart, paired
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import outputs_of
 from statechart.observation.scales import OutputValue, Scales
 from statechart.tabular import several
 
@@ -177,7 +177,7 @@ class EvaluatedRun:
     @classmethod
     def of(cls, observer: Observer, trace: Trace) -> EvaluatedRun:
         """Evaluate the outputs of a run."""
-        made = Outputs(observer)
+        made = outputs_of(observer)
         return cls(observer, trace, made.of(trace), made.scales(trace), made.endless(trace))
 
     def difference(self, other: EvaluatedRun, scales: Scales, **options: Any) -> Difference:
@@ -331,7 +331,7 @@ class _Tightened(_Series):
         if trace.outcome in _CUT_SHORT:
             return _NO_ERROR
         tighter = EvaluatedRun.of(observer, trace)
-        return self._difference(now, tighter, "at the tolerances far apart, to")
+        return self._difference(now, tighter, "at very different tolerances, to")
 
     @property
     def stride(self) -> float:
@@ -348,8 +348,8 @@ class _Tightened(_Series):
             _, self._merged = paired(one.trace, other.trace)
         else:
             self.diverged = (
-                f"{runs} take different modes: accuracy is undefined from "
-                f"t = {found.diverged:.6g} on"
+                f"{runs} take different modes: there is no accuracy from t = "
+                f"{found.diverged:.6g} on"
             )
         if found.diverged is None and found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
@@ -364,8 +364,10 @@ class _Tightened(_Series):
         if self._merged is None:
             return ()
         return (
-            f"modes that last less than {self._brief:g} of the run are not told apart: from "
-            f"t = {self._merged:.6g} on one of the runs has some that another has not",
+            (
+                f"modes shorter than {self._brief:g} of the run are ignored: from t = "
+                f"{self._merged:.6g} on the runs differ in such modes"
+            ),
         )
 
 
@@ -395,8 +397,8 @@ def tighten(
     if found.error <= accuracy:
         return found
     missed = runs.diverged or (
-        f"the accuracy {accuracy:g} was not reached: at the least tolerance of the engine the "
-        f"estimated error is {found.error:.2g}, that of {found.decides}"
+        f"the accuracy {accuracy:g} was not reached: at the smallest tolerance the estimated "
+        f"error is {found.error:.2g}, in {found.decides}"
     )
     return replace(found, warnings=(missed,))
 
@@ -452,16 +454,22 @@ def within(
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
         late = (
-            f", which took {taken:.2g} s: a mode is solved and compiled to its end" if over else ""
+            f", which took {taken:.2g} s, since compiling a mode cannot be cut short"
+            if over
+            else ""
         )
         warnings = (
-            f"the budget of {budget:g} s allowed one run only{late}; for an estimate of its error "
-            f"allow {_ADVISED * taken:.2g} s",
+            (
+                f"the budget of {budget:g} s allowed one run{late}; for an error estimate allow "
+                f"{_ADVISED * taken:.2g} s"
+            ),
         )
     elif over:
         warnings += (
-            f"the run took {taken:.2g} s, more than the budget of {budget:g} s: a mode is solved "
-            "and compiled to its end; the next run has it ready",
+            (
+                f"the run took {taken:.2g} s, more than the budget of {budget:g} s, since "
+                "compiling a mode cannot be cut short; the next run has it compiled"
+            ),
         )
     return replace(best, warnings=warnings, cost=runs.cost)
 
@@ -483,7 +491,7 @@ def replay(once: Once, chosen: Chosen) -> RunEstimate | None:
     made = (trace.outcome.name, len(trace.arcs), cost.steps, cost.evaluations)
     if made != (chosen.outcome, chosen.flows, chosen.steps, chosen.evaluations):
         return None
-    endless = tuple(sorted(Outputs(observer).endless(trace)))
+    endless = tuple(sorted(outputs_of(observer).endless(trace)))
     return RunEstimate(observer, trace, chosen.error, cost, (), endless, chosen.decides)
 
 
@@ -567,7 +575,7 @@ def refine(
             return runs.interrupted(observer, trace)
         if trace.outcome is Outcome.TOO_LONG:
             if last is not None:
-                return runs.missed(last, "a run at a shorter step is too long to be kept")
+                return runs.missed(last, "a run at a shorter step is too long to be stored")
             return RunEstimate(observer, trace, None, runs.cost)
         taken = trace.counts["steps"]
         if trace.outcome in _STEP_TOO_LONG:
@@ -580,7 +588,7 @@ def refine(
         if last.error <= accuracy:
             return last
         if runs.stuck:
-            return runs.missed(last, "shorter steps bring runs no nearer")
+            return runs.missed(last, "shorter steps do not reduce the difference")
         if taken > _MAX_STEPS * SHORTER:
             return runs.missed(last, f"it took {several(taken, 'step')}")
         step *= SHORTER

@@ -81,7 +81,7 @@ class RunInputs:
             value = f"{every:g}" if is_real(every) else repr(every)
             raise DeclarationError(
                 f"every must be a finite time above 0, not {value}",
-                advice="say after which time the run is looked at: every=0.01",
+                advice="give the sampling period of control, such as every=0.01",
             )
         if control is not None and not callable(control):
             raise DeclarationError(
@@ -90,8 +90,8 @@ class RunInputs:
             )
         if end + every == end > 0.0:
             raise DeclarationError(
-                f"every must be above the resolution of time at {end:g}, not {every:g}",
-                advice="look at the run less often, or end it earlier",
+                f"every must be above the round-off of time at {end:g}, not {every:g}",
+                advice="sample less often, or end the run earlier",
             )
         if control is None:
             return Sampling(every, None)

@@ -197,7 +197,9 @@ class Result:
         ({'floor': 'free'}, 0.804)
         """
         if not 0.0 <= t <= self.trace.t_end:
-            raise StatechartError(f"the run is from 0 to {self.trace.t_end!r}, without {t!r}")
+            raise StatechartError(
+                f"t = {t!r} is outside the run, which is from 0 to {self.trace.t_end!r}"
+            )
         found = self.observer.sample(self.trace, times=[t])
         states = dict(zip(self.trace.regions, found.modes[found.mode[0]], strict=True))
         values = {name: float(column[0]) for name, column in found.columns.items()}
@@ -409,5 +411,5 @@ def _study_content(result: Result, study: Measured) -> Mapping[str, Any]:
     own, declared = (setup(values, trace.tolerance) for values in (result.overrides, {}))
     if np.array_equal(own.values, declared.values):
         return shown
-    other = "measured with the parameters that the model declares; this run had others"
+    other = "measured with the declared parameters; this run had others"
     return {**shown, "above": [*shown["above"], other], "own": []}

@@ -26,7 +26,7 @@ from statechart.loading.kind import kind
 from statechart.loading.load import resolved
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
-from statechart.observation.outputs import Outputs
+from statechart.observation.outputs import Outputs, outputs_of
 from statechart.running.accuracy import AccuracyRequest, RunPlanner
 from statechart.running.inputs import RunInputs, as_overrides
 from statechart.running.result import Result
@@ -261,8 +261,8 @@ class Runner:
             self._inputs.values(overrides)
             if setting.accuracy is not None or setting.budget is not None:
                 raise DeclarationError(
-                    "an accuracy or a budget takes several runs, a stream is one",
-                    advice="ask for a tolerance, or a step",
+                    "a stream is a single run; an accuracy or a budget needs several",
+                    advice="give a tolerance or a step instead",
                 )
             simulator = self.observers.fresh(setting)
             sampling = self._inputs.sampling(every, end, control)
@@ -373,10 +373,9 @@ class _Source:
         return _Source, (self.runner, self._setting)
 
     def __call__(self) -> Outputs:
-        observers = self.runner.observers
         if self._observer is None:
-            self._observer = observers.at(self._setting)
-        return observers.outputs(self._observer)
+            self._observer = self.runner.observers.at(self._setting)
+        return outputs_of(self._observer)
 
 
 @checked

@@ -143,8 +143,7 @@ class References:
         first = tuple(islice(some, 2))
         if len(first) < 2:
             raise SimulationError(
-                "no reference to compare with, two engines must reach the end of the run:\n  "
-                + "\n  ".join(failures)
+                "no reference: two engines must reach the end of the run:" + "\n  ".join(failures)
             )
         found, third = self._pair(*first), None
         made = (*first, *islice(some, int(found.apart.size > _GROSS)))

@@ -107,9 +107,9 @@ def unfitted(study: Measurements) -> dict[str, str]:
             if study.parted is not None and of == "error":
                 why = "there are no errors"
             elif family in deviating and of == "error":
-                why = "its runs deviate by what they warn of"
+                why = "its runs differ for the reason that they warn of"
             elif len(fitted(study, family, of)) >= MIN_POINTS:
-                why = "it does not fall: it is rounding, or these runs take another course"
+                why = "it does not fall: it is round-off, or the runs take other modes"
             elif len(_same(study, family)) < MIN_POINTS:
                 why = "few runs take the modes of the reference"
             elif not _grown(study, family, of):
@@ -118,8 +118,8 @@ def unfitted(study: Measurements) -> dict[str, str]:
                 why = f"few runs have {_STEPS_PER_FLOW:g} steps a flow"
             else:
                 why = (
-                    f"few runs have an error below {_SATURATED:g} and above what can be told "
-                    f"({RESOLVED * study.least:.0e})"
+                    f"too few runs have an error below {_SATURATED:g} and above the "
+                    f"resolution of the reference ({RESOLVED * study.least:.0e})"
                 )
             found[f"{of} of {family}"] = why
     return found

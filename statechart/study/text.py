@@ -19,7 +19,7 @@ _COLUMNS = {
     "cone": "largest force outside its friction cone",
     "overlap": "deepest penetration of bodies",
     "impulse": "allowed residual of impulses",
-    "inexact": "part of the steps that exceed it",
+    "inexact": "part of the steps above it",
 }
 # Accuracies for which a setting is advised: the first that one reaches.
 _ADVISED = (1e-6, 1e-4, 1e-3, 1e-2)
@@ -79,8 +79,12 @@ def _head(study: Measurements) -> list[str]:
     lines.append(
         f"the two differ by {study.resolution.largest or 0.0:.2g}"
         + (f", as {third.setting} from them" if third is not None and not third.odd else "")
-        + (f", and forces have a tolerance worth {shift:.2g}" if shift > 0.0 else "")
-        + "; smaller errors cannot be told"
+        + (
+            f", and the tolerance of forces changes the result by {shift:.2g}"
+            if shift > 0.0
+            else ""
+        )
+        + "; smaller errors cannot be measured"
     )
     return lines
 
@@ -113,7 +117,7 @@ def _parting(study: Measurements) -> str:
     """Return the evidence that the motion has no accuracy."""
     third, known = study.third, study.warnings.get(study.reference, ())
     own = beyond(study.warnings.get(study.check, ()), known)
-    why = "chaotic, or on a knife's edge" + (
+    why = "chaotic, or at a bifurcation" + (
         ", or their steps are too long" if study.step > 0.0 else ""
     )
     if own:
@@ -136,8 +140,8 @@ def _foot(study: Measurements) -> str:
     lines = [told] if told else []
     if study.front():
         lines.append(
-            "nothing else is as accurate and faster: * warm, where runs follow each other in one "
-            "process; + cold, in the first run of a process"
+            "no other setting is both faster and more accurate: * warm, after other runs in "
+            "one process; + cold, as the first run of a process"
         )
     missed = study.missed()
     if missed:
@@ -145,7 +149,7 @@ def _foot(study: Measurements) -> str:
         lines.append("missed what they promised: " + ", ".join(parts))
     refused = [p.setting.label for p in study.points if p.refused]
     if refused:
-        lines.append("said that they did not reach it: " + ", ".join(refused))
+        lines.append("did not reach their accuracy:" + ", ".join(refused))
     stepped = {p.setting.family for p in study.points if p.setting.stepped}
     for slope in slopes(study):
         fineness = "the step" if slope.family in stepped else "the tolerance"

@@ -263,7 +263,7 @@ def _check(settings: object) -> None:
     wrong = next((one for one in several if not isinstance(one, Setting)), None)
     if wrong is not None or several is not settings:
         raise DeclarationError(
-            f"settings are a list of what to run, not {settings!r}",
+            f"settings must be a list of Setting, not {settings!r}",
             advice="such as [Setting(tolerance=1e-6)]; by default those that the model can have",
         )
 

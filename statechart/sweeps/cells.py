@@ -43,7 +43,7 @@ FAULTY = "INTERNAL_ERROR"
 """Outcome of a cell that a defect of this package ended."""
 OUTCOMES = {
     **{outcome.name: outcome.value for outcome in Outcome},
-    REFUSED: "The declaration does not allow these values, or no run can start there.",
+    REFUSED: "These parameter values make no valid model, or it cannot start.",
     FAULTY: "An internal error ended the run; please report it.",
 }
 """Outcomes of a cell, in a sentence each."""

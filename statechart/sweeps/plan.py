@@ -128,7 +128,7 @@ class Plan:
     ) -> None:
         if not columns:
             raise DeclarationError(
-                "a sweep needs parameters to vary", advice="say which, and over what values"
+                "a sweep needs parameters to vary", advice="give names and values"
             )
         for name in columns:
             if name not in model.parameters:

@@ -253,7 +253,7 @@ class Store:
         if not resume:
             raise DeclarationError(
                 f"{path} exists already",
-                advice="to go on with the sweep in it, resume (--resume); else name another",
+                advice="continue it with --resume (resume=True), or name another store",
             )
         try:
             group = zarr.open_group(path, mode="r+", use_consolidated=False)
@@ -316,7 +316,7 @@ class Store:
         found, mine = dict(group.attrs), self._plan.attributes()
         if found.get("format") != mine["format"]:
             raise DeclarationError(
-                f"{self._path} is no store of a sweep that this version can read",
+                f"{self._path} is no sweep store of this version",
                 advice="name another, or remove it",
             )
         if found.get("digest") == mine["digest"]:

@@ -156,7 +156,7 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a sweep; see `sweep` for the parameters."""
     if (over is None) == (samples is None):
-        raise DeclarationError("a sweep is over ranges or over samples: give one of them")
+        raise DeclarationError("give either ranges (over) or samples, not both")
     if over is not None and not isinstance(over, Mapping):
         raise DeclarationError(
             f"a sweep is over parameters and their values, not {over!r}",
@@ -187,7 +187,7 @@ def run_plan(
 ) -> Sweep:
     """Run the cells of a sweep that are not done; see `sweep` for parameters and errors."""
     if resume and store is None:
-        raise DeclarationError("there is no store to resume", advice="name the one that was begun")
+        raise DeclarationError("there is no store to resume", advice="give its path")
     with nullcontext(lambda: None) if store is None else locked(Path(store)) as check_lock:
         kept = Store(plan, store, resume=resume, check_lock=check_lock)
         left = kept.left

@@ -105,7 +105,7 @@ def cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError) as error:
         raise _silent(address, str(error) or "it took too long") from None
     except Exception:  # whatever the answer of another program raises
-        raise _silent(address, "what listens there is something else") from None
+        raise _silent(address, "another program listens there") from None
     if kind != "Scheduler":
         raise _silent(address, f"there is a {kind}")
     client = Client(address, timeout=_ANSWER, set_as_default=False)

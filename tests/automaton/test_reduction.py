@@ -191,7 +191,7 @@ def test_a_closed_loop_keeps_all_coordinates() -> None:
 
 
 @pytest.mark.parametrize("hill", [{"circle": [0, 0], "radius": 1}, {"incline": "steep"}])
-def test_what_is_round_or_lies_by_a_formula_keeps_all_coordinates(hill: dict[str, Any]) -> None:
+def test_discs_and_placed_bodies_keep_all_coordinates(hill: dict[str, Any]) -> None:
     ball = scene(
         parameters={"steep": 1.5},
         gravity=1,

@@ -236,7 +236,7 @@ def test_one_region_sees_at_once_what_another_has_set(engine: Engine) -> None:
 
 
 @both
-def test_what_an_earlier_transition_made_false_does_not_fire(engine: Engine) -> None:
+def test_a_guard_made_false_by_an_earlier_transition_does_not_fire(engine: Engine) -> None:
     chart = compose(
         {"x": 0},
         {
@@ -249,7 +249,7 @@ def test_what_an_earlier_transition_made_false_does_not_fire(engine: Engine) -> 
 
 
 @both
-def test_of_two_transitions_of_a_state_the_first_declared_is_taken(engine: Engine) -> None:
+def test_the_first_declared_of_two_transitions_fires(engine: Engine) -> None:
     states: dict[str, dict[str, Any]] = {"a": {"x": "1"}, "b": {}, "c": {}}
     guards = [go("a", "c", "x >= 1"), go("a", "b", "2*x >= 2")]
     assert run(compose({"x": 0}, {"r": region(states, *guards)}), engine, 3.0).final_mode == ("c",)

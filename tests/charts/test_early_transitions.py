@@ -39,5 +39,5 @@ def test_a_guard_within_the_tolerance_of_the_run_is_taken_for_true_with_a_warnin
     first, second = (jump.t for jump in result.trace.jumps)
     assert (first == second) == (warned or apart == 0)
     assert [
-        f"b.second is taken for true, {apart:.2g} short" in text for text in result.warnings
+        f"b.second counts as true: it is {apart:.2g} short" in text for text in result.warnings
     ] == ([True] if warned else [])

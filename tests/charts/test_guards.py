@@ -253,7 +253,7 @@ def ending(of: str, name: str) -> Simulator:
 
 @examples(20)
 @given(st.sampled_from(["chart", "scene"]), st.floats(0.1, 10.0), st.floats(0.1, 10.0))
-def test_what_happens_exactly_as_the_run_ends_happens(of: str, rate: float, way: float) -> None:
+def test_events_exactly_at_the_end_happen(of: str, rate: float, way: float) -> None:
     end = way / rate
     for name in ENGINES:
         simulator = ending(of, name)

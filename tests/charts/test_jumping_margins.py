@@ -121,4 +121,4 @@ def test_scenes_see_the_jump_of_an_angle(
 def test_a_guard_with_a_pole_is_refused_with_its_place(engine: str) -> None:
     result = run(read_text(turning("1/x < 0")), engine=engine, throw=False)
     assert result.trace.outcome.name == "NON_FINITE"
-    assert "e.hit cannot be evaluated near t = 1.5708" in result.trace.message
+    assert "e.hit has no value near t = 1.5708" in result.trace.message

@@ -268,7 +268,7 @@ regions:
         ),
     ],
 )
-def test_what_is_wrong_with_nested_states_is_said_with_its_place(
+def test_mistakes_in_nested_states_are_reported_with_their_place(
     old: str, new: str, token: str, words: str
 ) -> None:
     assert BASE.count(old) == 1, old

@@ -157,7 +157,7 @@ def test_check_passes_where_parts_hold_alone():
         ("[]", "an empty list is no relation"),
     ],
 )
-def test_what_no_relation_can_be_is_told_with_its_place(relation, told):
+def test_wrong_relations_are_reported_with_their_place(relation, told):
     quoted = relation if relation.startswith("[") else f'"{relation}"'
     text = CHART + GUARD.replace('"RELATION"', quoted)
     line = next(i for i, line in enumerate(text.splitlines(), 1) if "name: hit" in line)

@@ -148,7 +148,7 @@ def test_summary_has_events_outputs_and_margins(cli: Cli) -> None:
     assert all(name in out for name in report["margins"])
 
 
-def test_of_many_events_the_summary_lists_the_first_and_the_last(cli: Cli) -> None:
+def test_the_summary_lists_the_first_and_the_last_of_many_events(cli: Cli) -> None:
     _, out, _ = cli("run", "bouncing_ball_chart")
     assert re.search(r"^\.\.\. \d+ more", out, re.M)
     assert len(re.findall(r"^\d.* bounce ", out, re.M)) == 39
@@ -384,7 +384,7 @@ def test_draw_shows_the_path_that_a_run_took(cli: Cli) -> None:
     assert "free" not in text.split("classDef")[0].split("legend :")[0]
 
 
-def test_draw_says_guards_at_every_arrow_where_asked(cli: Cli) -> None:
+def test_draw_writes_guards_at_arrows_with_the_option(cli: Cli) -> None:
     for guards in ("legend", "inline"):
         assert cli("draw", "two_balls", "-o", f"{guards}.mmd", "--guards", guards)[0] == 0
     told = [(cli.folder / f"{g}.mmd").read_text(encoding="utf-8") for g in ("legend", "inline")]
@@ -409,9 +409,7 @@ def test_a_drawing_without_a_file_is_svg_in_a_pipe_and_opens_on_a_terminal(
 
 
 @pytest.mark.parametrize("scene", [(), ("--scene",)])
-def test_a_drawing_has_a_place_and_a_suffix_before_anything_is_made(
-    cli: Cli, scene: tuple[str, ...]
-) -> None:
+def test_place_and_suffix_of_a_drawing_are_checked_first(cli: Cli, scene: tuple[str, ...]) -> None:
     Path("file.yaml").write_text("")
     Path("folder.svg").mkdir()
     for place, told in (
@@ -446,7 +444,7 @@ def test_a_drawing_has_a_place_and_a_suffix_before_anything_is_made(
         ("run bouncing_ball --budget 0", "the budget must be a positive time in seconds, not 0"),
     ],
 )
-def test_a_number_out_of_range_is_told_with_what_it_may_be(
+def test_a_number_out_of_range_is_reported_with_the_range(
     cli: Cli, arguments: str, told: str
 ) -> None:
     code, out, err = cli(*arguments.split())
@@ -454,7 +452,7 @@ def test_a_number_out_of_range_is_told_with_what_it_may_be(
     assert told in err
 
 
-def test_a_model_without_a_name_is_told_so(cli: Cli) -> None:
+def test_an_empty_model_name_is_reported(cli: Cli) -> None:
     assert cli("run", "")[0] == 2
     assert "the name of the model is empty; known: arch" in cli("run", " ")[2]
 

@@ -78,7 +78,7 @@ def test_a_signal_that_nobody_looked_for_is_delivered_after_all() -> None:
         strike()
 
 
-def test_what_takes_long_lets_signals_through_unless_they_are_held_firmly() -> None:
+def test_long_work_lets_signals_through_unless_they_are_blocked() -> None:
     with interrupts.held():
         with pytest.raises(KeyboardInterrupt), interrupts.let_through():
             strike()
@@ -118,7 +118,7 @@ def test_after_a_signal_time_is_limited() -> None:
         assert interrupts.arrived() == 2
 
 
-def test_pieces_after_a_signal_are_left_out_but_for_those_that_are_kept() -> None:
+def test_after_a_signal_only_required_files_are_written() -> None:
     pieces = Pieces()
     with interrupts.held():
         assert pieces.attempt("a", lambda: 1, 0) == 1

@@ -25,7 +25,7 @@ STICK = "toppling_stick"
 OVER = ("--over", "mu=log:0.05:50:6", "--over", "I_G=0,1/3,1")
 
 
-def test_a_sweep_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sweep_prints_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", STICK, *OVER]) == 0
     told = capsys.readouterr().out
     assert "mu (6 from 0.05 to 50), I_G (3 from 0 to 1)" in told
@@ -44,7 +44,7 @@ def test_a_sweep_is_one_object_in_json(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("name", ["a.zarr", "deep/a.nc"])
-def test_a_sweep_is_kept(tmp_path: Path, name: str) -> None:
+def test_a_sweep_is_stored(tmp_path: Path, name: str) -> None:
     file = tmp_path / name
     assert main(["sweep", STICK, *OVER, "-o", str(file)]) == 0
     with xr.open_dataset(file, engine="scipy" if name.endswith("nc") else "zarr") as found:
@@ -81,7 +81,7 @@ def test_all_sorts_of_sweeps_are_drawn(tmp_path: Path, over: list[str], code: in
     assert picture.exists()
 
 
-def test_what_is_no_scheduler_is_told_from_one(capfd: pytest.CaptureFixture[str]) -> None:
+def test_another_program_at_the_address_is_no_scheduler(capfd: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         answering = threading.Thread(target=_answer, args=(server,))
         answering.start()

@@ -46,7 +46,7 @@ def on_a_terminal(*arguments: str) -> str:
 
 
 @pytest.mark.parametrize("command", [(STATECHART,), (sys.executable, "-m", "statechart")])
-def test_the_version_is_told(command: tuple[str, ...]) -> None:
+def test_version_is_printed(command: tuple[str, ...]) -> None:
     made = subprocess.run((*command, "--version"), capture_output=True, text=True, check=True)
     assert made.stdout == f"statechart {version('contact-statecharts')}\n"
 
@@ -252,14 +252,14 @@ def test_every_option_and_argument_says_what_it_is(action: argparse.Action) -> N
     [
         ("run toppling_stick --unitl 3", "run: error: no option --unitl; did you mean '--until'"),
         ("draw toppling_stick -o a.svg --sceen", "no option --sceen; did you mean '--scene'?"),
-        ("-q run toppling_stick", "statechart run: error: -q stands behind the verb"),
+        ("-q run toppling_stick", "statechart run: error: write -q after the verb"),
         ("run toppling_stick --set mu=1 g=2", "'g=2' is left over; write --set before each"),
         ("sweep toppling_stick mu=1", "'mu=1' is left over; write --over before each"),
-        ("run toppling_stick twice", "'twice' is left over; what has blanks stands in quotes"),
+        ("run toppling_stick twice", "'twice' is left over; put arguments with blanks in quotes"),
         ("rnu toppling_stick", "no verb 'rnu'; did you mean 'run'? known: "),
     ],
 )  # fmt: skip
-def test_a_line_that_cannot_be_read_is_told_what_to_write(
+def test_wrong_command_lines_are_reported_with_advice(
     line: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(line.split()) == 2

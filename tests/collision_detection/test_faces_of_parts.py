@@ -38,7 +38,7 @@ def scene(bodies, surfaces=""):
 @pytest.mark.parametrize("parts", BODIES)
 @pytest.mark.parametrize("y", [-0.06, -0.001, 0.0, 0.001, 0.1])
 @pytest.mark.parametrize("angle", [0.0, 0.3])
-def test_what_meets_a_face_that_parts_have_in_common_stays_out(parts, y, angle):
+def test_a_common_face_of_two_parts_keeps_bodies_out(parts, y, angle):
     """A disc without restitution moves on beside the heavy body, at no speed along its normal."""
     cos, sin = math.cos(angle), math.sin(angle)
     x = -0.1 - 0.05 - 0.01
@@ -65,7 +65,7 @@ def test_what_meets_a_face_that_parts_have_in_common_stays_out(parts, y, angle):
         (0.05, 0.2, "body 'disc' starts 0.1 deep in body 'box'; move it by (0, 0.1) out"),
     ],
 )
-def test_a_disc_whose_centre_is_on_a_polygon_is_told(x, y, words):
+def test_a_disc_whose_centre_is_on_a_polygon_is_reported(x, y, words):
     box = "{polygon: [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]}"
     text = scene(
         {

@@ -110,7 +110,7 @@ GROUNDS = {
 
 @pytest.mark.parametrize("shape", [BOX, DISC, WEDGE])
 @pytest.mark.parametrize("name", GROUNDS)
-def test_what_slides_over_flush_grounds_moves_as_on_one_edge(name, shape):
+def test_sliding_over_flush_grounds_equals_sliding_on_one_edge(name, shape):
     surfaces, tiles = GROUNDS[name]
     for step, mu in ((1.1e-2, 0.1), (2.7e-3, 0.05), (1e-3, 0.1)):
         found = final(surfaces, step, tiles=tiles, shape=shape, time=0.8, mu=mu)

@@ -38,7 +38,7 @@ def test_pairs_are_those_of_brute_force_as_bodies_move(seed: int, large: int) ->
     assert 3 <= listings < 25
 
 
-def test_too_little_place_is_told_until_there_is_enough() -> None:
+def test_a_too_small_buffer_is_reported_until_it_suffices() -> None:
     centres, sizes = np.zeros((5, 2)), np.ones(5)
     assert near_pairs.py_func(centres, sizes, np.zeros(5), Grid.allocate(5, 9)) == -1
     grid = Grid.allocate(5, 10)

@@ -44,7 +44,7 @@ def run(runner, **values):
 
 @pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize("angle", _PHASES)
-def test_what_a_rod_passes_by_two_percent_is_not_struck(runner, angle, sense):
+def test_a_rod_that_passes_at_two_percent_distance_has_no_impact(runner, angle, sense):
     x = 1.02 * _REACH + _RADIUS
     _, final = run(runner, angle=sense * angle, dangle=sense * 300, x=x)
     assert [final["ball.x"], final["ball.y"], final["rod.dangle"]] == [x, 0, sense * 300]
@@ -52,7 +52,7 @@ def test_what_a_rod_passes_by_two_percent_is_not_struck(runner, angle, sense):
 
 @pytest.mark.parametrize("x", [0.5, 0.9])
 @pytest.mark.parametrize("angle", _PHASES)
-def test_what_is_in_the_way_of_a_rod_is_struck_wherever_in_a_step(runner, angle, x):
+def test_a_turning_rod_strikes_an_obstacle_at_any_time_of_a_step(runner, angle, x):
     """Both fly apart as fast as they met; the lever is known to what the rod turns in half a step.
 
     The impulse is 2 v / (1 / m + 1 / M + x^2 / I).

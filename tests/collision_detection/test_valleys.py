@@ -74,7 +74,7 @@ def test_a_ramp_whose_foot_is_on_a_floor_is_what_it_is_where_they_end_in_each_ot
     np.testing.assert_allclose(found, slid(joined, both, 0.05), atol=1e-3)
 
 
-def test_nothing_catches_at_the_ends_of_edges_that_overlap():
+def test_bodies_slide_over_the_ends_of_overlapping_edges():
     whole = slid({"low": "edge: [[-5, 0], [5, 0]]"}, ("low",), 0.1)
     apart = {"low": "edge: [[-5, 0], [0.6, 0]]", "rise": "edge: [[0.4, 0], [5, 0]]"}
     for listed in (("low", "rise"), ("rise", "low")):

@@ -228,7 +228,7 @@ def test_guards_stand_once_in_the_legend_or_at_every_arrow(render):
     assert [len(found) for found in drawn] == [1, 3]
 
 
-def test_of_events_with_several_guards_the_legend_says_which_arrow_is_meant():
+def test_the_legend_names_the_arrow_of_each_of_several_guards():
     nodes = tuple(Node(name, name) for name in "abc")
     links = (
         Link("a", "b", "slip", "H < 0", ""),

@@ -127,7 +127,7 @@ def test_counts_follow_the_jumps_of_the_run() -> None:
     assert entered["off off"] == 2
 
 
-def test_of_too_many_modes_those_visited_are_drawn_and_every_region() -> None:
+def test_too_many_modes_are_drawn_as_visited_with_every_region() -> None:
     runner = switches(5)
     assert runner.automaton.modes_declared == 32
     assert needs_run(runner.automaton)
@@ -143,7 +143,7 @@ def test_of_too_many_modes_those_visited_are_drawn_and_every_region() -> None:
     assert legend(alone) == legend(diagram)
 
 
-def test_of_a_run_through_many_modes_the_first_steps_are_drawn() -> None:
+def test_a_long_run_is_drawn_by_its_first_steps() -> None:
     runner = switches(8)
     trace = runner.run().trace
     assert len(set(trace.modes)) > 12

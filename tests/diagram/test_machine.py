@@ -102,7 +102,9 @@ def test_a_machine_that_is_loaded_goes_through_the_states_of_the_run(tmp_path: P
     ]
 
 
-def test_what_scxml_cannot_say_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_parts_that_scxml_cannot_express_are_listed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "stick.scxml"
     assert main(["draw", "toppling_stick", "-o", str(path)]) == 0
     told = capsys.readouterr().err

@@ -155,7 +155,7 @@ outputs:
         ("{disc: r}", "@[" + "{disc: r}, " * 17 + "]", "must have at most 16 items, not 17"),
     ],
 )
-def test_mistakes_with_copies_are_told_where_they_stand(old: str, new: str, words: str) -> None:
+def test_mistakes_with_copies_are_reported_with_their_place(old: str, new: str, words: str) -> None:
     assert old in GRAINS
     text = GRAINS.replace(old, new, 1)
     before, found, _ = text.partition("@")
@@ -179,19 +179,19 @@ def test_names_are_listed_in_the_order_of_their_numbers() -> None:
 def test_an_inertia_in_other_units_than_its_shape_is_warned_of(inertia: str, warned: bool) -> None:
     scene = Runner(read_text(GRAINS.replace("inertia: r**2/2", f"inertia: {inertia}"))).model
     assert isinstance(scene, Scene)
-    said = [line for line in lint(scene) if "are units mixed?" in line]
+    said = [line for line in lint(scene) if "check the units" in line]
     assert bool(said) == warned
 
 
 @pytest.mark.parametrize(
     ("surface", "words"),
     [
-        ("line: [[0, 2], [1, 2]]", "out of the surface; of a line the solid is on the right"),
+        ("line: [[0, 2], [1, 2]]", "out of the surface; the solid of a line is on the right"),
         ("circle: [0, 0], radius: 5", "out of the surface; a circle is solid inside"),
         ("height: 2", "out of the surface"),
     ],
 )
-def test_where_the_solid_is_is_told_of_the_surface_that_there_is(surface: str, words: str) -> None:
+def test_the_solid_side_is_explained_for_each_form_of_surface(surface: str, words: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(SCENE.replace("height: 0", surface))).start()
     assert words in str(caught.value)
@@ -299,7 +299,7 @@ def test_values_that_are_set_are_judged_too(parameter: str, value: float, words:
         Runner(read_text(SCENE)).run({parameter: value})
 
 
-def test_a_value_that_is_set_is_told_by_the_path_that_the_file_has() -> None:
+def test_a_wrong_set_value_is_reported_by_its_path_in_the_file() -> None:
     text = """
 kind: scene
 name: bars

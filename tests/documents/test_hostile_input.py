@@ -224,7 +224,7 @@ def test_the_bounds_themselves_are_allowed() -> None:
     assert read_text("a: 1\n" + comment).data == {"a": 1}
 
 
-def test_nothing_is_built_before_it_is_judged() -> None:
+def test_hostile_input_is_rejected_before_it_is_built() -> None:
     # Would take 9^20 list items if the aliases were followed.
     with pytest.raises(DeclarationError, match="anchor"):
         read_text(LAUGHS)

@@ -53,7 +53,7 @@ MISTAKES = {
     "inside its surface": ("y: h", "y: 0", "0.477668 deep; move the body out of the surface"),
     "height of another name": ("height: 0", "height: level", "unknown name 'level'; known:"),
     "ground in a word": ("{height: 0}", "flat", "must be a mapping, not 'flat'; such as {height:"),
-    "two forms of a surface": ("height: 0", "height: 0, incline: 0", "has one of height, incline"),
+    "two forms of a surface": ("height: 0", "height: 0, incline: 0", "exactly one of height, in"),
     "circle without radius": ("height: 0", "circle: [0, 0]", "write circle: [0, 0], radius: 1"),
     "no surface of this name": ("surface: ground", "surface: floor", "no surface 'floor'; known: "),
     "no body of this name": ("body: rod", "body: stick", "no body 'stick'; known: rod"),
@@ -176,11 +176,11 @@ MISTAKES = {
     "infinite in a word": ("friction: mu", "friction: infinite", "name 'infinite'; write inf"),
     "gravity by its letter": ("gravity: g", "g: 9.81", "5:1: unknown key 'g'; write gravity"),
     "friction by its letter": ("friction: mu", "mu: 0.5", "unknown key 'mu'; write friction"),
-    "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction, one coefficient for st"),
+    "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction: a number for both, or"),
     "body at rest": ("mass: m", "mass: m, static: true", "write surfaces: {floor: {height: 0}}"),
     "body that is led": ("mass: m", "mass: m, kinematic: true", "write a surface with a displace"),
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
-    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body; surfaces are"),
+    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
     "weld": ("stop:", "weld: {}\nstop:", "write one body: of several shapes"),
     "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),
@@ -227,17 +227,17 @@ MISTAKES = {
                          "unknown key 'circle'; write disc"),
     "length of steps": ("outputs:", "settings: {dt: 0.1}\noutputs:",
                         "unknown key 'dt'; write step"),
-    "place for a start": ("start: {y: h, angle: 0.3}", "position: [0, h]", "where a body starts "
-                          "that moves freely is start: {x: 0, y: 1}"),
+    "place for a start": ("start: {y: h, angle: 0.3}", "position: [0, h]", "the initial position "
+                          "of a free body is start: {x: 0, y: 1}"),
     "place of a particle": ("inertia: m*L**2/3, start: {y: h, angle: 0.3}", "position: [0, h]",
                             "7:18: bodies.rod.position: a position is a formula of coordinates, and"
-                            " the scene has none; where a body starts that moves freely is start"),
+                            " the scene has none; the initial position of a free body is start"),
     "bent ground": ("height: 0", "height: abs(x)", "a surface and a contact for each smooth piece"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_told_with_what_to_write(mistake: str) -> None:
+def test_a_mistake_is_reported_with_advice(mistake: str) -> None:
     old, new, told = MISTAKES[mistake]
     assert old in SCENE
     with pytest.raises(DeclarationError) as caught:
@@ -283,7 +283,7 @@ OF_CHARTS = {
 
 
 @pytest.mark.parametrize("mistake", OF_CHARTS)
-def test_a_mistake_in_a_chart_is_told_with_what_to_write(mistake: str) -> None:
+def test_a_mistake_in_a_chart_is_reported_with_advice(mistake: str) -> None:
     old, new, told = OF_CHARTS[mistake]
     assert old in CHART
     with pytest.raises(DeclarationError) as caught:
@@ -316,7 +316,7 @@ def test_there_are_more_than_twenty_and_the_scene_itself_is_right() -> None:
         ("height: 0", "line: [[1, 0.8], [-1, 0.8]]", "'rod' starts 0.2 inside the solid of"),
     ],
 )  # fmt: skip
-def test_what_is_right_and_was_hardly_meant_is_warned_of(old: str, new: str, told: str) -> None:
+def test_likely_mistakes_give_warnings(old: str, new: str, told: str) -> None:
     assert old in SCENE
     text = SCENE.replace(old, new, 1).replace("h: 1", "h: 45" if "angle: h" in new else "h: 1")
     _, warnings = Runner(read_text(text, "f.yaml")).start()
@@ -368,7 +368,7 @@ def test_a_contact_that_is_off_at_the_start_may_be_behind_its_line() -> None:
         ),
     ],
 )  # fmt: skip
-def test_mistakes_that_are_independent_are_told_at_once(
+def test_independent_mistakes_are_reported_together(
     changes: tuple[tuple[str, str], ...], places: tuple[str, ...]
 ) -> None:
     text = SCENE

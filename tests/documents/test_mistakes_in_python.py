@@ -82,13 +82,16 @@ def scene(**changes: object) -> Scene:
         (lambda: run(scene(), parameters={1: 2}), "no parameter 1; known: none"),
         (
             lambda: [*Runner(scene()).stream(every="1")],
-            "every must be a finite time above 0, not '1'; say after which",
+            "every must be a finite time above 0, not '1'; give the sampling",
         ),
         (
             lambda: sweep(scene(), over=["mu"]),
             "a sweep is over parameters and their values, not ['mu']; such as over={'mu': [0.1",
         ),
-        (lambda: load(None), "a model is a file, a name or what is built, not of type NoneType"),
+        (
+            lambda: load(None),
+            "a model is a file, the name of a shipped model, or a Scene or",
+        ),
         (
             lambda: run(scene(), dt=0.1),
             "run: unknown argument 'dt'; write step=...; known: ",
@@ -134,7 +137,7 @@ def scene(**changes: object) -> Scene:
         ),
         (lambda: Body(mass="2x"), "Body: mass: formula '2x': '2' runs into 'x'"),
         (lambda: Body(mass=1, start={"angle": 1}), "Body: start.angle: a particle has no angle"),
-        (Surface, "Surface: a surface has one of height, incline, line, edge, circle"),
+        (Surface, "Surface: a surface needs exactly one of height, incline, line, edge, circle"),
         (lambda: Surface(line=[0, 1]), "Surface: line.0: must be a list, not 0; such as [0, 1]"),
         (
             lambda: Contact(point=Point(body="rod"), surface="ground"),
@@ -169,7 +172,7 @@ def scene(**changes: object) -> Scene:
         ),
     ],
 )
-def test_what_is_built_in_python_is_told_as_what_stands_in_a_file(
+def test_mistakes_in_python_are_reported_like_those_in_files(
     build: Callable[[], object], told: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -216,7 +219,7 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
         (lambda result: result.diagram(3), "Result.diagram: path must be a path, not 3"),
         (
             lambda result: trade(result.observer.automaton.declaration, settings=["x"]),
-            "settings are a list of what to run, not ['x']; such as [Setting(tolerance=1e-6)]",
+            "settings must be a list of Setting, not ['x']; such as [Setting(tolerance=1e-6)]",
         ),
         (
             lambda result: check(result.observer.automaton.declaration, examples="3"),
@@ -224,7 +227,7 @@ def test_an_error_of_a_type_inside_of_a_call_stays_what_it_is() -> None:
         ),
     ],
 )
-def test_an_argument_of_another_kind_is_told_before_the_work(
+def test_arguments_of_wrong_type_are_reported_before_the_run(
     call: Callable[[Result], object], told: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:

@@ -170,7 +170,7 @@ def test_words_stand_for_units_of_all_bases() -> None:
     assert (caught.value.line, "SI" in str(caught.value)) == (3, True)
 
 
-def test_what_has_no_unit_shows_none() -> None:
+def test_quantities_without_a_unit_show_none() -> None:
     assert (entitled("x", "1"), entitled("x", ""), entitled("x", "m")) == ("x", "x", "x in m")
     shown = str(run("toppling_stick", until=0.5))
     assert not re.search(r"stick\.x .* 1$", shown, re.M)

@@ -50,7 +50,7 @@ stop: {time: 3}
         (SCENE, "u: 0", "u: inf", "10:15: controls.u"),
     ],
 )
-def test_infinity_that_is_computed_with_is_told_with_its_place(
+def test_infinite_values_in_formulas_are_reported_with_their_place(
     text: str, old: str, new: str, place: str
 ) -> None:
     with pytest.raises(DeclarationError, match="must be finite") as caught:
@@ -63,7 +63,7 @@ def test_infinity_may_be_set_where_it_is_friction() -> None:
     assert Runner(read_text(text.replace("[0, u]", "[0, 0]"))).start()[0] == ("free", "on")
 
 
-def test_a_quotient_that_is_none_wherever_it_is_taken_is_told_where_it_stands() -> None:
+def test_a_division_by_zero_is_reported_with_its_place() -> None:
     text = CHART.replace("-v/2", "-v/(x - x)")
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(text, "f.yaml")).run()
@@ -77,7 +77,7 @@ def test_a_force_without_a_value_at_the_start_is_no_speed_and_no_lack_of_mass(fo
 
 
 @pytest.mark.parametrize(("path", "what"), [("[1/time, 0]", "place"), ("[sqrt(time), 0]", "speed")])
-def test_a_path_that_begins_nowhere_is_told_as_such(path: str, what: str) -> None:
+def test_a_path_without_a_start_is_reported(path: str, what: str) -> None:
     text = SCENE.replace("height: 0", f"height: 0, displacement: {path}")
     with pytest.raises(DeclarationError, match=f"contacts.base: its {what} at the start is not"):
         Runner(read_text(text)).start()

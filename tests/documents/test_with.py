@@ -34,6 +34,6 @@ def test_numbers_of_copies_are_parameters_too():
         ({"mu": "theta"}, "theta"),
     ],
 )
-def test_what_is_no_model_is_refused(values, said):
+def test_changes_that_make_no_model_are_refused(values, said):
     with pytest.raises(DeclarationError, match=said):
         statechart.load("toppling_stick").with_(**values)

@@ -158,7 +158,7 @@ def test_mirrored_and_in_other_units_conditions_fail_at_the_same_places() -> Non
         assert_same(case.traces["taylor"], image, case.sensitivity, reading=reading)
 
 
-def test_off_is_a_state_of_the_region_and_counted() -> None:
+def test_off_counts_as_a_state_of_the_region() -> None:
     built = automaton(_scene(Surface(height=0), {}, enabled="time < 1"))
     (region,) = built.regions
     assert region.states == ("free", "slide+", "slide-", "pin", "off")

@@ -216,7 +216,7 @@ def test_a_slider_crank_moves_as_its_closed_form() -> None:
     assert trace.final[0] == pytest.approx(math.cos(_CRANK + 20.0) + math.cos(angle), abs=1e-12)
 
 
-def test_what_drives_a_pivot_pays_for_the_energy() -> None:
+def test_work_of_a_driven_pivot_equals_the_gain_of_energy() -> None:
     # Kapitza's pendulum stands upright where its pivot is shaken fast enough.
     scene = Scene(
         name="kapitza",
@@ -315,7 +315,7 @@ def test_a_point_that_a_joint_leads_into_the_ground_where_friction_wedges_it_is_
     # Slip stops under the hand, which goes on down: no impulse of the ground stops that.
     text = LED.replace("to: [0.4*sin(6*time), 2]", "to: [0, 2 - time]").replace("dx: 2.4", "dy: -1")
     scene = validate(read_text(text.replace("friction: 0.6", "friction: 5")), Scene)
-    with pytest.raises(NoConsistentMode, match="led on into its surface"):
+    with pytest.raises(NoConsistentMode, match="driven into its surface"):
         _run(scene)
 
 
@@ -398,7 +398,7 @@ def test_a_loop_that_cannot_close_says_so() -> None:
     assert "no position near the start closes all joints" in problem.advice
 
 
-def test_bodies_that_move_apart_at_the_start_are_told_the_rates_that_do_not() -> None:
+def test_rates_that_separate_a_joint_are_reported_with_rates_that_agree() -> None:
     problem = _refused(_DOCUMENT)
     assert "moving apart at 0.5" in str(problem)
     assert "velocities that it allows: " in problem.advice

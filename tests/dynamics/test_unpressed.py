@@ -25,7 +25,7 @@ def pile(across: str) -> Scene:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "impulse"])
-def test_a_pile_that_only_sinks_is_told_that_nothing_presses_it(engine: str) -> None:
+def test_a_pile_without_normal_motion_gives_a_warning(engine: str) -> None:
     step = 1e-2 if engine == "impulse" else None
     sunk = statechart.run(pile("0"), engine=engine, step=step, throw=False)
     assert [w for w in sunk.warnings if "no coordinate moves side along the normal" in w]

@@ -56,7 +56,7 @@ def test_a_formula_is_the_same_with_parameters_put_together(folds):
     assert folds == (convert.constants != [P, Q])
 
 
-def test_what_moves_of_a_product_is_computed_once_whatever_stands_before_it():
+def test_common_factors_of_products_are_computed_once():
     convert = Converter(HERE, {}, folds=True)
     system = [
         (hy.expression("v0"), convert(P * Y**2 * sp.cos(X))),

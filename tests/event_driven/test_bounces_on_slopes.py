@@ -53,7 +53,9 @@ stop: {time: 1}
     ("x0", "dx", "k"),
     [(0.0, -0.37, 5.4), (7035.0, -0.34, 5.4), (7724.0, -0.23, 4.8), (11105.0, -0.16, 3.2)],
 )
-def test_what_leaves_a_hill_is_not_hit(engine: str, x0: float, dx: float, k: float) -> None:
+def test_a_ball_that_leaves_a_hill_has_no_impact(
+    engine: str, x0: float, dx: float, k: float
+) -> None:
     """Round-off of the place turns the normal: the velocity is brought along it there."""
     jumps = Runner(read_text(HILLS), engine=engine).run({"x0": x0, "dx": dx, "k": k}).trace.jumps
     left = [jump.cause for jump in jumps if jump.fired == ("low.V",)]

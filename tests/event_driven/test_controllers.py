@@ -314,17 +314,17 @@ outputs: {vy: {value: b.dy}}
 """
 
 
-def test_events_that_a_tolerance_merges_are_told() -> None:
+def test_events_merged_by_a_tolerance_give_a_warning() -> None:
     def merged(accuracy: float) -> Result:
         return Runner(read_text(MERGED), engine="scipy", method="RK45", accuracy=accuracy).run()
 
     exact = -4 * 9.81 + 50 * 0.001 / 3
     loose = merged(1e-2)
-    assert any("r.end is taken for true, 0.001 short of it" in text for text in loose.warnings)
+    assert any("r.end counts as true: it is 0.001 short of it" in text for text in loose.warnings)
     assert loose.outputs["vy"] == pytest.approx(exact, rel=1e-2)
     for accuracy in (1e-6, 1e-9):
         tight = merged(accuracy)
-        assert not any("taken for true" in text for text in tight.warnings)
+        assert not any("counts as true" in text for text in tight.warnings)
         assert tight.outputs["vy"] == pytest.approx(exact, rel=accuracy)
 
 

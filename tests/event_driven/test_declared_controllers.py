@@ -59,7 +59,7 @@ def place(text: str, token: str, after: str) -> str:
         ("each driver.far or", "each driver.fur or", "each", "no cause or state 'fur'"),
     ],
 )
-def test_what_is_wrong_with_controllers_is_said_with_its_place(
+def test_mistakes_in_controllers_are_reported_with_their_place(
     old: str, new: str, token: str, words: str
 ) -> None:
     assert SPRINT.count(old) == 1

@@ -61,7 +61,7 @@ def test_a_point_that_meets_the_next_edge_has_no_warning(begin, rise, step):
 
 
 @STEPS
-def test_what_is_far_below_an_edge_has_no_warning(step):
+def test_points_far_below_an_edge_give_no_warning(step):
     _, told = run(planks(0.1, 0.3), step)
     assert told == []
 
@@ -84,7 +84,7 @@ stop: {time: 0.6}
     _, told = run(text, step)
     assert len(told) == 1
     assert "on_b stays off" in told[0]
-    assert "below the surface b where its conditions begin to hold" in told[0]
+    assert "below the surface b when its conditions become true" in told[0]
 
 
 @STEPS

@@ -48,7 +48,7 @@ def said(result: Result) -> list[str]:
 
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 @pytest.mark.parametrize("how", RUNNERS)
-def test_a_start_next_to_a_surface_is_told(text: str, how: str) -> None:
+def test_a_start_slightly_off_a_surface_gives_a_warning(text: str, how: str) -> None:
     for above in (1e-9, 1e-7):
         (warning,) = said(run(text, how, above=above))
         assert "contact 'foot' starts 1e-0" in warning

@@ -89,7 +89,7 @@ IDLE: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("model", ["toppling_stick", "double_contact_bar", "sliding_ladder"])
-def test_what_nothing_depends_on_changes_no_motion(model: str) -> None:
+def test_unused_variables_do_not_change_the_motion(model: str) -> None:
     plain = load(model)
     assert isinstance(plain, Scene)
     data = plain.model_dump(by_alias=True, exclude_unset=True)
@@ -121,7 +121,7 @@ def test_what_nothing_depends_on_changes_no_motion(model: str) -> None:
         ("done: {}", "done: {history: deep}", "deep", "has no state whose states it remembers"),
     ],
 )
-def test_what_is_wrong_with_a_memory_is_said_with_its_place(
+def test_mistakes_in_variables_of_controllers_are_reported_with_their_place(
     old: str, new: str, token: str, words: str
 ) -> None:
     assert BALL.count(old) == 1

@@ -12,7 +12,7 @@ from statechart.running.runner import Runner
     ("name", "values"),
     [("bouncing_ball", {}), ("bouncing_ball_hills", {}), ("two_balls", {"h2": 1.6, "apart": 0.7})],
 )
-def test_what_was_considered_at_a_rebound_is_what_the_laws_say(
+def test_candidates_at_a_rebound_agree_with_the_laws(
     name: str, values: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = Runner(name)

@@ -57,7 +57,7 @@ def test_a_smooth_ladder_leaves_the_wall_at_two_thirds_of_its_height(
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_what_a_landing_leaves_of_velocity_does_not_creep(name: str) -> None:
+def test_residual_velocity_of_a_landing_does_not_creep(name: str) -> None:
     start = {"x": -0.918869770144658, "y": 1.2636323659717263, "dx": -1.4215664404397923}
     scene = Scene(
         name="caught",
@@ -163,7 +163,7 @@ stop: {time: 2}
 """
 
 
-def test_where_the_sum_of_impacts_in_turn_begins_changes_nothing() -> None:
+def test_the_first_summed_impact_does_not_change_the_result() -> None:
     # Both ends slide while they rattle: friction takes its part of every impulse summed.
     scene = interpret(read_text(RATTLING))
     found = []
@@ -235,7 +235,7 @@ stop: {time: 20}
 """.replace("restitution: e", "restitution: 0.47666829934802957")
 
 
-def test_where_friction_jams_impacts_in_turn_are_not_summed() -> None:
+def test_impacts_that_friction_jams_are_not_summed() -> None:
     result = Runner(interpret(read_text(JAMMING))).run()
     trace = result.trace
     assert trace.final_mode == ("pin", "pin", "pin")
@@ -258,7 +258,7 @@ stop: {time: 2}
 """
 
 
-def test_what_comes_down_closes_its_gap_by_itself() -> None:
+def test_a_falling_body_closes_its_gap_without_projection() -> None:
     # The heavy body would push the light one aside if gaps were closed before it has come down.
     found = [
         Runner(interpret(read_text(SQUEEZED)), engine="scipy", tolerance=tolerance).run()

@@ -94,7 +94,7 @@ stop: {time: 2*pi}
 
 
 @pytest.mark.parametrize("choice", [{}, *METHODS], ids=lambda c: c.get("method", "taylor"))
-def test_what_a_step_passed_over_is_not_certified(choice, monkeypatch):
+def test_a_step_over_a_narrow_feature_is_not_certified(choice, monkeypatch):
     right = run(read_text(THRUST), **choice, certify=True)
     assert right.trace.certified is True
     assert right.outputs["vy"] == pytest.approx(-19.24, abs=1e-3)

@@ -160,7 +160,7 @@ def test_components_that_jump_at_one_instant_do_so_in_one_jump(tmp_path: Path) -
     assert all(names == {"a", "d"} for names in struck)
 
 
-def test_a_start_that_cannot_be_is_told_in_declared_names(tmp_path: Path) -> None:
+def test_an_impossible_start_is_reported_in_declared_names(tmp_path: Path) -> None:
     automaton = composed(BODIES.replace("y: 0.7", "y: -0.7"), tmp_path)
     with pytest.raises(Exception, match="'a' starts inside its surface"):
         Simulator(automaton, Taylor(1e-12)).run(until=1.0)

@@ -170,7 +170,7 @@ def test_steps_far_too_short_for_the_run_end_it(w: float, monkeypatch: pytest.Mo
     assert "200 steps took" in made.message
 
 
-def test_steady_jumps_that_cannot_reach_the_end_are_told_of_long_before_they_are_made() -> None:
+def test_too_many_steady_jumps_are_reported_early() -> None:
     clock = read_text(
         "kind: chart\nname: clock\nvariables: {x: 0}\nstop: {time: 1}\n"
         "regions:\n  r:\n    initial: s\n    states: {s: {flows: {x: 1}}}\n"
@@ -184,7 +184,7 @@ def test_steady_jumps_that_cannot_reach_the_end_are_told_of_long_before_they_are
     assert run(clock, until=5000.5).trace.outcome is Outcome.HORIZON
 
 
-def test_steps_that_cannot_all_be_kept_are_told_of_long_before_they_are_made() -> None:
+def test_too_many_steps_are_reported_early() -> None:
     settings = {"engine": "impulse", "step": 1e-3}
     trace = run(read_text(BALL), until=1e300, throw=False, **settings).trace  # type: ignore[arg-type]
     assert trace.outcome is Outcome.TOO_LONG

@@ -33,7 +33,7 @@ def test_jumps_that_take_time_are_none(start: float, interval: float) -> None:
     Livelock(1.0).check(jumps, Clock(start).later(JUMPS_NEAR * interval), "{}".format)
 
 
-def test_fewer_jumps_are_not_judged() -> None:
+def test_few_jumps_are_no_livelock() -> None:
     jumps = _jumps(1.0, 0.0, JUMPS_NEAR - 1)
     Livelock(1.0).check(jumps, Clock(1.0), "{}".format)
 

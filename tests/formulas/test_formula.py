@@ -180,7 +180,7 @@ def test_reading_errors_point_at_the_place(text: str, column: int, words: str) -
 
 
 @pytest.mark.parametrize("wrong", [math.nan, True, None, [1], 10**400])
-def test_what_is_neither_number_nor_text_is_refused(wrong: object) -> None:
+def test_values_that_are_neither_number_nor_text_are_refused(wrong: object) -> None:
     with pytest.raises(FormulaError):
         parse(wrong)  # type: ignore[arg-type]
 
@@ -205,7 +205,7 @@ def test_an_expression_without_a_real_value_is_refused() -> None:
             parse(text).to_sympy({"x": x})
 
 
-def test_an_unknown_name_comes_with_what_it_may_have_meant() -> None:
+def test_an_unknown_name_is_reported_with_similar_ones() -> None:
     formula = parse("1 + frction")
     known = {"friction": sp.Symbol("a"), "g": sp.Symbol("b")}
     for use in (lambda: formula.to_sympy(known), lambda: formula.value({"friction": 1, "g": 2})):
@@ -243,7 +243,7 @@ def test_relation_knows_its_names_and_text() -> None:
 
 
 @pytest.mark.parametrize("text", ["x", "x = 0", "0 < x < 1", "< 1", "x <", ""])
-def test_what_is_no_relation_is_refused(text: str) -> None:
+def test_texts_that_are_no_relation_are_refused(text: str) -> None:
     with pytest.raises(FormulaError):
         parse_relation(text)
 

@@ -166,7 +166,7 @@ def test_a_force_that_is_flat_at_the_ends_of_a_period_is_seen_inside() -> None:
 
 
 @pytest.mark.parametrize("rate", ["1 - x**1.5", "1 - x**(1/3)", "1 - hypot(x, y)", "1 - x**(3*b)"])
-def test_other_powers_of_zero_are_left_to_the_other_engine_which_is_said(rate: str) -> None:
+def test_powers_without_a_series_at_zero_take_scipy_with_a_warning(rate: str) -> None:
     text = CHART.format(x=rate, y="0")
     found = run(read_text(text))
     assert found.trace.engine.startswith("scipy")

@@ -112,7 +112,7 @@ def test_large_friction_does_not_overflow():
         (sp.Piecewise((X, X > 0), (0, True)), "Piecewise"),
     ],
 )
-def test_what_has_no_operation_is_refused_by_name(expression, word):
+def test_functions_without_an_operation_are_refused_by_name(expression, word):
     with pytest.raises(StatechartError, match=word):
         tape_of(expression)
 

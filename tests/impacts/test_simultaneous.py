@@ -126,7 +126,7 @@ def test_bar_lands_on_one_end_and_then_on_the_other(case: dict) -> None:
 
 
 @pytest.mark.parametrize("mu", [0.1, 1.0, 1e6, 1e300, math.inf])
-def test_how_a_flat_bar_shares_its_friction_is_not_determined(mu: float) -> None:
+def test_friction_shares_of_a_flat_bar_are_indeterminate(mu: float) -> None:
     snapshot = body([(-1.0, 0.0), (1.0, 0.0)], [1e-3, -1.0, -1.0])
     result = impacts(snapshot, [law(mu), law(mu, name="B")], [True, True])
     assert result.velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
@@ -484,7 +484,7 @@ def test_impulses_are_what_moved_a_heavy_body_with_nearly_no_inertia() -> None:
 
 
 @pytest.mark.parametrize("place", [3442, 4341])
-def test_where_rounding_hides_the_impulse_no_other_is_taken(place: int) -> None:
+def test_impulses_hidden_by_round_off_are_not_replaced(place: int) -> None:
     random = np.random.default_rng(1)
     for _ in range(place + 1):
         snapshot, laws = random_scene(random)
@@ -559,9 +559,7 @@ AGAIN = "  also: {point: {body: rod, at: [0, -1]}, surface: floor, friction: mu,
 
 @pytest.mark.parametrize("law", ["newton", "stronge"])
 @pytest.mark.parametrize("contacts", [1, 2])
-def test_that_an_impact_law_raised_the_energy_is_told_wherever_it_did(
-    law: str, contacts: int
-) -> None:
+def test_impact_laws_that_raise_the_energy_give_a_warning(law: str, contacts: int) -> None:
     text = RISING.replace("LAW", law)
     if contacts == 2:
         text = text.replace("simultaneous", AGAIN + "simultaneous")

@@ -130,7 +130,7 @@ def test_a_bead_on_a_spinning_hoop_turns_and_sticks(
 
 
 @pytest.mark.parametrize(("mu", "told"), [(0.9, False), (1.3, True)])
-def test_a_block_that_both_sides_may_hold_is_told(mu: float, told: bool) -> None:
+def test_a_block_that_two_sides_may_jam_gives_a_warning(mu: float, told: bool) -> None:
     text = _SLOT.replace("START", "{}").replace("friction: 0.3", f"friction: {mu}")
     result = run(text + _FORCE.replace("PUSH", "10*time"), "taylor", None)
     may = [line for line in result.trace.warnings if "low, high may press on each other" in line]

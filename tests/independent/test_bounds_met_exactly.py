@@ -69,7 +69,7 @@ def ran(text: str, engine: str, tolerance: float, stiffness: float = 100.0) -> A
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("stiffness", [100.0, 1e6])
 @pytest.mark.parametrize("text", [_SPRUNG, _FEET, _LANDED], ids=["sprung", "feet", "landed"])
-def test_what_comes_to_rest_on_the_bound_of_friction_sticks(
+def test_a_block_that_stops_at_the_friction_limit_sticks(
     text: str, stiffness: float, engine: str, tolerance: float
 ) -> None:
     result = ran(text, engine, tolerance, stiffness)
@@ -97,7 +97,7 @@ def _back(t: float) -> float:
     [(30.0, 0.2, 0.0, _on), (-30.0, 0.4, 0.4, _back)],
     ids=["on", "back"],
 )
-def test_what_rests_on_the_bound_slips_when_it_is_pushed_beyond(
+def test_a_block_at_the_friction_limit_slips_if_pushed_further(
     push: float,
     at: float,
     slips: float,
@@ -115,7 +115,7 @@ def test_what_rests_on_the_bound_slips_when_it_is_pushed_beyond(
 
 
 @pytest.mark.parametrize("beyond", [1e-3, 1e-6, 1e-9])
-def test_what_is_beyond_the_bound_by_more_than_the_run_is_off_turns(
+def test_a_force_clearly_beyond_the_friction_limit_reverses_the_slip(
     beyond: float, engine: str
 ) -> None:
     text = _SPRUNG.replace("3*f/k", f"(3 + {beyond})*f/k").replace("4*pi/w", "1.9*pi/w")
@@ -125,14 +125,18 @@ def test_what_is_beyond_the_bound_by_more_than_the_run_is_off_turns(
 
 
 @pytest.mark.parametrize("short", [1e-3, 1e-6, 1e-9])
-def test_what_is_short_of_the_bound_sticks_and_nothing_is_told(short: float, engine: str) -> None:
+def test_a_force_clearly_below_the_friction_limit_sticks_without_a_warning(
+    short: float, engine: str
+) -> None:
     result = ran(_SPRUNG.replace("3*f/k", f"(3 - {short})*f/k"), engine, 1e-12)
     assert [jump.cause for jump in result.trace.jumps] == ["stick"]
     assert not result.trace.warnings
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-12])
-def test_what_rests_on_the_bound_stays_while_others_jump(engine: str, tolerance: float) -> None:
+def test_a_block_at_the_friction_limit_stays_while_others_jump(
+    engine: str, tolerance: float
+) -> None:
     text = (
         _SPRUNG
         + """

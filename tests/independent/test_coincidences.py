@@ -110,7 +110,7 @@ def test_one_foot_opens_as_the_other_slips(engine: str) -> None:
 
 
 @pytest.mark.parametrize("friction", ["0.309", "0.31"])
-def test_a_stick_that_nothing_wedges_falls_between_walls_and_it_is_told_that_it_might_not(
+def test_a_stick_between_walls_falls_with_a_warning_that_it_might_jam(
     engine: str, friction: str
 ) -> None:
     # Above tan(0.3) forces along the stick, of any size, would hold it. Nothing has pressed it in.

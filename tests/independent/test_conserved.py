@@ -33,7 +33,7 @@ def test_a_bead_on_a_turning_rod_keeps_momentum_and_energy(engine: str) -> None:
     assert found["V"] == pytest.approx(push, rel=1e-9)
 
 
-def test_what_the_floor_of_a_lift_gives_is_weight_and_momentum(engine: str) -> None:
+def test_the_impulse_of_a_lift_floor_is_weight_and_momentum(engine: str) -> None:
     g, shake, w, mass, end = 9.81, 0.5, 6.0, 2.0, 2.0
     found = outputs("elevator", engine)
     off = math.asin(g / (shake * w**2)) / w

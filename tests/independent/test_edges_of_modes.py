@@ -75,7 +75,7 @@ def test_force_that_grows_from_the_friction_bound_starts_slip(
 @pytest.mark.parametrize(
     "force", ["5", "5 - time", "5*cos(9*time)", "5*sin(pi*time)", "5 - (time - 0.5)**2"]
 )
-def test_what_reaches_the_edge_of_friction_sticks(engine: str, force: str) -> None:
+def test_a_block_at_the_friction_limit_sticks(engine: str, force: str) -> None:
     found = outputs(_PUSHED.replace("FORCE", force), engine)
     assert (found["x"], found["slips"]) == (0.0, 0)
 
@@ -98,7 +98,7 @@ def test_a_plate_that_falls_as_what_lies_on_it(
     assert (found["on"], found["off"]) == (0, left)
 
 
-def test_what_turns_exactly_at_the_ceiling_does_not_hit_it(engine: str) -> None:
+def test_a_ball_that_turns_exactly_at_the_ceiling_does_not_hit_it(engine: str) -> None:
     found = outputs(_THROWN, engine)
     assert [found["x"], found["y"], found["dy"]] == pytest.approx([6.0, 0.0, -10.0], abs=1e-12)
     assert found["hits"] == 0

@@ -213,7 +213,7 @@ def test_a_mug_slides_over_the_joint_of_a_tray_that_is_tilted(engine, step, erro
 
 
 @pytest.mark.parametrize("step", [4e-3, 1e-3])
-def test_what_has_landed_a_step_deep_slides_on_as_deep(step):
+def test_a_box_that_landed_deep_slides_over_seams_at_that_depth(step):
     text = PATH.replace("SECOND", EDGE).replace("ENABLED", "").replace("modes: {B: off}", "")
     text = text.replace("y: 0.1*s,", "y: 0.5,").replace("mu: 0.05, nu: 0.3", "mu: 0, nu: 0")
     text = text.replace("friction: mu", "friction: mu, modes: [free, slide]").replace(

@@ -53,7 +53,7 @@ def scene(text: str) -> Any:
 
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
-def test_what_lands_on_a_body_that_lands_elsewhere_may_accumulate(engine: str) -> None:
+def test_bounces_on_a_bouncing_body_may_accumulate(engine: str) -> None:
     result = statechart.run(scene(_TEETER), engine=engine)
     assert_edges(result.observer.automaton, result.trace)
     strikes, rests = result.outputs["strikes"], result.outputs["rests"]

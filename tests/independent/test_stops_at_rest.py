@@ -49,7 +49,7 @@ def ended(text, condition, **settings):
         (BOX, "b.dangle < 0"),
     ],
 )
-def test_what_stays_zero_is_neither_above_nor_below(text, condition, step):
+def test_a_margin_that_stays_zero_fires_neither_strict_relation(text, condition, step):
     assert ended(text, condition, engine="impulse", step=step).outcome is Outcome.HORIZON
     if text == POINT:
         assert ended(text, condition).outcome is Outcome.HORIZON
@@ -57,7 +57,7 @@ def test_what_stays_zero_is_neither_above_nor_below(text, condition, step):
 
 @pytest.mark.parametrize("step", [2e-3, 1e-3, 3e-4])
 @pytest.mark.parametrize("text", [POINT, BOX])
-def test_what_has_come_to_rest_is_still(text, step):
+def test_a_body_at_rest_has_zero_velocity(text, step):
     trace = ended(text, "b.dx <= 0", engine="impulse", step=step)
     # It is at rest at the end of a step, and stays there for another.
     assert STILL < trace.t_end <= STILL + 2.0 * step * (1.0 + 1e-9)

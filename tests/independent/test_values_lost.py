@@ -65,7 +65,7 @@ def test_conditions_without_a_value_end_a_run(
 
 @pytest.mark.parametrize("name", ["taylor", "scipy"])
 @pytest.mark.parametrize("guard", ["log(x) <= -100", "sqrt(x) + 1 <= 0"])
-def test_a_guard_that_loses_its_value_is_told_when_it_does(name: str, guard: str) -> None:
+def test_a_guard_that_loses_its_value_is_reported_with_the_time(name: str, guard: str) -> None:
     states = {"s": {"x": "-1"}, "t": {}}
     go = {"name": "go", "from": "s", "to": "t", "guard": guard}
     automaton = compose({"x": 1}, {"r": region(states, go)})

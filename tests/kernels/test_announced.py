@@ -67,7 +67,7 @@ def slow(monkeypatch, clock, seconds):
     monkeypatch.setattr(compiling, "end", later)
 
 
-def test_what_compiles_is_said_with_how_far_it_is(kernels, clock, lines, monkeypatch):
+def test_compilation_shows_its_progress(kernels, clock, lines, monkeypatch):
     slow(monkeypatch, clock, 1.0)
     assert kernels().upper_kernel(1.0) == 10.0
     assert lines == [
@@ -78,7 +78,7 @@ def test_what_compiles_is_said_with_how_far_it_is(kernels, clock, lines, monkeyp
     ]
 
 
-def test_what_is_loaded_or_compiled_already_is_not_counted(kernels, clock, lines, monkeypatch):
+def test_cached_kernels_do_not_count_as_progress(kernels, clock, lines, monkeypatch):
     module = kernels()
     module.lower_kernel(1.0)
     slow(monkeypatch, clock, 1.0)
@@ -89,13 +89,13 @@ def test_what_is_loaded_or_compiled_already_is_not_counted(kernels, clock, lines
     assert not lines
 
 
-def test_what_takes_less_than_a_second_is_not_said(kernels, clock, lines, monkeypatch):
+def test_compilations_below_a_second_are_silent(kernels, clock, lines, monkeypatch):
     slow(monkeypatch, clock, 0.2)
     kernels().upper_kernel(1.0)
     assert not lines
 
 
-def test_the_equations_of_a_mode_are_said_when_they_were_compiled(clock, lines, monkeypatch):
+def test_compiled_equations_of_a_mode_are_announced(clock, lines, monkeypatch):
     compiled = heyoka.taylor_adaptive
 
     def slowly(*system, **options):
@@ -109,7 +109,7 @@ def test_the_equations_of_a_mode_are_said_when_they_were_compiled(clock, lines, 
     assert compiling.working_time() == began
 
 
-def test_a_failure_ends_what_was_begun(tmp_path, kernels, clock, lines):
+def test_a_failure_ends_the_progress_line(tmp_path, kernels, clock, lines):
     module = kernels()
     with pytest.raises(Exception, match="upper_kernel"):
         module.upper_kernel("text")

@@ -224,7 +224,7 @@ def test_a_damaged_file_of_the_cache_is_made_again(upper, tmp_path, damage, comp
     assert len(compilations) == 2
 
 
-def test_what_another_process_compiles_is_waited_for(upper, tmp_path, compilations):
+def test_a_process_waits_for_another_that_compiles_the_kernel(upper, tmp_path, compilations):
     upper()(1.0)
     (file,) = files(tmp_path)
     kept = file.read_bytes()
@@ -253,7 +253,7 @@ def test_a_process_that_has_stopped_is_not_waited_for(upper, tmp_path, compilati
     assert len(compilations) == 2
 
 
-def test_what_fails_to_compile_keeps_nobody_waiting(upper, tmp_path):
+def test_a_failed_compilation_releases_waiting_processes(upper, tmp_path):
     with pytest.raises(Exception, match="upper"):
         upper()("text")
     for file in tmp_path.glob("**/*.lock"):

@@ -77,7 +77,7 @@ def test_a_disc_holds_the_values_of_its_points(place, re, im, radius, part, turn
         (sp.asin(X), 1.05, 0.1),
     ],
 )
-def test_what_is_not_analytic_on_a_disc_is_unknown_there(expression, centre, radius):
+def test_functions_not_analytic_on_a_disc_have_no_enclosure(expression, centre, radius):
     assert discs(expression, [centre, 0.0], [radius, 0.0])[1] == math.inf
 
 

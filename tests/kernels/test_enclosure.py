@@ -195,7 +195,7 @@ def test_the_enclosure_converges_with_the_third_power_of_the_width():
 # ------------------------------------------------------------------ crossings
 
 
-def test_what_does_not_change_has_slopes_of_exactly_zero():
+def test_constants_have_slopes_of_exactly_zero():
     # With more than that for zero, its roundings were subnormal: a hundred times slower.
     coeffs = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
     box = jets_over(tape_of(P * sp.sin(X) * T + Y**2 * X), coeffs, [3.0], [0.0, 1.0], 0.0, 0.5, 0.5)

@@ -61,6 +61,6 @@ def test_time_lasts_from_the_first_to_the_last_instant() -> None:
 
 
 @pytest.mark.parametrize("term", [np.inf, np.nan])
-def test_what_is_not_finite_is_told(term: float) -> None:
+def test_values_that_are_not_finite_are_reported(term: float) -> None:
     assert not placed(np.array([[1.0, 0.0, 0.0, term]]))[0]
     assert not placed(np.array([[1.0, 0.0]]), start=term)[0]

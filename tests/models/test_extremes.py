@@ -212,7 +212,7 @@ stop: {time: 5}
 """
 
 
-def test_what_becomes_undefined_ends_with_the_time_and_the_mode(engine: str) -> None:
+def test_undefined_values_end_the_run_with_time_and_mode(engine: str) -> None:
     trace = _run(SOURCE, engine).trace
     # A root has no series where it is zero: whether it goes on there, the other engine may tell.
     ends = ("UNSUPPORTED",) if engine == "taylor" else ("NON_FINITE", "STEP_FAILURE")

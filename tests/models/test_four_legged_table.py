@@ -94,7 +94,7 @@ def test_on_rough_floor_it_tips_about_its_outer_leg(engine: str) -> None:
     assert trace.final[2] < 0.0
 
 
-def test_where_slipping_and_tipping_coincide_both_engines_slip(engine: str) -> None:
+def test_both_engines_slip_if_slipping_and_tipping_coincide(engine: str) -> None:
     trace = run(MODEL, engine, growth=20.0, mu=B / H, until=3.6)
     assert trace.modes == (PINNED, ("slide+",) * 4)
     assert trace.jumps[0].t == pytest.approx(W * B / (20.0 * H), rel=1e-10)

@@ -64,7 +64,7 @@ def test_no_shipped_model_is_left_out():
     assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL} | stepped
 
 
-def test_blows_that_are_not_passed_on_one_by_one_are_said_to_be():
+def test_blows_resolved_together_give_a_warning():
     found = Runner(SEQUENTIAL, engine="impulse", step=1e-3).run(until=0.6)
     assert any("at once" in warning for warning in found.warnings)
     # Newton's law at all contacts at once: the four that touch are hit as one.
@@ -87,7 +87,7 @@ def test_forces_that_stand_in_for_each_other_are_shared_and_said_to_be():
     assert found.trace.indeterminate == exact.trace.indeterminate
 
 
-def test_forces_of_joints_and_contacts_are_told_apart():
+def test_forces_of_joints_and_contacts_are_distinguished():
     exact = Runner("dragged_stick").run().outputs
     found = Runner("dragged_stick", engine="impulse", step=1e-3).run().outputs
     assert found == pytest.approx(exact, rel=1e-8)

@@ -145,7 +145,9 @@ def test_without_rebound_one_after_another_they_move_on_together() -> None:
     assert any("the sequence of impacts does not end" in warning for warning in trace.warnings)
 
 
-def test_the_other_laws_are_told_to_give_other_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_alternatives_report_different_runs_of_other_laws(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["run", MODEL, "--json", "--alternatives", "--until", "0.6"]) == 0
     rows = {row["choice"]: row for row in json.loads(capsys.readouterr().out)["alternatives"]}
     assert set(rows) == {"simultaneous: plastic", "simultaneous: capped"}

@@ -307,7 +307,7 @@ def sampled(jacobians: np.ndarray, rng: np.random.Generator, draws: int) -> set[
 
 @examples(40)
 @given(JACOBIANS, st.integers(0, 2**32))
-def test_what_sampling_finds_is_feasible(jacobians: np.ndarray, seed: int) -> None:
+def test_modes_reached_by_sampling_are_feasible(jacobians: np.ndarray, seed: int) -> None:
     found = sampled(jacobians, np.random.default_rng(seed), 10)
     judged = verdicts(jacobians)
     assert all(judged[mode] for mode in found)

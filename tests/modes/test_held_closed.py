@@ -26,7 +26,7 @@ outputs: {x: {value: b.x}, push: {value: c.V}, guide: {value: guide.COMPONENT}}
     ("path", "component", "push", "force"),
     [("{y: 0}", "Y", 0.0, 10.0), ("{x: 2*time}", "X", 10, 5)],
 )
-def test_a_contact_that_a_joint_holds_closed_is_told_to_bear_nothing(
+def test_a_contact_that_a_joint_holds_closed_has_no_force(
     engine: str, path: str, component: str, push: float, force: float
 ) -> None:
     # What drives it along the floor holds nothing of the load.

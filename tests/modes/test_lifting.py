@@ -75,7 +75,7 @@ PINNED = {f"mu{i}": math.inf for i in range(3)} | {"p0": 0.0, "p1": 0.0, "p2": 0
 @given(
     count=st.integers(1, 3), turns=st.booleans(), name=st.sampled_from(ENGINES), given=parameters
 )
-def test_what_gravity_pulls_off_its_contacts_flies_freely(
+def test_bodies_that_gravity_pulls_off_fly_freely(
     count: int, turns: bool, name: str, given: dict[str, float]
 ) -> None:
     known = scene(count, turns).parameters

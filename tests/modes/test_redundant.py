@@ -335,7 +335,7 @@ def test_the_ends_of_friction_are_ordinary(mu: float) -> None:
         assert trace.jumps[0].t == pytest.approx(2.0, rel=1e-10)
 
 
-def test_feet_of_different_friction_leave_the_motion_open_and_it_is_said() -> None:
+def test_feet_of_different_friction_are_reported_as_indeterminate() -> None:
     scene = standing([-1.0, 0.1, 1.0], speed=1.0)
     contacts = {
         name: contact.model_copy(update={"friction": mu})

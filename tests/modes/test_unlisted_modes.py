@@ -67,7 +67,7 @@ def test_a_point_that_may_only_be_pinned_does_not_start_slipping() -> None:
         Runner(scene(("pin",), None, "height: 0")).start({"v": 1.0})
 
 
-def test_what_ends_beside_its_surface_must_list_free() -> None:
+def test_a_point_that_leaves_an_edge_must_list_free() -> None:
     with pytest.raises(DeclarationError, match="a contact that can be off comes back as free"):
         scene(("slide", "pin"), None, "edge: [[-1, 0], [0.5, 0]]")
 

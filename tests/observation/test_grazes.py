@@ -88,9 +88,7 @@ def test_graze_fires_no_event_and_gives_a_warning(engine: str, tolerance: float)
 
 
 @pytest.mark.parametrize("e", [1e-9, -1e-9])
-def test_what_nearly_touches_is_told_where_the_tolerance_leaves_it_open(
-    engine: str, e: float
-) -> None:
+def test_a_near_graze_within_the_tolerance_gives_a_warning(engine: str, e: float) -> None:
     assert len(told(ran(_THROWN, engine, 1e-8, e))) == 1
     result = ran(_THROWN, engine, 1e-12, e)
     assert not told(result)
@@ -98,7 +96,7 @@ def test_what_nearly_touches_is_told_where_the_tolerance_leaves_it_open(
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
-def test_a_stop_that_is_only_touched_is_told_whether_it_ends_the_run_or_not(
+def test_a_stop_condition_that_is_only_touched_gives_a_warning(
     engine: str, tolerance: float
 ) -> None:
     (warning,) = told(ran(_SWINGS, engine, tolerance))
@@ -114,7 +112,7 @@ def test_a_stop_that_is_passed_or_not_by_more_than_the_run_is_off(
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
-def test_a_pull_that_grazes_friction_is_told_and_moves_nothing(
+def test_a_pull_that_grazes_the_friction_limit_gives_a_warning_and_no_slip(
     engine: str, tolerance: float
 ) -> None:
     result = ran(_PULLED, engine, tolerance)
@@ -123,21 +121,21 @@ def test_a_pull_that_grazes_friction_is_told_and_moves_nothing(
     assert {warning.split()[0] for warning in told(result)} == {"c.mu"}
 
 
-def test_a_pull_beyond_friction_slips_and_nothing_is_told(engine: str) -> None:
+def test_a_pull_beyond_friction_slips_without_a_warning(engine: str) -> None:
     beyond, within = (ran(_PULLED, engine, 1e-12, e) for e in (1e-6, -1e-6))
     assert (beyond.outputs["slips"], within.outputs["slips"]) == (2, 0)
     assert not told(beyond) + told(within)
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
-def test_guards_of_charts_that_are_touched_are_told(engine: str, tolerance: float) -> None:
+def test_guards_of_charts_that_graze_zero_give_a_warning(engine: str, tolerance: float) -> None:
     assert len(told(ran(_CHART, engine, tolerance))) == 1
     passed, missed = (ran(_CHART, engine, 1e-12, e) for e in (-1e-9, 1e-9))
     assert (passed.outputs["fired"], missed.outputs["fired"]) == (1, 0)
     assert not told(passed) + told(missed)
 
 
-def test_what_rests_on_its_bound_grazes_nothing(engine: str) -> None:
+def test_a_margin_that_rests_on_its_bound_is_no_graze(engine: str) -> None:
     assert not told(ran(_PULLED.replace("f*(1 + e)*d.x", "f"), engine, 1e-10))
 
 

@@ -44,7 +44,7 @@ def test_a_page_needs_nothing_else(page):
     assert "@" + "TITLE@" not in text
 
 
-def test_what_it_shows_is_the_run(result, page):
+def test_the_page_shows_the_run(result, page):
     shown = data_of(page.read_text(encoding="utf-8"))
     times = np.frombuffer(base64.b64decode(shown["times"]), "<f8")
     assert times[0] == 0.0
@@ -301,7 +301,7 @@ def test_current_state_is_coloured_and_other_states_are_faint(browser, result):
 
 
 @in_browser
-def test_of_a_mode_that_comes_again_the_visit_at_hand_is_lit(tmp_path):
+def test_only_the_current_visit_of_a_repeated_mode_is_lit(tmp_path):
     result = statechart.run("woodpecker", until=0.3)
     with Browser(tmp_path / "browser") as opened:
         opened.open(result.report(tmp_path / "page.html"))
@@ -363,5 +363,5 @@ def test_on_a_wide_screen_reasons_stand_beside_the_scene(page, tmp_path):
 
 
 @in_browser
-def test_nothing_was_said_on_the_console(browser):
+def test_the_console_is_empty(browser):
     assert browser.said == []

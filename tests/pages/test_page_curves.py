@@ -28,7 +28,7 @@ def test_curves_reach_the_instants_at_which_they_jump() -> None:
     assert np.abs(height[last]).max() < 1e-9
 
 
-def test_of_very_many_jumps_lines_are_drawn_of_few_points() -> None:
+def test_curves_of_many_jumps_have_few_points() -> None:
     result = Runner("bouncing_ball").run({"k": 0.99999}, until=9000.0)
     assert len(result.trace.jumps) > 9000
     samples, panels = curves(result.observer, result.trace)

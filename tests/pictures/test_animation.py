@@ -73,7 +73,7 @@ def test_the_command_line_takes_the_same_words(tmp_path):
     ],
     ids=lambda part: " ".join(part) if isinstance(part, list) else None,
 )
-def test_how_a_film_is_shown_is_checked_before_the_run(words, why, tmp_path, capsys, monkeypatch):
+def test_options_of_a_film_are_checked_before_the_run(words, why, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["run", "toppling_stick", *words]) == 2
     said = capsys.readouterr()
@@ -106,7 +106,7 @@ def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     ("name", "said"),
     [("film.avi", "gif or .mp4"), ("no/film.gif", "no folder"), ("", "name a file")],
 )
-def test_what_cannot_be_written_is_said_before_the_run(tmp_path, capsys, monkeypatch, name, said):
+def test_an_unwritable_film_is_reported_before_the_run(tmp_path, capsys, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     assert main(["run", "toppling_stick", "--animate", name]) == 2
     shown = capsys.readouterr()

@@ -156,7 +156,7 @@ def test_reactions_along_a_line_are_drawn_as_what_they_are(tension, kinds):
     assert {shape.kind for shape in pair_of(tension).shapes if shape.kind in links} == kinds
 
 
-def test_what_is_written_by_components_is_damped_too():
+def test_dampers_written_by_components_are_drawn_as_dampers():
     parts = {"a.x)/LENGTH": "a.x) + c*(b.dx - a.dx)", "a.y)/LENGTH": "a.y) + c*(b.dy - a.dy)"}
     scene = PAIR
     for old, new in parts.items():
@@ -243,7 +243,7 @@ def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
     assert film.centres[0, 0] + film.half[0] < 20.0
 
 
-def test_of_hills_what_is_below_a_ball_is_seen():
+def test_the_picture_contains_the_hill_below_the_ball():
     film = film_of("bouncing_ball_hills", [0.0], until=0.0)
     known = statechart.load("bouncing_ball_hills").values()
     height = known["A"] * np.sin(known["k"] * known["x0"] + known["phase"])

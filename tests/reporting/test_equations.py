@@ -47,7 +47,7 @@ def test_the_slide_phase_is_that_of_the_paper() -> None:
     assert "  tip.H = -mu*tip.V" in shown("toppling_stick", "slide+").splitlines()
 
 
-def test_what_rests_on_a_slope_is_borne_as_by_hand() -> None:
+def test_forces_of_a_block_at_rest_on_a_slope_match_those_by_hand() -> None:
     # Of a unit mass: V = g cos(alpha), H = g sin(alpha).
     _, _, found = shown("block_on_incline", "pin").partition("forces:\n")
     assert found == "  base.H = base.V*tan(alpha)\n  base.V = g*cos(alpha)\n"
@@ -90,7 +90,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("model", "named"), CASES)
-def test_what_is_integrated_satisfies_the_equations_shown(model: str, named: str | None) -> None:
+def test_integrated_motion_satisfies_the_printed_equations(model: str, named: str | None) -> None:
     built = automaton(model)
     key = tuple(region.states[0] for region in built.regions)
     key = key if named is None else mode_named(built, named)

@@ -80,7 +80,7 @@ def test_the_words_name_all_that_the_jump_holds() -> None:
     assert last.splitlines()[1] == "  fired    low"
 
 
-def test_of_many_events_the_first_and_the_last_are_explained() -> None:
+def test_the_first_and_the_last_of_many_events_are_explained() -> None:
     report = Runner("bouncing_ball").run().to_dict(explain=True)
     said = explanation(report)
     events = report["events"]
@@ -134,7 +134,7 @@ def test_a_jam_says_why_no_mode_agreed_and_what_the_impact_left() -> None:
     assert "before the impact tip: it would accelerate" in jump.considered["tip:free"]
 
 
-def test_what_may_not_slip_and_cannot_hold_is_told_what_to_do(
+def test_a_pin_that_cannot_hold_is_advised_to_list_slide(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["run", "no_slip_pencil"]) == 1
@@ -143,7 +143,7 @@ def test_what_may_not_slip_and_cannot_hold_is_told_what_to_do(
     assert "list slide among the modes" in shown.out
 
 
-def test_a_body_without_inertia_that_takes_off_is_told_what_it_lacks(
+def test_a_body_without_inertia_that_lifts_off_is_advised_to_have_one(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     fast = ["--set", "gamma=0.2", "--set", "omega0=2.5"]

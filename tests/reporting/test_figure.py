@@ -131,7 +131,7 @@ bodies:
 MANY += "stop: {time: 1}\n"
 
 
-def test_of_many_curves_those_that_move_most_are_drawn_and_the_others_named() -> None:
+def test_the_curves_that_move_most_are_drawn_and_the_others_named() -> None:
     _, (position, velocity, _) = drawn(MANY)
     names = [name for name in labels(position) if name.startswith("ball")]
     assert len(names) == 5
@@ -172,7 +172,7 @@ settings: {engine: impulse, step: 1e-3}
 
 
 @pytest.mark.parametrize("height", [1, 100])
-def test_of_many_curves_alike_some_from_one_end_to_the_other_are_drawn(height: int) -> None:
+def test_similar_curves_are_represented_by_some_of_the_whole_range(height: int) -> None:
     runner = Runner(read_text(FALLING.replace("HEIGHT", str(height))))
     result = runner.run()
     _, panels = curves(result.observer, result.trace)
@@ -191,7 +191,7 @@ def test_of_many_curves_alike_some_from_one_end_to_the_other_are_drawn(height: i
     assert list(struck.impulses) == [hit[round(k * last / 4)] for k in range(5)]
 
 
-def test_of_many_gaps_those_of_contacts_that_change_are_drawn() -> None:
+def test_gaps_of_contacts_that_change_are_drawn_first() -> None:
     result = Runner("rimless_wheel").run()
     _, panels = curves(result.observer, result.trace)
     (gaps,) = (panel for panel in panels if panel.title == "gap")
@@ -231,7 +231,7 @@ def test_the_rounding_of_zero_is_not_looked_at() -> None:
     assert "force" not in [ax.get_ylabel() for ax in axes]  # type: ignore[attr-defined]
 
 
-def test_what_is_zero_all_along_has_no_axis_and_is_named() -> None:
+def test_curves_that_stay_zero_have_no_axis_and_are_named() -> None:
     result = Runner("box_stack").run()
     _, panels = curves(result.observer, result.trace)
     (position,) = panels
@@ -242,7 +242,7 @@ def test_what_is_zero_all_along_has_no_axis_and_is_named() -> None:
     assert position.remarks[-1].endswith(f"{len(position.nothing) - 2} more")
 
 
-def test_of_many_regions_those_that_change_have_a_row() -> None:
+def test_regions_that_change_have_a_row() -> None:
     result = Runner("rimless_wheel").run()
     rows = [result.trace.regions[k] for k in banded(result.observer.automaton, result.trace)]
     assert rows == [f"s{k}" for k in range(8)]  # the others are off all the time
@@ -324,7 +324,7 @@ def test_many_events_at_one_instant_are_named_once() -> None:
     assert [text.get_text() for text in first.texts] == ["box0.touchdown and 4 more"]
 
 
-def test_of_curves_that_stand_those_far_off_zero_are_drawn() -> None:
+def test_constant_curves_far_from_zero_are_drawn_first() -> None:
     result = Runner("box_stack").run()
     _, (position, *_) = curves(result.observer, result.trace)
     # Boxes of 0.1 m on each other, moved aside by 0.02 m each: the lowest is at 0 and 0.05 m.

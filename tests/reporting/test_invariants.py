@@ -108,7 +108,7 @@ def test_invariants_of_states_that_a_run_does_not_keep_are_left_out() -> None:
     assert [*least(found)] == ["kept"]
     assert {
         "what": "the invariant 'lost'",
-        "why": "record: poses keeps none of its states; ask for record: modes",
+        "why": "record: poses stores no states; use record: modes",
     } in found.to_dict()["left_out"]
 
 

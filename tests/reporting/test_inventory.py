@@ -26,7 +26,7 @@ def test_a_stepped_run_builds_no_modes():
     assert any("guards" in entry["what"] for entry in report["left_out"])
 
 
-def test_what_a_scene_does_not_require_is_named():
+def test_the_inventory_names_parts_that_were_not_built():
     left = {e["what"]: e["why"] for e in run("hopper", until=0.1).to_dict()["left_out"]}
     assert left["pin of sole"] == "not among its modes"
     assert "frictionless" in left["friction of sole"]

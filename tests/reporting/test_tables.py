@@ -170,7 +170,7 @@ def test_on_a_full_disk_what_fits_is_written_and_the_rest_is_named(
     assert json.loads((folder / "run.json").read_text()) == made
 
 
-def test_where_nothing_can_be_written_nothing_is_left_parents_included(
+def test_an_unwritable_place_leaves_no_folders_behind(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     pieces = Pieces()
@@ -183,7 +183,7 @@ def test_where_nothing_can_be_written_nothing_is_left_parents_included(
     assert os.listdir(tmp_path) == []
 
 
-def test_what_a_killed_process_left_is_removed_by_the_next(
+def test_leftovers_of_a_killed_process_are_removed_by_the_next(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
@@ -207,7 +207,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next(
     assert set(os.listdir(tmp_path)) == names | {"run", "trace.nc"}
 
 
-def test_what_a_killed_process_left_in_an_existing_folder_is_removed(tmp_path: Path) -> None:
+def test_leftovers_in_an_existing_folder_are_removed(tmp_path: Path) -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     (tmp_path / f".{tmp_path.name}.{platform.node()}-{ended.pid}-abcd_123").mkdir()
@@ -216,7 +216,7 @@ def test_what_a_killed_process_left_in_an_existing_folder_is_removed(tmp_path: P
     assert os.listdir(tmp_path) == ["a"]
 
 
-def test_of_work_that_fails_in_part_the_rest_is_done(
+def test_one_failing_file_does_not_stop_the_others(
     observer: Observer, trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def failing(error: BaseException) -> Callable[..., None]:

@@ -47,7 +47,7 @@ def under(text: str, title: str) -> list[str]:
     return text.split(f"\n{title}\n")[1].split("\n\n")[0].splitlines()
 
 
-def test_of_many_variables_the_first_and_the_last_are_listed(report) -> None:
+def test_the_first_and_the_last_of_many_variables_are_listed(report) -> None:
     lines = under(summary(report), "final state")
     names = list(report["final"])
     assert len(names) == 360
@@ -56,7 +56,7 @@ def test_of_many_variables_the_first_and_the_last_are_listed(report) -> None:
     assert lines[10] == "  ... 340 more: --json or --output has all"
 
 
-def test_of_many_margins_the_least_are_listed(report) -> None:
+def test_the_least_of_many_margins_are_listed(report) -> None:
     lines = under(summary(report), "margins, least sampled value")
     margins = report["margins"]
     left_out = len(margins) - 20
@@ -105,7 +105,7 @@ def test_few_values_are_all_listed() -> None:
     assert ends("few") == list("few")
 
 
-def test_of_many_regions_some_are_listed(tmp_path, capsys) -> None:
+def test_some_of_many_regions_are_listed(tmp_path, capsys) -> None:
     path = tmp_path / "grains.yaml"
     path.write_text(GRAINS)
     assert main(["validate", str(path)]) == 0
@@ -119,7 +119,7 @@ def test_of_many_regions_some_are_listed(tmp_path, capsys) -> None:
     assert lines.count("... 40 more: --json has all") == 1
 
 
-def test_a_change_is_told_once_for_all_who_share_it() -> None:
+def test_a_change_shared_by_many_bodies_is_listed_once() -> None:
     event = {
         "contact": "A",
         "impulse": {"A": {}, "D": {}, "E": {}},
@@ -215,7 +215,9 @@ def test_messages_use_the_singular_for_one(
 @pytest.mark.parametrize(
     ("end", "told"), [("pi", "3.14159"), ("0.67*3", "2.01"), ("1e-7", "1e-07")]
 )
-def test_times_in_messages_are_told_as_other_numbers(engine: str, end: str, told: str) -> None:
+def test_times_in_messages_have_the_digits_of_other_numbers(
+    engine: str, end: str, told: str
+) -> None:
     scene = f"{{kind: scene, name: b, bodies: {{ball: {{mass: 1}}}}, stop: {{time: {end}}}}}"
     step = 1e-8 if end == "1e-7" else 0.01
     runner = Runner(read_text(scene), engine=engine, step=step if engine == "impulse" else None)

@@ -22,7 +22,7 @@ def test_few_points_are_drawn_as_they_are_and_broken_at_jumps() -> None:
     np.testing.assert_array_equal(line.values(t + 5.0), [5.0, 6.0, np.nan, 6.0, 7.0])
 
 
-def test_of_many_points_none_that_stands_out_is_lost() -> None:
+def test_thinning_keeps_outlying_points() -> None:
     t = np.linspace(0.0, 3.0, 200_001)
     values = np.sin(40_000.0 * t)
     values[[777, 123_456]] = 9.0, -8.0
@@ -38,7 +38,7 @@ def test_of_many_points_none_that_stands_out_is_lost() -> None:
     assert (np.diff(line.times[~np.isnan(line.times)]) >= 0.0).all()
 
 
-def test_of_many_points_the_line_stays_broken_at_a_jump_between_two_columns() -> None:
+def test_thinning_keeps_jumps_between_two_columns() -> None:
     half = np.linspace(0.0, 1.0, 15_000)
     t = np.concatenate([half, 1.0 + half])
     j = np.repeat([0, 1], 15_000)
@@ -47,7 +47,7 @@ def test_of_many_points_the_line_stays_broken_at_a_jump_between_two_columns() ->
     assert broken == pytest.approx([1.0], abs=2.0 / COLUMNS)
 
 
-def test_of_many_impulses_the_greatest_of_a_column_is_drawn() -> None:
+def test_thinning_keeps_the_largest_impulse_of_a_column() -> None:
     times = np.linspace(0.0, 2.0, 50_000)
     sizes = 1.0 + 0.5 * np.sin(np.arange(50_000))
     sizes[31_234] = -7.0
@@ -77,7 +77,7 @@ def test_the_first_events_of_a_report_are_those_of_all() -> None:
     assert result.to_dict(explain=True, most=5)["events"] == told[:5]
 
 
-def test_of_many_stretches_those_that_can_be_seen_are_drawn() -> None:
+def test_thinning_keeps_visible_stretches() -> None:
     ends = np.linspace(0.0, 5.0, 60_001)
     fast = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
     # Three in four of the first half are one state; the second half is another for long.

@@ -48,7 +48,7 @@ def test_copies_stand_in_rows(row):
     assert at[:, :2].tolist() == [[k % 49, k // 49] for k in range(4000)]
 
 
-def test_how_many_copies_fit_is_computed_once():
+def test_the_number_of_copies_is_computed_once():
     text = GRAINS.replace("n: 4,", "W: 1.2, n: floor(W/(4*r)),").replace("0.1, m", "0.1, m")
     assert [grains(text).run({"W": w}).trace.regions[1:] for w in (1.2, 0.8)] == [
         ("grain0", "grain1", "grain2"), ("grain0", "grain1")
@@ -100,7 +100,7 @@ def test_a_thousand_copies_take_no_more_formulas_than_ten(monkeypatch):
         ("log(index)", "no value", 0),
     ],
 )
-def test_a_copy_that_starts_nowhere_is_told_with_the_place_of_its_formula(angle, said, copy):
+def test_a_copy_without_a_finite_start_is_reported_with_its_formula(angle, said, copy):
     text = GRAINS.replace("1/(1 + index)", f"'{angle}'")
     with pytest.raises(DeclarationError) as caught:
         grains(text).start()

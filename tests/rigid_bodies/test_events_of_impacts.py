@@ -61,7 +61,7 @@ def outputs(scene: str) -> dict[str, object]:
     return dict(Runner(interpret(read_text(scene))).run().outputs)
 
 
-def test_what_is_struck_and_flies_off_has_an_impact_and_a_liftoff() -> None:
+def test_a_struck_body_that_flies_off_has_an_impact_and_a_liftoff() -> None:
     found = outputs(STRUCK)
     # Two discs on one ground touch where their middles are 2 sqrt(R r) apart.
     met = (AWAY - 2 * math.sqrt(LARGE * SMALL)) / SPEED
@@ -69,7 +69,7 @@ def test_what_is_struck_and_flies_off_has_an_impact_and_a_liftoff() -> None:
     assert found["slips"] == 0
 
 
-def test_what_comes_off_because_something_else_is_struck_has_a_liftoff_alone() -> None:
+def test_a_body_that_lifts_off_by_another_impact_has_a_liftoff_only() -> None:
     found = outputs(TIPPED)
     # The ball's weight raises the end that the load meets.
     turns = 0.1 * 9.81 * 0.9 / (0.35 + 0.1 * 0.9**2)

@@ -106,7 +106,7 @@ regions:
 """
 
 
-def test_a_gate_lifts_what_stands_on_it_and_clocks_are_kept():
+def test_a_gate_lifts_the_bodies_on_it_and_clocks_go_on():
     scene = text(
         GATE, surfaces=", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, lift]}",
         names=", plate", time=0.6,

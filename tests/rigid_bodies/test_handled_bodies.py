@@ -196,7 +196,7 @@ def test_a_wheel_is_pulled_over_a_step_above_the_threshold():
 
 
 @pytest.mark.parametrize(("text", "values"), [(NUT, {"mu": 0.3}), (WHEEL, {"F": 60})])
-def test_what_turns_about_a_contact_is_as_deep_as_the_run_says(text, values):
+def test_penetration_of_a_turning_body_equals_the_reported_one(text, values):
     # Nothing approaches what it touches but by turning.
     model = interpret(read_text(text))
     trace = Runner(model).run(values).trace

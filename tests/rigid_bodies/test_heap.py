@@ -131,7 +131,7 @@ def test_bodies_that_overlap_at_the_start_are_refused():
         Runner(interpret(read_text(row))).run()
 
 
-def test_what_starts_in_the_middle_of_pieces_is_named():
+def test_a_body_that_starts_inside_pieces_is_reported_by_name():
     """The end of a plate where pieces cover each other, whose faces touch nothing there."""
     shape = "{polygon: [[-1, -1], [1, -1], [1, 1], [-1, 1]]}"
     halves = ", ".join(f"{{polygon: [[{x}, -1], [{x} + 1, -1], [{x} + 1, 1], [{x}, 1]]}}"
@@ -148,7 +148,7 @@ def test_what_starts_in_the_middle_of_pieces_is_named():
         Runner(read_text(moved)).start()
 
 
-def test_bodies_in_several_things_are_told_how_to_get_out_of_all_of_them():
+def test_a_body_inside_several_things_is_advised_a_way_out_of_all():
     wall = "  ground: {height: 0}\n  wall: {line: [[-0.7, 5], [-0.7, -5]]}"
     wedged = TWO.replace("copies: 2", "copies: 1").replace("1 + 3*index", "0.5")
     wedged = wedged.replace("  ground: {height: 0}", wall)
@@ -165,7 +165,7 @@ def test_bodies_in_several_things_are_told_how_to_get_out_of_all_of_them():
         Runner(interpret(read_text(narrow))).run()
 
 
-def test_where_copies_that_a_parameter_makes_overlap_is_told():
+def test_overlaps_of_copies_by_a_parameter_are_reported():
     text = TWO.replace("copies: 2", "copies: n").replace("3*index", "(4 - n)*index")
     text += "parameters: {n: 1}\n"
     runner = Runner(read_text(text, "two.yaml"))
@@ -174,7 +174,7 @@ def test_where_copies_that_a_parameter_makes_overlap_is_told():
         runner.run({"n": 3})
 
 
-def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_line():
+def test_infinite_corners_are_reported_with_their_line():
     text = TWO.replace("[1, 1], [-1, 1]]", "[1, 1], [-1, a]]") + "parameters: {a: 1}\n"
     runner = pickle.loads(pickle.dumps(Runner(read_text(text, "two.yaml"))))
     place = r"two\.yaml:11:\d+: bodies\.block\.shape\.polygon\.3.*"
@@ -183,7 +183,7 @@ def test_a_runner_that_travelled_and_corners_at_infinity_are_told_with_their_lin
             runner.run({"a": value})
 
 
-def test_what_hardly_was_meant_of_bodies_with_shapes_is_warned_of():
+def test_likely_mistakes_of_bodies_with_shapes_give_warnings():
     text = TWO.replace("  ground: {height: 0}", "  ground: {height: 0}\n  wall: {height: -9}")
     text = text.replace("start: {", "start: {angle: 90, ").replace(
         "surfaces:\n",
@@ -193,12 +193,12 @@ def test_what_hardly_was_meant_of_bodies_with_shapes_is_warned_of():
     text = text.replace("y: 1 + 3", "y: 2 + 3")
     assert Runner(interpret(read_text(text))).run().trace.warnings[:3] == (
         "bodies.block.start.angle: 90 radians are 14.3 turns; of degrees write 90*pi/180",
-        "bodies.idle: nothing collides with it, as no collisions list it in bodies",
-        "surfaces.wall: nothing collides with it, as no collisions list it in surfaces",
+        "bodies.idle: it collides with nothing; list it in bodies of collisions, if it should",
+        "surfaces.wall: it collides with nothing; list it in surfaces of collisions, if it should",
     )
 
 
-def test_a_path_that_begins_nowhere_is_told_with_its_line():
+def test_a_path_without_a_start_is_reported_with_its_line():
     text = TWO.replace("{height: 0}", "{height: 0, displacement: [0, 1/time]}")
     with pytest.raises(DeclarationError, match=r":13:\d+: surfaces\.ground\.displacement: has no"):
         Runner(read_text(text, "two.yaml")).run()
@@ -252,7 +252,7 @@ def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other
         assert found[:count, 4].min() >= separation - 1e-9
 
 
-def test_which_corner_is_listed_first_decides_nothing():
+def test_the_first_listed_corner_does_not_change_the_motion():
     # A bar on its way down to the long side of a tooth: either could be the face that is touched.
     tooth, bar = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 1.0]]), SQUARE * [0.05, 1.0]
     lean, middle = math.atan2(0.3, 1.0), tooth.mean(axis=0)
@@ -306,7 +306,7 @@ def test_bodies_that_collide_are_listed_and_drawn_with_their_path(tmp_path, caps
         (["--set", "a=-0.01"], 2, "must be positive"),
     ],
 )
-def test_what_cannot_run_says_what_to_do(options, code, words, capsys):
+def test_scenes_that_cannot_run_by_steps_give_advice(options, code, words, capsys):
     assert main(["run", "dice", "--until", "0.5", *options]) == code
     printed = capsys.readouterr()
     assert words in printed.out + printed.err
@@ -459,7 +459,7 @@ SQUARE_OF_A_BULLET = "{polygon: [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-
 
 @pytest.mark.parametrize("shape", ["{disc: 0.01}", SQUARE_OF_A_BULLET])
 @pytest.mark.parametrize("y", [0.1, 0.9])
-def test_what_crosses_a_thin_wall_far_from_its_middle_within_a_step_strikes_it(shape, y):
+def test_a_body_that_crosses_a_thin_wall_within_a_step_strikes_it(shape, y):
     """It goes 10 m in a step; nothing is lost, and all of its momentum is the wall's."""
     trace = Runner(interpret(read_text(WALL.replace("SHAPE", shape)))).run({"y": y}).trace
     assert trace.outcome is Outcome.HORIZON
@@ -477,7 +477,7 @@ def test_what_crosses_a_thin_wall_far_from_its_middle_within_a_step_strikes_it(s
         ("{max_step: 1}", "two.yaml:3:12: settings.max_step: the engine impulse has no max_step"),
     ],
 )
-def test_settings_that_colliding_bodies_cannot_have_are_told_where_they_stand(
+def test_settings_unfit_for_collisions_are_reported_with_their_place(
     settings, told, tmp_path, capsys
 ):
     path = tmp_path / "two.yaml"

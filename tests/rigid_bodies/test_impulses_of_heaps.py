@@ -51,7 +51,7 @@ def test_heaps_come_to_their_end_and_keep_their_energy(seed):
 
 
 @pytest.mark.parametrize("seed", [59, 226, 296, 399, 639, 650, 664])
-def test_what_is_in_the_way_after_a_step_tells_whether_it_was_too_long(seed):
+def test_penetration_after_a_step_decides_whether_it_was_too_long(seed):
     """Light bodies between heavy ones cross more than their size in a step."""
     subject = Subject(interpret(read_text(heap(seed))))
     trace = subject.case({}).trace
@@ -112,10 +112,10 @@ def test_heaps_beside_each_other_take_as_many_steps_at_once_as_one(monkeypatch):
     assert len(calls) < 12
 
 
-def test_what_misses_the_tolerance_is_told_and_ends_the_run_at_a_bound_only(capsys):
+def test_residuals_above_the_tolerance_warn_and_above_the_bound_end_the_run(capsys):
     arguments = ["run", "granular_column", "--until", "0.2", "--impulse-tolerance", "1e-15"]
     assert main(arguments) == 0
-    assert "miss the contact laws by more than the tolerance of 1e-15" in capsys.readouterr().err
+    assert "contact impulses exceeds the tolerance of 1e-15" in capsys.readouterr().err
     assert main([*arguments, "--impulse-bound", "1e-15"]) == 1
     printed = capsys.readouterr()
     assert "UNSOLVED_IMPULSES" in printed.out + printed.err
@@ -145,7 +145,7 @@ def test_wrong_tolerances_of_impulses_are_refused(asked, words):
         (1e14, 1e-5, None),
     ],
 )
-def test_of_masses_too_far_apart_only_a_tolerance_is_advised_that_there_is(ratio, missed, looser):
+def test_extreme_mass_ratios_are_advised_an_allowed_tolerance(ratio, missed, looser):
     (said,) = ratio_remarks(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
     assert f"miss the contact laws by {missed:g}" in said
     assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")

@@ -305,7 +305,7 @@ def test_transformed_chains_move_alike(change):
     assert other.final * reading.factors == pytest.approx(one.final, abs=1e-6)
 
 
-def test_joints_that_others_imply_are_told():
+def test_redundant_joints_give_a_warning():
     # The bar is held at both ends; at its ends and its middle a third joint says nothing new.
     more = "  far: {point: {body: bar0, at: [0, -l/2]}, to: {x: l*sin(a)}}\n"
     held = chain(1, time=0.1).replace("collisions:", more + "collisions:")
@@ -317,7 +317,7 @@ def test_joints_that_others_imply_are_told():
 
 
 @pytest.mark.parametrize("digits", [6, 8, 12, 17])
-def test_what_more_joints_hold_than_need_be_stands(digits):
+def test_a_body_on_redundant_joints_stays_at_rest(digits):
     """However exactly they are declared: the three bear the weight, and the disc does not move."""
     points = [(0.1 * math.cos(p), 0.1 * math.sin(p)) for p in (0.1, 2.2, 4.3)]
     c, s = math.cos(0.3), math.sin(0.3)

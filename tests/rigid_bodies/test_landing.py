@@ -53,7 +53,7 @@ CASES = [("disc", False), ("box", False), ("disc", True), ("box", True)]
 
 
 @pytest.mark.parametrize(("shape", "bench"), CASES)
-def test_what_lands_touches_from_then_on(shape, bench):
+def test_a_landed_body_stays_in_contact(shape, bench):
     rest, early = 0.15 if bench else 0.05, 0
     for height in HEIGHTS:
         trace = dropped(shape, bench).run({"height": height}).trace
@@ -84,7 +84,7 @@ def test_both_corners_of_what_is_plastic_land_where_it_touches():
 
 
 @pytest.mark.parametrize("record", ["poses", "nothing"])
-def test_what_is_recorded_does_not_change_where_it_lands(record):
+def test_the_recording_policy_does_not_change_the_landing(record):
     runner = dropped("box", True)
     runner = Runner(interpret(read_text(text("box", True))), record=record)
     for height in HEIGHTS[::4]:

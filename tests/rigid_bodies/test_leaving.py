@@ -56,6 +56,6 @@ DISC = {
     ids=["a ladder leaves its wall", "a disc leaves a post"],
 )
 @pytest.mark.parametrize("step", [2e-3, 1e-3])
-def test_what_leaves_a_surface_keeps_the_speed_along_it(what, speed, step):
+def test_a_body_that_leaves_a_surface_keeps_its_tangential_velocity(what, speed, step):
     result = Runner(interpret(read_text(SCENE.format(step=step, **what)))).run()
     assert result.trace.final[3] == pytest.approx(speed, abs=1e-5)

@@ -30,7 +30,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_copies_that_start_in_one_place_are_told_to_depend_on_their_number():
+def test_copies_at_one_place_are_advised_to_use_index():
     text = SCENE.replace("x: 0.3*index, ", "")
     told = (
         r"11:12: .*'grain0' and 'grain1' start in one place; .* on index, such as x: 0\.21\*index"
@@ -74,7 +74,7 @@ def read_and_run(text):
         ),
     ],
 )
-def test_what_ceases_to_have_a_value_ends_the_run_there(old, new, told):
+def test_a_formula_that_loses_its_value_ends_the_run_there(old, new, told):
     runner = Runner(read_text(SCENE.replace("y: -5", "y: sqrt(0.02) - 5").replace(old, new)))
     with pytest.raises(NonFinite, match=told) as caught:
         runner.run()
@@ -83,7 +83,7 @@ def test_what_ceases_to_have_a_value_ends_the_run_there(old, new, told):
     assert runner.run(until=0.02).trace.outcome.succeeded
 
 
-def test_a_force_without_a_value_at_the_start_is_told():
+def test_a_force_without_a_value_at_the_start_is_reported():
     text = SCENE.replace(
         "stop:", "forces: {f: {body: grain, force: [log(grain.dx - 5), 0]}}\nstop:"
     )
@@ -135,7 +135,7 @@ settings: {engine: impulse, step: 0.01}
         ),
     ],
 )
-def test_a_body_that_comes_where_a_height_has_no_value_is_told(surface, told):
+def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
     text = SLOPES.replace("height: sqrt(1 - x**2)", surface)
     if "body" in surface:
         text = text.replace("time: 0.7", "time: 0.9")
@@ -156,7 +156,7 @@ def test_a_body_that_comes_where_a_height_has_no_value_is_told(surface, told):
         ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
     ],
 )
-def test_a_crowd_is_told_how_many_it_is_and_to_stand_in_rows(start, told):
+def test_overlapping_copies_are_counted_and_advised_to_stand_in_rows(start, told):
     text = SCENE.replace("x: 0.3*index, y: r", start).replace("n: 3", "n: 120")
     if not told:
         Runner(read_text(text)).start()
@@ -166,7 +166,7 @@ def test_a_crowd_is_told_how_many_it_is_and_to_stand_in_rows(start, told):
     assert told in str(caught.value)
 
 
-def test_how_deep_a_crowd_is_at_least_is_told():
+def test_the_least_penetration_of_overlapping_copies_is_reported():
     text = SCENE.replace("x: 0.3*index", "x: 0.08*index").replace("n: 3", "n: 20")
     with pytest.raises(DeclarationError, match=r"'grain0' .* at least 0\.12 deep in body 'grain1'"):
         Runner(read_text(text)).start()

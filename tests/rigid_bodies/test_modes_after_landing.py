@@ -62,7 +62,7 @@ def events(name: str, shapes: bool) -> list[tuple[float, str]]:
 
 
 @pytest.mark.parametrize("name", THROWS)
-def test_what_lands_has_the_events_of_its_corners(name):
+def test_a_landing_box_has_the_events_of_its_corners(name):
     shaped, exact = events(name, True), events(name, False)
     assert [mode for _, mode in shaped] == [mode for _, mode in exact]
     assert [t for t, _ in shaped] == pytest.approx([t for t, _ in exact], abs=4 * STEP)

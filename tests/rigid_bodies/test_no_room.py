@@ -77,7 +77,7 @@ settings: {engine: impulse, step: 1e-3}
 
 
 @pytest.mark.parametrize("e", [0, 0.5, 1])
-def test_what_is_squeezed_is_told_however_fast_it_once_was(e):
+def test_a_squeezed_body_is_reported_whatever_its_earlier_speed(e):
     """Three balls in a row between a wall and one that leaves them no room from t = 2 on.
 
     What bounces there becomes so fast that what is squeezed is no deeper than a step at that.

@@ -28,7 +28,7 @@ settings: {{engine: impulse, step: 1e-3}}
     return Runner(interpret(read_text(text))).run(throw=False).trace
 
 
-def test_an_anvil_on_a_feather_is_told_with_its_residual():
+def test_an_anvil_on_a_feather_gives_a_warning_with_its_residual():
     trace = stack(1e12)
     assert trace.counts["inexact_steps"] > 0
     told = [line for line in trace.warnings if "'feather' and 'anvil'" in line]
@@ -38,7 +38,7 @@ def test_an_anvil_on_a_feather_is_told_with_its_residual():
 
 
 @pytest.mark.parametrize("heavy", [1.0, 1e6])
-def test_what_arithmetic_carries_is_not_told(heavy):
+def test_mass_ratios_within_round_off_give_no_warning(heavy):
     trace = stack(heavy)
     assert trace.counts["inexact_steps"] == 0
     assert trace.warnings == ()

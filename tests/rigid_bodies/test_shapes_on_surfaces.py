@@ -278,7 +278,7 @@ PIECES = {f"p{k}": f"edge: [[{k / 8}, 0], [{(k + 1) / 8}, 0]]" for k in range(12
 
 
 @pytest.mark.parametrize("body", ["box", "disc"])
-def test_nothing_catches_where_flush_plates_meet(body):
+def test_bodies_slide_over_flush_plates(body):
     y = {"box": 0.1, "disc": 0.05}[body]
     trace = run(scene({body: f"{at(0.3, y)}, dx: 0.9"}, PIECES, time=0.8))
     assert trace.final == pytest.approx([0.3 + 0.72, y, 0.0, 0.9, 0.0, 0.0], abs=1e-12)
@@ -309,7 +309,7 @@ def test_a_disc_on_the_end_of_a_shelf_falls_off():
     assert falls.final[1] < -0.1
 
 
-def test_what_would_cross_a_plate_in_a_step_meets_it_in_a_part_of_it():
+def test_a_fast_body_meets_a_plate_within_a_step():
     text = scene({"disc": f"{at(0.0, 1.115)}, dy: -150"}, {"plate": "edge: [[-1, 0], [1, 0]]"})
     trace = Runner(interpret(read_text(text))).run().trace
     assert trace.outcome is Outcome.HORIZON

@@ -175,7 +175,7 @@ def test_a_light_ball_between_a_wall_and_a_heavy_one_counts_the_digits_of_pi():
     assert abs(light) == pytest.approx(abs(after[1]), abs=1e-7)
 
 
-def test_impacts_that_do_not_end_are_told_and_taken_together():
+def test_endless_impact_sequences_give_a_warning_and_end_together():
     ratio = 1e10
     assert math.pi * math.sqrt(ratio) > LONGEST_SEQUENCE
     place = 3 * R + START
@@ -277,7 +277,7 @@ collisions: {{all: {{bodies: [box], surfaces: [floor], friction: {mu}, restituti
     np.testing.assert_allclose(result.trace.final, once.trace.final, atol=1e-9)
 
 
-def test_what_is_struck_at_two_places_alike_is_struck_there_at_once():
+def test_equal_approaches_at_two_places_are_resolved_together():
     """A disc between two: that it does not swerve is no matter of who is first."""
     x, y = 2 * R * math.cos(math.pi / 6), 2 * R * math.sin(math.pi / 6)
     text = f"""

@@ -69,7 +69,7 @@ def left(trace):
 
 
 @pytest.mark.parametrize("after", [5e-4, 0.001])
-def test_what_has_settled_by_steps_rests_where_it_starts(after):
+def test_a_settled_packing_stays_at_rest_when_it_is_the_start(after):
     settled = left(Runner(packing(thrown(), 1.5, after)).run().trace)
     deepest = {}
     for step in (after, 2e-4):
@@ -84,7 +84,7 @@ def test_what_has_settled_by_steps_rests_where_it_starts(after):
 
 
 @pytest.mark.parametrize("at", [0.06, 0.1, 0.2])
-def test_what_is_amid_a_collapse_goes_on(at):
+def test_a_packing_amid_a_collapse_continues_it(at):
     scene = packing(left(Runner(packing(thrown(), at, 5e-4)).run().trace), 0.2, 5e-4)
     subject = Subject(scene)
     trace, numbers = subject.case({}).trace, body_numbers(scene, scene.values())
@@ -92,7 +92,7 @@ def test_what_is_amid_a_collapse_goes_on(at):
     assert_energy_of_steps(numbers, subject, trace)
 
 
-def test_what_is_deeper_than_steps_leave_is_refused():
+def test_starts_deeper_than_steps_leave_are_refused():
     starts = thrown()[:1]
     starts[0, 1], starts[0, 2] = 0.0089, 0.0
     with pytest.raises(DeclarationError, match=r"'b0' starts 0\.0011 deep in surface 'ground'"):

@@ -61,7 +61,7 @@ def test_a_spring_and_a_damper_are_followed_up_to_two_radians_a_step(stiff):
     assert 1e-5 < step < STEP
 
 
-def test_what_rolls_swings_with_what_turns_and_what_slides_without():
+def test_rolling_adds_rotational_inertia_to_the_stability_limit_and_sliding_does_not():
     runner = Runner(interpret(read_text(SPRING)))
     for mu, mass in ((1e9, 4.0), (0.0, 2.0)):
         # So near that it is within the steepest friction that is computed with.
@@ -71,7 +71,7 @@ def test_what_rolls_swings_with_what_turns_and_what_slides_without():
             runner.run({**limit, "k": 1.02 * limit["k"]})
 
 
-def test_what_joints_hold_is_as_heavy_as_all_that_moves():
+def test_the_stability_limit_uses_the_mass_of_all_jointed_bodies():
     runner = Runner(interpret(read_text(PLANKS)))
     limit = 2.0 / (STEP * QUICKEST)
     # Alone a plank would swing from 6.7 on.

@@ -47,7 +47,7 @@ settings: {engine: impulse, step: 5e-4}
 """
 
 
-def test_what_wedges_is_not_asked_to_slip_as_its_contacts_turn():
+def test_wedged_bodies_keep_their_contacts_as_these_turn():
     """Nothing can: its contacts would press each other without bound, from step to step."""
     result = Runner(read_text(SCENE)).run()
     assert result.trace.counts["inexact_steps"] == 0

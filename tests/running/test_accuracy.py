@@ -98,7 +98,7 @@ def test_an_accuracy_answers_with_condition_and_cost() -> None:
     assert (plain["asked"], plain["condition"]) == (None, None)
 
 
-def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> None:
+def test_tightening_starts_at_the_first_tolerance_and_ends_when_two_runs_agree() -> None:
     tolerances: list[float] = []
     nudges: list[bool] = []
     runner = Runner("toppling_stick")
@@ -121,7 +121,7 @@ def test_tightening_starts_where_it_is_told_and_ends_when_two_runs_agree() -> No
     assert nudges == [False] * len(tightened) + [True, True]
 
 
-def test_an_accuracy_that_is_not_reached_is_said_and_exits_with_1(
+def test_a_missed_accuracy_is_reported_and_exits_with_1(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     code = main(["run", "toppling_stick", "--accuracy", "1e-15", "--engine", "scipy", "--json"])
@@ -167,7 +167,7 @@ def test_a_run_that_is_over_time_keeps_what_it_has_and_the_one_before_counts() -
     allowance.begin()
     for _ in range(10):
         allowance.check(0.5)
-    with pytest.raises(OutOfBudget, match=r"over at t = 0\.5; allow more time"):
+    with pytest.raises(OutOfBudget, match=r"used up at t = 0\.5; allow more time"):
         allowance.check(0.5)
 
 
@@ -326,7 +326,7 @@ stop: {time: 2}
 def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
     assert result.error_estimate == math.inf
-    assert "accuracy is undefined from t = 0.444059" in result.warnings[-1]
+    assert "there is no accuracy from t = 0.444059" in result.warnings[-1]
 
 
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])
@@ -347,7 +347,7 @@ def test_a_model_that_an_engine_cannot_run_has_no_accuracy(
     assert report["asked"]["cost"]["runs"] == 1
 
 
-def test_a_budget_that_was_overrun_is_told() -> None:
+def test_an_exceeded_budget_gives_a_warning() -> None:
     once, clock = slow(Runner("toppling_stick"), lambda tolerance: 1.0)
     told = within(once, 0.5, floor=1e-13, clock=clock).warnings
     assert told[0].startswith("the budget of 0.5 s allowed one run only, which took 1 s: ")
@@ -398,7 +398,7 @@ def test_a_chart_that_rests_is_compared_by_its_events() -> None:
     assert result.asked.cost.runs == 2
 
 
-def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
+def test_the_second_run_is_far_tighter_if_events_are_counted() -> None:
     runner = Runner("newtons_cradle", engine="scipy", accuracy=1e-6)
     tolerances: list[float] = []
     once = runner._planner._once
@@ -418,7 +418,7 @@ def test_where_events_are_counted_the_second_run_is_far_tighter() -> None:
 def test_a_budget_compiles_nothing_that_it_has_no_time_for() -> None:
     result = run("compass_walker", budget=0.02, throw=False)
     assert result.trace.engine == "scipy DOP853"
-    assert any("allowed are too few to compile" in text for text in result.warnings)
+    assert any("are too few to compile" in text for text in result.warnings)
     named = run("compass_walker", engine="taylor", budget=0.02, throw=False)
     assert named.trace.outcome is Outcome.OUT_OF_BUDGET
     assert not named.trace.arcs

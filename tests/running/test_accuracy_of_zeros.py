@@ -76,7 +76,7 @@ def reached(result: Result) -> bool:
 
 @pytest.mark.parametrize("engine", ["taylor", "scipy"])
 @pytest.mark.parametrize("seed", range(3))
-def test_what_falls_to_zero_is_as_accurate_as_asked_for(engine: str, seed: int) -> None:
+def test_quantities_that_fall_to_zero_reach_the_requested_accuracy(engine: str, seed: int) -> None:
     rng = random.Random(seed)
     mass = 10.0 ** rng.uniform(-2, 3)
     drawn = {

@@ -52,8 +52,8 @@ def test_the_mode_at_the_start_is_given_by_either_name() -> None:
 
 
 @pytest.mark.parametrize("model", [3, {"name": "block"}, None])
-def test_what_is_no_model_is_told(model: object) -> None:
-    with pytest.raises(statechart.DeclarationError, match="a model is a file, a name or what is"):
+def test_objects_that_are_no_model_are_reported(model: object) -> None:
+    with pytest.raises(statechart.DeclarationError, match="a model is a file, the name of a"):
         statechart.run(model)  # type: ignore[arg-type]
 
 
@@ -69,7 +69,7 @@ def test_answers_print_as_what_they_say() -> None:
     assert repr(drawn) == f"<diagram of block: {counts}>"
 
 
-def test_what_takes_a_model_takes_its_name() -> None:
+def test_functions_of_models_accept_names() -> None:
     study = trade("bouncing_ball_chart", settings=(), repeats=1)
     assert study.model == "bouncing_ball_chart"
     assert str(study).startswith("bouncing_ball_chart to t = ")

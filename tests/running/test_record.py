@@ -164,7 +164,7 @@ def test_outputs_at_the_ends_build_no_intermediate_arcs(asked, monkeypatch):
     assert sum(len(values[4]) - 1 for values in made) <= 2 * 3
 
 
-def test_controllers_act_the_same_whatever_is_kept():
+def test_the_recording_policy_does_not_change_controllers():
     found = runs(built(HEAP), 1e-3, 1.0)
     assert_alike(found)
     poses = found[1][1]
@@ -262,9 +262,9 @@ def test_a_store_has_the_states_of_all_steps(tmp_path):
         write_store(tmp_path / "run.zarr", result.observer, result.trace, {})
 
 
-def test_a_notebook_shows_a_run_of_which_nothing_was_kept() -> None:
+def test_a_notebook_shows_a_run_without_recording() -> None:
     result = Runner(read_text(BALL), record="nothing").run()
     shown = result._repr_html_()
     assert "lowest" in shown
-    assert "the run recorded nothing between its start and its end" in shown
+    assert "the run recorded no states between its start and its end" in shown
     assert "<iframe" not in shown

@@ -88,7 +88,7 @@ def test_without_accuracy_nothing_is_estimated() -> None:
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_the_accuracy_asked_for_is_estimated_and_kept(name: str) -> None:
+def test_the_requested_accuracy_is_estimated_and_reached(name: str) -> None:
     exact = run(name)
     rough = run(name, accuracy=1e-5, engine="scipy")
     assert rough.error_estimate is not None

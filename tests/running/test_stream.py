@@ -88,16 +88,16 @@ def test_a_controller_sets_parameters_between_samples(engine: Mapping[str, objec
     assert causes == ["slip"]
 
 
-def test_what_a_stream_cannot_do_is_told() -> None:
+def test_options_that_a_stream_lacks_are_reported() -> None:
     runner = Runner(read_text(PUSHED), engine="taylor")
     with pytest.raises(DeclarationError, match="no parameter 'v'"):
         list(runner.stream(every=0.5, control=lambda sample: {"v": 1.0}))
     for every in (0.0, -1.0, math.nan):
         with pytest.raises(DeclarationError, match="every must be a finite time above 0"):
             runner.stream(every=every)
-    with pytest.raises(DeclarationError, match="say after which time"):
+    with pytest.raises(DeclarationError, match="give the sampling period"):
         runner.stream(control=lambda sample: None)
-    with pytest.raises(DeclarationError, match="takes several runs, a stream is one"):
+    with pytest.raises(DeclarationError, match="a stream is a single run"):
         Runner(read_text(PUSHED), accuracy=1e-6).stream()
     dice = Runner("dice").stream(until=0.01, every=0.005, control=lambda sample: {"g": 1.0})
     with pytest.raises(SimulationError, match="take the engine taylor or scipy"):
@@ -125,11 +125,11 @@ def test_other_runs_of_the_runner_do_not_disturb_a_stream() -> None:
 
 def test_samples_that_the_clock_cannot_tell_apart_are_refused() -> None:
     runner = Runner(read_text(PUSHED))
-    with pytest.raises(DeclarationError, match="above the resolution of time at 2, not 1e-300"):
+    with pytest.raises(DeclarationError, match="above the round-off of time at 2, not 1e-300"):
         next(runner.stream(every=1e-300, control=lambda sample: None))
 
 
-def test_a_control_that_no_model_allows_is_told_with_its_place() -> None:
+def test_invalid_values_of_a_control_are_reported_with_their_place() -> None:
     runner = Runner(read_text(PUSHED, "pushed.yaml"))
     pieces = runner.stream(every=0.5, control=lambda sample: {"mu": -1.0})
     with pytest.raises(DeclarationError, match=r"^pushed.yaml:10:.*must be zero or positive"):

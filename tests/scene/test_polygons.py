@@ -40,7 +40,7 @@ SQUARE: Corners = [(0, 0), (1, 0), (1, 1), (0, 1)]
         ),
     ],
 )
-def test_what_is_no_polygon_is_told_as_what_it_is(corners, words, place):
+def test_a_wrong_polygon_is_reported_with_its_fault(corners, words, place):
     with pytest.raises(DeclarationProblem, match=re.escape(words)) as caught:
         check_polygon(corners)
     assert caught.value.loc == place

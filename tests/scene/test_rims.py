@@ -47,7 +47,9 @@ def model(surface: str = HOLLOW, radius: str = "r") -> Any:
         (HOLLOW, "size", "unknown name 'size'"),
     ],
 )
-def test_where_a_disc_cannot_touch_is_told(surface: str, radius: str, told: str) -> None:
+def test_surfaces_that_a_disc_cannot_touch_are_reported(
+    surface: str, radius: str, told: str
+) -> None:
     with pytest.raises(DeclarationError) as caught:
         statechart.run(model(surface, radius))
     assert told in str(caught.value)

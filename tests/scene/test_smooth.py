@@ -129,9 +129,7 @@ PLACES = {
 
 @pytest.mark.parametrize("deep", DEEP)
 @pytest.mark.parametrize("place", PLACES)
-def test_what_motion_and_guards_differentiate_is_refused_where_its_derivatives_are_too_large(
-    place: str, deep: str
-) -> None:
+def test_formulas_with_too_large_derivatives_are_refused(place: str, deep: str) -> None:
     text = (
         "kind: chart\nname: deep\nvariables: {x: 0}\n"
         "stop: {time: 1, conditions: {c: 'x >= 8'}}\n"

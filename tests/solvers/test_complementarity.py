@@ -39,7 +39,9 @@ def lemke_alone(matrix: np.ndarray, vector: np.ndarray) -> LcpSolution:
 
 
 @pytest.mark.parametrize("solve", [solve_lcp, lemke_alone])
-def test_no_solution_is_said(solve: Callable[[np.ndarray, np.ndarray], LcpSolution]) -> None:
+def test_a_problem_without_solution_is_reported(
+    solve: Callable[[np.ndarray, np.ndarray], LcpSolution],
+) -> None:
     for m in (-1.0, 0.0):
         found = solve(np.array([[m]]), np.array([-1.0]))
         assert found.status is LcpStatus.RAY
@@ -83,7 +85,7 @@ def test_degenerate_ties_do_not_cycle() -> None:
     assert found.z == pytest.approx([1 / 3, 1 / 3, 1 / 3])
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="do not fit"):
         solve_lcp(np.eye(2), np.ones(3))
     with pytest.raises(ValueError, match="finite"):
@@ -107,7 +109,7 @@ def test_matrices_with_one_solution() -> None:
         assert found.z == pytest.approx(all_of_them[0].z, rel=1e-9, abs=1e-11)
 
 
-def test_what_lemke_finds_is_among_all_solutions() -> None:
+def test_the_solution_of_lemke_is_among_all_enumerated_ones() -> None:
     random = np.random.default_rng(2)
     counts = {True: 0, False: 0}
     for _ in range(500):

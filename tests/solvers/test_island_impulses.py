@@ -38,19 +38,19 @@ def pushed(mass, fall, back, bound):
 
 @pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("fall", [1e-3, 1.0])
-def test_what_is_pushed_out_with_too_much_energy_goes_as_far_as_the_bound_allows(mass, fall):
+def test_push_out_of_penetration_is_limited_by_the_energy_bound(mass, fall):
     """Of the speed u it takes the work of m u (u + v) / 2, which may be m v^2 / 8."""
     speed = 0.5 * (math.sqrt(2.0) - 1.0) * fall
     expected = [mass * (fall + speed), 0.0]
     assert pushed(mass, fall, 0.5 * fall, mass * fall**2 / 8.0) == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_is_within_the_bound_is_pushed_out_whole_and_without_one_not_at_all():
+def test_push_out_within_the_bound_is_complete_and_without_a_bound_absent():
     assert pushed(2.0, 1.0, 0.2, 0.25) == pytest.approx([2.4, 0.0], rel=1e-12)
     assert pushed(2.0, 1.0, 0.5, 0.0) == pytest.approx([2.0, 0.0], rel=1e-6)
 
 
 @pytest.mark.parametrize("mass", [1e-3, 1e-2, 0.3])
-def test_what_approaches_at_less_than_numbers_have_digits_for_misses_nothing(mass):
+def test_approaches_below_round_off_have_no_residual(mass):
     """The impulse that would stop it has a digit or two, and was 8 % off."""
     assert pushed(mass, 1.012e-320, 0.0, 1.0)[0] == pytest.approx(0.0, abs=1e-300)

@@ -116,7 +116,7 @@ def test_a_wall_whose_masses_span_six_decades_is_solved(mu, seed):
     assert missed(contacts, free, impulses) <= 1e-8
 
 
-def test_what_is_solved_takes_nothing():
+def test_a_solved_problem_takes_no_iterations():
     contacts, free = wall(8, 5, 0.5, np.random.default_rng(3))
     impulses = np.zeros_like(free)
     improved(contacts, free, impulses, 1e-9)

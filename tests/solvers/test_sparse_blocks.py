@@ -97,7 +97,7 @@ def test_impulses_are_those_of_the_dense_equations(pairs, compliance):
 
 
 @pytest.mark.parametrize("pairs", PAIRS)
-def test_what_is_eliminated_has_a_place_for_all_that_it_fills(pairs):
+def test_elimination_reserves_its_fill_in(pairs):
     equations = begin(contacts_of(pairs, 1))
     beside = [
         equations.others[begin:end].tolist()

@@ -40,7 +40,7 @@ def random_problem(generator, contacts, bodies, friction):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_what_is_found_is_among_all_solutions(seed):
+def test_the_solution_is_among_all_enumerated_ones(seed):
     generator = np.random.default_rng(seed)
     delassus, free, cones = random_problem(generator, 3, 2, friction=True)
     solved, z, _ = solve_contacts(delassus, free, cones, np.zeros(12, np.bool_), 500)

@@ -85,7 +85,7 @@ def test_cheapest_setting_differs_for_cold_and_warm_runs() -> None:
     assert setting(found.choose(Setting(budget=0.5), once=True)) == ready.setting
 
 
-def test_both_fronts_are_told() -> None:
+def test_warm_and_cold_fronts_are_printed() -> None:
     quick = point(1e-5, 1e-7, 0.01, cold=0.9)
     ready = point(1e-6, 1e-6, 0.05, cold=0.2)
     found = study(quick, ready)

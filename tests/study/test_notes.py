@@ -32,14 +32,14 @@ def test_another_law_is_the_reason_why_steps_do_not_converge() -> None:
     assert "not converge" not in said
     assert "outputs that stay off by that" in said
     assert said.count("impulse step 0.02 to 0.002: simultaneous: sequential") == 1
-    assert "no slope for error of impulse: its runs deviate by what they warn of" in said
+    assert "no slope for error of impulse: its runs differ for the reason that they warn of" in said
     shown = to_dict(found)
     assert shown["reasons"] == reasons(found)
     assert shown["notes"][0]["text"] == note.text
     assert shown["points"][0]["warnings"] == [note.text]
 
 
-def test_what_the_reference_warns_of_too_is_no_reason() -> None:
+def test_warnings_shared_with_the_reference_are_no_reason() -> None:
     other = [stepped(10.0**-k, same_modes=False, diverged=0.5, warnings=(LAW,)) for k in (2, 3)]
     assert reasons(study(*other)) == {"impulse": (LAW,)}
     shared = study(*other, warnings={"taylor 2.2e-16": (LAW,)})
@@ -78,7 +78,7 @@ def test_runs_of_one_setting_that_differ_in_numbers_warn_once() -> None:
     assert not any(note.differs for note in notes(found))
 
 
-def test_of_many_notes_the_first_are_told() -> None:
+def test_the_first_of_many_notes_are_printed() -> None:
     names = "abcdefghijk"
     found = study(point(1e-3, 1e-3, 1.0, warnings=tuple(f"at {c}" for c in names)))
     said = format_text(found)

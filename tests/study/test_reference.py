@@ -70,7 +70,7 @@ def referred(runner: Runner) -> Study:
         ("DOP853", ("taylor long double 1.1e-19", "scipy LSODA 1e-13"), "scipy DOP853 2.3e-14"),
     ],
 )
-def test_of_three_runs_the_one_that_is_wrong_is_named_and_not_relied_on(
+def test_the_odd_one_of_three_runs_is_named_and_ignored(
     wrong: str, pair: tuple[str, str], odd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = Runner(read_text(THRUST))
@@ -137,7 +137,7 @@ def test_on_a_knifes_edge_two_of_three_prove_nothing() -> None:
     assert referred(Runner(read_text(EDGE.replace("TOP", "0.999")))).third is None
 
 
-def test_three_runs_that_are_as_far_apart_from_each_other_say_how_much_can_be_told() -> None:
+def test_three_different_runs_limit_the_resolution() -> None:
     third = Third(
         setting="scipy LSODA 1e-13", parted=None, errors=Errors(state=2e-7), odd=False,
         shift=3e-12, edge=None,
@@ -158,7 +158,7 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
     assert "chaotic" not in said
 
 
-def test_where_no_third_kind_runs_the_model_it_is_said() -> None:
+def test_a_missing_third_engine_is_reported() -> None:
     said = format_text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
     assert "t = 0.5, and no run of another kind can judge: chaotic, or on a knife's edge" in said
     assert "or their steps are too long" in said

@@ -185,7 +185,7 @@ def test_the_cheapest_setting_that_reached_an_accuracy_is_chosen() -> None:
     assert chosen(budget=0.01) is None
 
 
-def test_what_the_reference_may_be_off_by_counts_with_an_error() -> None:
+def test_the_error_of_the_reference_counts_with_each_error() -> None:
     found = study(point(1e-6, 1.0e-7, 0.1), resolution=Errors(state=5e-8))
     assert found.choose(Setting(accuracy=1.2e-7), once=False) is None
     chosen = found.choose(Setting(accuracy=2e-7), once=False)
@@ -271,7 +271,7 @@ def test_a_file_that_is_no_study_is_refused(tmp_path: Path, content: bytes) -> N
         load(tmp_path)
 
 
-def test_what_is_not_finite_survives_the_file(tmp_path: Path) -> None:
+def test_infinite_values_survive_the_file(tmp_path: Path) -> None:
     kept = study(point(1e-3, math.inf, 1.0))
     save(tmp_path, kept)
     assert load(tmp_path) == kept
@@ -279,7 +279,7 @@ def test_what_is_not_finite_survives_the_file(tmp_path: Path) -> None:
     assert load(tmp_path / "nothing") is None
 
 
-def test_what_does_not_move_a_model_does_not_change_its_fingerprint() -> None:
+def test_keys_without_effect_on_motion_keep_the_fingerprint() -> None:
     one = Runner(read_text(OSCILLATOR)).model
     same = Runner(read_text(OSCILLATOR + "doc: words\nsettings: {engine: scipy}\n")).model
     other = Runner(read_text(OSCILLATOR.replace("x: 2", "x: 2.5"))).model

@@ -17,6 +17,7 @@ from statechart.errors import DeclarationError
 from statechart.execution import compiled_loop
 from statechart.execution.simulator import BatchRunner
 from statechart.loading.load import interpret
+from statechart.observation.outputs import outputs_of
 from statechart.sweeps import cells as sweep_cells
 from statechart.sweeps.cells import CellBlock, run_block
 from statechart.sweeps.plan import Plan
@@ -151,7 +152,7 @@ def test_outputs_of_one_run_are_those_of_its_jumps_and_arcs(
             made += result.trace.arcs.source is not None
             # What travels has no arrays that a loop has written.
             told = pickle.loads(pickle.dumps(result.trace))
-            outputs = runner.observers.outputs(result.observer)
+            outputs = outputs_of(result.observer)
             np.testing.assert_equal(dict(result.outputs), outputs.of(told))
     assert made >= 5
 

@@ -65,9 +65,7 @@ def test_lists_are_formulas_of_numbers() -> None:
         ("__import__('os')", "mu"),
     ],
 )
-def test_what_is_no_range_is_refused_with_the_parameter_and_the_reason(
-    text: str, words: str
-) -> None:
+def test_wrong_ranges_are_refused_with_parameter_and_reason(text: str, words: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         values("mu", text)
     assert str(caught.value).startswith("mu: ")
@@ -95,7 +93,7 @@ def test_a_sobol_sequence_is_in_its_intervals_balanced_and_the_same_again() -> N
         ({"a": "log:0:1"}, 64, "no logarithm"),
     ],
 )
-def test_what_is_no_sobol_sequence_is_refused(over: dict[str, str], count: int, words: str) -> None:
+def test_wrong_sobol_sequences_are_refused(over: dict[str, str], count: int, words: str) -> None:
     with pytest.raises(DeclarationError, match=words):
         sobol_sequence(over, count)
 
@@ -118,7 +116,7 @@ def test_a_table_has_a_column_for_every_parameter(tmp_path: Path) -> None:
         (b"\xff\xfe\x00", "is no table"),
     ],
 )
-def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, words: str) -> None:
+def test_files_that_are_no_table_are_refused(tmp_path: Path, content: bytes, words: str) -> None:
     file = tmp_path / "samples.csv"
     file.write_bytes(content)
     with pytest.raises(DeclarationError, match=words):
@@ -165,7 +163,7 @@ def test_values_are_a_list_of_numbers(given: list[object]) -> None:
         numbers("a", given)  # type: ignore[arg-type]
 
 
-def test_a_cell_of_a_table_that_is_no_number_is_told_with_its_row(tmp_path: Path) -> None:
+def test_a_cell_that_is_no_number_is_reported_with_its_row(tmp_path: Path) -> None:
     table = tmp_path / "cells.csv"
     table.write_text("mu,I_G\n1,1/3\n2,\n")
     with pytest.raises(DeclarationError) as caught:

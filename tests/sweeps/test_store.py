@@ -122,7 +122,7 @@ def test_a_store_of_another_sweep_is_left_alone(
 
 
 @pytest.mark.parametrize("content", ["notes.txt", "zarr.json", ".zgroup"])
-def test_what_is_no_store_is_left_alone(tmp_path: Path, content: str) -> None:
+def test_folders_that_are_no_store_are_left_alone(tmp_path: Path, content: str) -> None:
     store = tmp_path / "a.zarr"
     store.mkdir()
     (store / content).write_text("{}")
@@ -141,7 +141,7 @@ def test_a_store_begun_by_a_process_that_was_killed_at_once_is_begun_again(tmp_p
     same(sweep(STICK, {"mu": [0.2]}, store=store, resume=True), whole)
 
 
-def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
+def test_partial_files_of_a_killed_process_are_removed(tmp_path: Path) -> None:
     store = tmp_path / "a.zarr"
     sweep(STICK, {"mu": [0.2]}, store=store)
     (store / "t_end" / "c" / "0.0a1b.partial").write_text("half")
@@ -204,7 +204,7 @@ def test_a_process_that_was_forked_does_not_hold_a_store(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("replaced", [True, False])
-def test_a_store_that_is_removed_under_way_is_told_of(
+def test_a_store_removed_during_the_sweep_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replaced: bool
 ) -> None:
     store = tmp_path / "a.zarr"
@@ -262,7 +262,7 @@ def test_a_store_that_lacks_a_part_is_refused(
         sweep(STICK, over, store=store, resume=True)
 
 
-def test_a_complete_store_that_is_cut_off_is_told_of(
+def test_a_truncated_complete_store_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = tmp_path / "a.zarr"
@@ -322,7 +322,7 @@ def test_room_for_texts_that_were_not_written_is_none(
 
 
 @pytest.mark.parametrize("left", ["modes", "zarr.json"])
-def test_what_a_process_that_was_killed_at_its_end_left_is_removed(
+def test_leftovers_of_a_process_killed_at_its_end_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: str
 ) -> None:
     whole, store = sweep(STICK, GRID), tmp_path / "a.zarr"
@@ -335,7 +335,7 @@ def test_what_a_process_that_was_killed_at_its_end_left_is_removed(
     assert not (store / "unfinished").exists()
 
 
-def test_of_a_store_that_could_not_be_made_nothing_is_left(
+def test_a_store_that_cannot_be_made_leaves_no_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def failing(group: zarr.Group, plan: plans.Plan) -> None:

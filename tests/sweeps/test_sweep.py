@@ -290,7 +290,7 @@ def test_wrong_input_is_refused_before_anything_runs(changes: dict[str, Any], wo
         (ModuleNotFoundError("No module named 'statechart'"), DeclarationError),
     ],
 )
-def test_of_workers_that_did_nothing_nothing_is_left(
+def test_idle_workers_leave_no_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_of: Exception, kind: type[Exception]
 ) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 1)
@@ -300,7 +300,7 @@ def test_of_workers_that_did_nothing_nothing_is_left(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_dead_workers_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 1)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
     store = tmp_path / "a.zarr"
@@ -311,7 +311,7 @@ def test_what_dead_workers_did_is_kept(tmp_path: Path, monkeypatch: pytest.Monke
     same(sweep(STICK, GRID, store=store, resume=True), sweep(STICK, GRID))
 
 
-def test_many_modes_are_told_by_their_beginning_and_number() -> None:
+def test_long_mode_sequences_are_shortened_with_their_length() -> None:
     found = sweep("rimless_wheel", {"gamma": [0.2]}, until=60.0)
     text = str(found["sequence"].to_numpy()[0])
     assert text.endswith(")")
@@ -351,6 +351,8 @@ outputs:
         ({"over": None, "samples": {"k": [0.5]}}, "samples are a table, not of type dict"),
     ],
 )
-def test_what_python_would_take_otherwise_is_refused(asked: dict[str, Any], words: str) -> None:
+def test_values_that_python_would_reinterpret_are_refused(
+    asked: dict[str, Any], words: str
+) -> None:
     with pytest.raises(DeclarationError, match=words):
         sweep("bouncing_ball", **{"over": {"k": [0.5]}, **asked})

@@ -32,7 +32,7 @@ STICK = "toppling_stick"
         ("a b c a b c a", "(a > b > c) x 2 > a"),
     ],
 )
-def test_cycles_are_told_once(words: str, told: str) -> None:
+def test_cycles_are_written_once(words: str, told: str) -> None:
     assert " > ".join(repeats(words.split())) == told
 
 
@@ -103,7 +103,7 @@ def test_a_dozen_sequences_have_colours_and_the_rest_are_others() -> None:
 
 @pytest.mark.parametrize("second", [{}, {"I_G": np.linspace(0.1, 1.0, 10)}])
 @pytest.mark.parametrize("length", [1, 4, 8, 40])
-def test_sequences_of_any_length_are_told_apart_inside_the_picture(
+def test_legends_distinguish_sequences_of_any_length(
     length: int, second: dict[str, np.ndarray]
 ) -> None:
     columns = {"mu": np.linspace(0.1, 1.0, 6), **second}

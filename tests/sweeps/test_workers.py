@@ -72,7 +72,7 @@ def test_a_cluster_loses_nothing_with_a_worker(
     same(found, sweep(STICK, GRID))
 
 
-def test_a_cluster_that_lost_all_workers_is_told_of_and_the_sweep_goes_on(
+def test_a_cluster_without_workers_is_reported_and_the_sweep_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 2)

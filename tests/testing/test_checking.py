@@ -265,7 +265,7 @@ stop: {time: 3, conditions: {far: x >= 19.5}}
     assert "it is -" in found.message
 
 
-def test_what_fails_in_a_corner_of_the_ranges_is_caught():
+def test_a_failure_in_a_corner_of_the_ranges_is_found():
     # In 5e-5 of the square that is varied, by the largest of both.
     faulty = GROWING.replace("IN_STATE", "x >= -1").replace("IN_RUN", "x <= 99.5")
     found = check(model(faulty), examples=200, seed=1).properties[6].failure
@@ -470,7 +470,7 @@ def test_engines_that_disagree_are_caught():
     assert "bounce" in found.message or "end" in found.message
 
 
-def test_grown_errors_are_undecidable_and_counted():
+def test_grown_errors_count_as_undecidable():
     # An error grows by e^30 = 1e13 in the run: two runs can differ by anything.
     report = report_on(Subject(model(UNSTABLE)), "engines agree", examples=1)
     assert report.passed

@@ -124,7 +124,7 @@ def test_depth_assertion_catches_excess_penetration(heap):
         assert_depths(numbers, shallow)
 
 
-def test_what_a_joint_holds_together_may_overlap():
+def test_jointed_bodies_may_overlap():
     subject = Subject(
         model("""
 kind: scene
@@ -185,7 +185,7 @@ def test_energy_from_nowhere_is_caught(heap):
         )
 
 
-def test_runs_by_steps_that_differ_are_told_by_how_much(heap):
+def test_runs_by_steps_that_differ_are_reported_with_the_difference(heap):
     _, trace, _ = heap
     moved = dataclasses.replace(trace, final=trace.final + 1e-3)
     assert_same(trace, trace, Sensitivity((trace,), ()))

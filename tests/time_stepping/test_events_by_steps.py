@@ -162,6 +162,63 @@ def test_controller_hears_simultaneous_events_once() -> None:
         assert found.trace.final_mode == ("pin", "pin", "b")
 
 
+# A bar lies on one corner, which slides and turns fast, as the other corner lands.
+STOPPED = """
+kind: scene
+name: stopped
+gravity: 9.81
+stop: {time: 0.26}
+bodies:
+  b:
+    mass: 1.73
+    inertia: 0.0272
+    start: {x: 0.152, y: 0.4, dx: 0.223, dy: -0.322, angle: -0.273, dangle: 1.866}
+surfaces: {ground: {line: [[0, 0], [0.998148, 0.060831]]}}
+contacts:
+  left:
+    {point: {body: b, at: [-0.2, -0.1]}, surface: ground, friction: 0.384, restitution: 0,
+    impact: moreau}
+  right:
+    {point: {body: b, at: [0.25, -0.1]}, surface: ground, friction: 0, restitution: 0,
+    impact: moreau}
+forces: {push: {body: b, force: [-2.615, 0]}}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-4, 2e-5])
+def test_corner_that_an_impact_stops_sticks_at_once(h: float) -> None:
+    model = interpret(read_text(STOPPED, "f.yaml"))
+    assert isinstance(model, Scene)
+    for found in (by_events(model), by_steps(model, h)):
+        assert [(j.region, j.target) for j in found.trace.jumps] == [
+            ("left", ("slide-", "free")),
+            ("right", ("pin", "slide")),
+        ]
+
+
+# A marble that rebounds comes to rest on the ground of a bowl, in which it takes 75 times its
+# weight.
+BOWL = """
+kind: scene
+name: bowl
+gravity: 1
+stop: {time: 0.4}
+bodies: {b: {mass: 1, start: {x: 0, y: 0.002, dx: 6}}}
+surfaces: {bowl: {height: x**2}}
+contacts:
+  c: {point: {body: b}, surface: bowl, friction: 0, restitution: 0.3, impact: moreau}
+outputs: {bounces: {count: c.touchdown}}
+"""
+
+
+def test_fast_point_in_a_bowl_stops_bouncing() -> None:
+    model = interpret(read_text(BOWL, "f.yaml"))
+    assert isinstance(model, Scene)
+    exact, found = by_events(model), by_steps(model, 1e-3)
+    assert found.outputs["bounces"] == 3
+    np.testing.assert_allclose(found.trace.final, exact.trace.final, rtol=0, atol=2e-3)
+
+
 def modes(trace: Trace) -> dict[str, list[tuple[float, str]]]:
     """Return when each region changes, and to what; of what lasts no time, its end alone."""
     found: dict[str, list[tuple[float, str]]] = {name: [] for name in trace.regions}

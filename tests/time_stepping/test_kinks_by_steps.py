@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
+from statechart.running.runner import Runner
 
 VALLEY = """
 kind: scene
@@ -62,3 +64,26 @@ def test_a_point_that_has_landed_deep_in_an_edge_slides_onto_the_next(step):
     trace = statechart.run(model, engine="impulse", step=step).trace
     assert trace.final == pytest.approx(wanted.final, abs=30 * step)
     assert not [warning for warning in trace.warnings if "stays off" in warning]
+
+
+# Two edges that meet in a kink, in which a point slides to and fro until it rests.
+KINK = """
+kind: scene
+name: kink
+gravity: 9.81
+bodies: {b: {mass: 1, start: {x: -0.3858, y: 0.4137, dx: -0.376}}}
+surfaces:
+  f: {edge: [[-2, 1.626], [0, 0]]}
+  g: {edge: [[0, 0], [2, 0.8479]]}
+contacts:
+  c: {point: {body: b}, surface: f, friction: 0.3, restitution: 0, impact: moreau}
+  d: {point: {body: b}, surface: g, friction: 0.3, restitution: 0, impact: moreau}
+stop: {time: 1.2}
+"""
+
+
+@pytest.mark.parametrize("h", [2e-3, 5e-4, 1e-4])
+def test_a_point_that_slides_to_and_fro_over_a_kink_does_not_fall_through(h: float) -> None:
+    model = interpret(read_text(KINK, "f.yaml"))
+    final = Runner(model, engine="impulse", step=h).run().trace.final
+    assert np.abs(final[:2]).max() < 4 * h

@@ -137,7 +137,7 @@ def test_a_drive_that_steps_sample_at_one_phase_warns() -> None:
     values = {"k": 1.0, "A": 100.0}
     assert not runner(SPRING, 1e-3).run(values).warnings
     coarse = runner(SPRING, 0.01).run(values)
-    assert any("forces change within steps" in warning for warning in coarse.warnings)
+    assert any("too long for the forces" in warning for warning in coarse.warnings)
     exact = run(read_text(SPRING), parameters=values).outputs["vx"]
     assert math.isfinite(float(exact))  # type: ignore[arg-type]
     assert abs(float(coarse.outputs["vx"]) - float(exact)) > 1.0  # type: ignore[arg-type]
@@ -241,22 +241,22 @@ def named(warning: str) -> float:
 def test_a_drive_is_compared_with_the_speeds_that_it_makes(turn: float) -> None:
     # The block moves at a hundredth of what gravity would give it in the run.
     step = turn / (2.0 * math.pi * 25.0)
-    assert words(runner(DRIVE, step).run(), "forces change within steps")
-    (warning,) = words(runner(DRIVE, step).run({"mu": 0.0}), "forces change within steps")
+    assert words(runner(DRIVE, step).run(), "too long for the forces")
+    (warning,) = words(runner(DRIVE, step).run({"mu": 0.0}), "too long for the forces")
     # Where one look tells nothing of a turn, how many there are is seen at the second.
-    again = words(runner(DRIVE, named(warning)).run({"mu": 0.0}), "forces change within steps")
+    again = words(runner(DRIVE, named(warning)).run({"mu": 0.0}), "too long for the forces")
     assert (turn > 6.0) == bool(again)
     assert not again or not runner(DRIVE, named(again[0])).run({"mu": 0.0}).warnings
 
 
-def test_what_steps_miss_of_a_drive_is_its_integral_beside_its_middles() -> None:
+def test_the_quadrature_error_of_a_drive_is_its_integral_less_the_midpoint_rule() -> None:
     # Without friction the speed is A (cos(phase) - cos(w t + phase)) / w.
     w, step = 50.0 * math.pi, 0.02
     found = runner(DRIVE, step).run({"mu": 0.0})
     times = (np.arange(50) + 0.5) * step
     rule = np.cumsum(10.0 * step * np.sin(w * times + 2.5))
     exact = 10.0 * (math.cos(2.5) - np.cos(w * step * np.arange(1, 51) + 2.5)) / w
-    (warning,) = words(found, "forces change within steps")
+    (warning,) = words(found, "too long for the forces")
     expected = np.abs(exact - rule).max() / np.abs(rule).max()
     assert f"up to {expected:.2g} of" in warning
 
@@ -302,7 +302,7 @@ def test_a_slip_that_ends_in_its_first_step_warns() -> None:
 def test_a_slow_drift_that_reversals_of_slip_carry_on_warns() -> None:
     values = {"A": 18.9, "f": 41.4, "phase": 4.73}
     coarse = runner(DRIVE, 1.0 / 1160).run(values)
-    assert words(coarse, "forces change within steps")
+    assert words(coarse, "too long for the forces")
     assert not runner(DRIVE, 1e-4).run(values).warnings
 
 

@@ -79,7 +79,7 @@ def off(step: float) -> float:
     return float(np.abs(run(TOWED, step).final - run(TOWED).final).max())
 
 
-def test_what_flows_with_the_motion_is_exact_to_the_second_order() -> None:
+def test_variables_that_flow_with_the_motion_converge_with_order_two() -> None:
     coarse, fine = off(2e-3), off(5e-4)
     assert coarse < 5e-5
     assert fine < coarse / 10.0
@@ -121,4 +121,4 @@ def test_steps_after_a_transition_are_hardly_taken(monkeypatch: pytest.MonkeyPat
 def test_overflow_of_controller_memory_is_reported() -> None:
     text = TOWED.replace("flows: {end: speed,", "flows: {most: 1e3*most + 1e300, end: speed,")
     result = Runner(interpret(read_text(text)), engine="impulse", step=1e-3).run(throw=False)
-    assert "what a controller remembers" in result.trace.message
+    assert "a controller's variable" in result.trace.message

@@ -88,7 +88,7 @@ settings: {engine: impulse, step: 1e-3}
 """
 
 
-def test_what_walls_close_on_ends_the_run():
+def test_closing_walls_end_the_run():
     trace = Runner(interpret(read_text(CLOSING))).run(throw=False).trace
     assert trace.outcome is Outcome.UNSOLVED_IMPULSES
     assert "no impulses keep two out" in trace.message

@@ -34,14 +34,14 @@ regions:
     transitions: [{name: lift, from: waiting, to: lifting, guard: time >= later}]
 """
 )
-TOLD = "a contact may slide on as well as come off"
+TOLD = "a contact may slide as well as lift off"
 
 
 @pytest.mark.parametrize(
     ("lift", "told"),
     [(20, True), (0, False)],  # comes off by itself; jams, which is the only motion
 )
-def test_a_start_with_several_motions_is_told_on_both_engines(lift: float, told: bool) -> None:
+def test_an_indeterminate_start_gives_a_warning_on_both_engines(lift: float, told: bool) -> None:
     scene = read_text(AT_ONCE)
     by_steps = run(scene, engine="impulse", step=1e-3, parameters={"lift": lift})
     by_events = run(scene, parameters={"lift": lift})
@@ -54,7 +54,7 @@ def test_less_friction_leaves_one_motion() -> None:
     assert not any(TOLD in warning for warning in found.warnings)
 
 
-def test_several_motions_on_the_way_are_told_with_their_time() -> None:
+def test_indeterminate_motion_gives_a_warning_with_its_time() -> None:
     found = run(read_text(LATER), engine="impulse", step=1e-3, parameters={"lift": 20})
     assert any(f"the first at t = 0.01, {TOLD}" in warning for warning in found.warnings)
 

@@ -46,7 +46,7 @@ def run(text, **values):
 
 @pytest.mark.parametrize("text", [POINT, SHAPE])
 @pytest.mark.parametrize("record", ["modes", "poses", "nothing"])
-def test_what_rises_after_a_bounce_has_bounced(text, record):
+def test_a_stop_on_rising_velocity_comes_after_the_bounce(text, record):
     result = run(f"{text}settings: {{record: {record}}}\n")
     fall = math.sqrt(2 / G)
     # It is a step deep at most, and moves back from there.
@@ -66,7 +66,7 @@ def test_a_force_that_is_there_from_the_first_step_stops_the_run_where_it_begins
     assert result.trace.final.tolist() == [0.0, 0.0, 0.0, 0.0]
 
 
-def test_what_a_controller_makes_true_comes_after_what_it_did():
+def test_a_stop_made_true_by_a_controller_comes_after_its_transition():
     controlled = """
 controls: {push: 0}
 regions:

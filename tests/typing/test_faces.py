@@ -50,7 +50,7 @@ def sled() -> Scene:
     )
 
 
-def test_a_scene_is_built_run_drawn_and_its_run_kept(tmp_path: Path) -> None:
+def test_a_scene_is_built_run_drawn_and_saved(tmp_path: Path) -> None:
     scene: Scene = sled()
     result: Result = statechart.run(scene, parameters={"mu": 0.25})
     trace: Trace = result.trace
@@ -103,7 +103,7 @@ def test_every_public_name_is_there_and_listed(face: object) -> None:
         _ = face.nothing  # type: ignore[attr-defined]
 
 
-def test_what_public_functions_return_has_a_public_name() -> None:
+def test_results_of_public_functions_have_public_types() -> None:
     public = {getattr(face, name) for face in (statechart, contacts) for name in face.__all__}
     functions = [value for value in public if inspect.isfunction(value)]
     functions += [

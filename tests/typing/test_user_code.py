@@ -133,6 +133,6 @@ def test_code_of_users_runs() -> None:
     assert found["times"]
 
 
-def test_what_is_wrong_in_it_is_told(told: str) -> None:
+def test_wrong_user_code_is_rejected_by_mypy(told: str) -> None:
     places = [line.split(": error: ")[0] for line in told.splitlines() if ": error: " in line]
     assert {"wrong.py:3", "wrong.py:4", "wrong.py:6"} <= {*places}
