@@ -192,13 +192,13 @@ def _write_forces(
     mixed = mixed_with_impacts(memory, tape, problem, answer.pushes, chunk.h)
     modes = write_modes(scene, memory, problem, answer, met, k, chunk)
     steady = share_forces(memory, tape, problem, modes, answer.steady, k, chunk)
-    before = tape.size + scene.joints
+    before, blurred = tape.size + scene.joints, False
     for a in range(len(problem.which)):
-        i = problem.which[a]
+        i, blurred = problem.which[a], blurred or mixed[a]
         for d in range(2):
             force = math.nan if mixed[a] else steady[a, d] / chunk.h
             chunk.solved[k, before + 2 * i + d] = 0.0 if chunk.codes[k, i] == FREE else force
-    return mixed.any()
+    return blurred
 
 
 @kernel
