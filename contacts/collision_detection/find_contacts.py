@@ -305,7 +305,12 @@ def _takes_part(
         mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
-    slow = SLOW * max(gained, TOUCHING * pair.size / h)
+    turned = 0.0
+    if place >= 0 and memory.contacts[place, 1] == 0.0:
+        # What has just rebounded comes back by turning as well: else it would at every step.
+        turned = h / times.since * turning_change(memory, place, m, active)[0]
+    forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
+    slow = SLOW * max(gained, forced, TOUCHING * pair.size / h)
     if gap < 0.0 and not known:
         explained = times.since * max(memory.past[1], nearing, slow)
         if times.first:

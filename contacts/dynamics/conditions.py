@@ -14,12 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given_in, memory_rates
+from contacts.dynamics.controllers import memory_rates_in, values_in
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,
@@ -37,7 +38,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.scene.parts import Contact
 from contacts.states import OFF
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.margin_derivatives import (
     MarginDerivatives,
@@ -74,17 +75,15 @@ class Conditions:
         contacts = tuple(mechanics.scene.contacts)
         self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
-        set_: dict[sp.Symbol, sp.Expr] = {}
-        for symbol, value in given_in(mechanics, initial if states is None else states):
-            set_[symbol] = value.xreplace(set_)
+        known = values_in(mechanics, initial if states is None else states)
         gates = [mechanics.gate(name) for name in contacts]
         self._conditions = tuple(
-            _Condition(place, atom, atom.margin.xreplace(set_))
+            _Condition(place, atom, atom.margin.xreplace(known))
             for place, gate in enumerate(gates)
             for atom in (() if gate is None else gate.atoms)
         )
         self.present = bool(self._conditions)
-        # Of every contact the first contact of the same point.
+        # For every contact the first contact of the same point.
         touching = [mechanics.scene.contacts[name] for name in contacts]
         self.points = tuple(
             next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
@@ -98,12 +97,12 @@ class Conditions:
         self._roles = roles_in(tuple((initial if states is None else states).values()))
         self._memory = len(mechanics.memory)
         self._moving = {*mechanics.variables}
-        memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
+        memory = memory_rates_in(mechanics, known)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
         for one in self._conditions:
-            # How rates go on depends on the mode.
+            # The derivatives of rates depend on the mode.
             of_rates = bool(one.margin.free_symbols.intersection(mechanics.v))
             rate = sp.S.Zero if of_rates else time_derivative(one.margin, rates, mechanics.time)
             outputs += [
@@ -128,110 +127,126 @@ class Conditions:
         names = (*self.names, *self.back, *self.gaps)
         return np.array([places.get(name, -1) for name in names], np.int64)
 
-    def tolerances(
-        self, setup: SceneSetup, state: Array, time: float, verdicts: Sequence[int] = ()
-    ) -> dict[str, float]:
-        """Return margin -> how far below zero a flow lets it go: its round-off in a state.
-
-        Infinitely far, if no certificate needs it. `verdicts` are those of the atoms there, where
-        further derivatives have told them.
-        """
-        if not self.present:
-            return {}
-        values = self._at(setup, state, time)
-        judged = np.array(verdicts, np.int64) if verdicts else self._judged(setup, values)
-        bands = np.empty(2 * len(judged) + self._count)
-        near = setup.tolerances["gap"]
-        margin_bands(self.nodes, values, setup.precision, near, judged, bands)
-        names = (*self.names, *self.back, *self.gaps)
-        return {name: band for name, band in zip(names, bands.tolist(), strict=True) if name}
-
-    def _judged(self, setup: SceneSetup, values: Array) -> Ints:
-        """Return the verdict of every atom, by its margin and the first derivative of that."""
-        verdicts = np.empty(len(self._conditions), np.int64)
-        judge_atoms(values, setup.precision, 0, verdicts)
-        return verdicts
-
-    def _truths(self, verdicts: Sequence[int]) -> Ints:
-        """Return the verdicts of the nodes of all gates."""
+    def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
+        """Return, for every contact, the first relation of a gate that fails; else ""."""
+        result = [""] * self._count
         found = np.empty(len(self.nodes), np.int64)
         truths(self.nodes, np.array(verdicts, np.int64), found)
-        return found
+        top = -1
+        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
+            top = k if above < 0 else top
+            # The parts of the topmost node are the relations.
+            if above == top and found[k] == FAILS and not result[contact]:
+                atom = kind
+                for below in range(k + 1, len(self.nodes)):
+                    if atom >= 0:
+                        break
+                    atom = int(self.nodes[below, 0])
+                result[contact] = self._conditions[atom].atom.words
+        return tuple(result)
 
-    def on_boundary(self, setup: SceneSetup, state: Array, time: float) -> bool:
-        """Return whether a condition is zero within its round-off."""
-        margins, bands = self._margins(setup, state, time)
-        return bool((np.abs(margins) <= bands).any())
+    def at(self, setup: SceneSetup, state: Array, time: float) -> ConditionsAt:
+        """Evaluate the conditions in a state."""
+        return ConditionsAt(self, setup, state, time)
 
-    def _margins(self, setup: SceneSetup, state: Array, time: float) -> tuple[Array, Array]:
-        """Return the margins (k,) of all atoms in a state, and their round-off."""
-        rows = self._at(setup, state, time).reshape(-1, PER_CONDITION)[: len(self._conditions)]
-        bands = [round_off(size, setup.precision) for size in rows[:, 2].tolist()]
+
+class ConditionsAt:
+    """The conditions of a scene's contacts in a state."""
+
+    def __init__(self, of: Conditions, setup: SceneSetup, state: Array, time: float) -> None:
+        self._of, self._setup, self._state, self._time = of, setup, state, time
+        # Numbers of every atom, then of every contact; see `Conditions.tape`.
+        self._values = self._numbers(state)
+        self._verdicts = np.empty(len(of._conditions), np.int64)
+        judge_atoms(self._values, setup.precision, 0, self._verdicts)
+
+    def _numbers(self, state: Array) -> Array:
+        if not self._of.present:
+            return np.empty(0)
+        setup = self._setup
+        sizes = setup.scales.with_time
+        return conditions_at(
+            *self._of.tape.program, sizes, setup.precision, state, setup.values, self._time
+        )
+
+    def tolerances(self, verdicts: Sequence[int] = ()) -> dict[str, float]:
+        """Return margin -> how far below zero a flow from here lets it go: its round-off.
+
+        Infinitely far, if no certificate needs it. `verdicts` are those of the atoms, where further
+        derivatives have decided them.
+        """
+        of, setup = self._of, self._setup
+        if not of.present:
+            return {}
+        judged = np.array(verdicts, np.int64) if verdicts else self._verdicts
+        names = (*of.names, *of.back, *of.gaps)
+        bands = np.empty(len(names))
+        near = setup.tolerances["gap"]
+        margin_bands(of.nodes, self._values, setup.precision, near, judged, bands)
+        return {name: band for name, band in zip(names, bands.tolist(), strict=True) if name}
+
+    @cached_property
+    def _margins(self) -> tuple[Array, Array]:
+        """Margins (k,) of all atoms, and their round-off."""
+        rows = self._values.reshape(-1, PER_CONDITION)[: len(self._verdicts)]
+        bands = [round_off(size, self._setup.precision) for size in rows[:, 2].tolist()]
         return rows[:, 0], np.array(bands)
 
-    def blurred(self, setup: SceneSetup, state: Array, time: float) -> list[float]:
-        """Return, for every contact, how far off a place may be where a gate of its point is zero.
+    @cached_property
+    def _is_zero(self) -> Bools:
+        """Mask (k,) of the atoms that are zero within their round-off."""
+        margins, bands = self._margins
+        return np.asarray(np.abs(margins) <= bands)
+
+    @property
+    def on_boundary(self) -> bool:
+        """True if an atom is zero within its round-off."""
+        return bool(self._is_zero.any())
+
+    @cached_property
+    def blurred(self) -> list[float]:
+        """Distance, for every contact, that a place may be off where a gate of its point is zero.
 
         That is the round-off of the gate over its gradient, in coordinates.
         """
-        found = [0.0] * self._count
-        here, bands = self._margins(setup, state, time)
-        # What has just fallen lies at the bound of its round-off.
+        points, state = self._of.points, self._state
+        found = [0.0] * len(points)
+        here, bands = self._margins
+        # A margin that has just fallen lies at the bound of its round-off.
         places = np.flatnonzero(np.abs(here) <= 2.0 * bands)
         if not places.size:
             return found
         gradients = np.empty((len(here), len(state) // 2))
         for i in range(len(state) // 2):
             moved = state.copy()
-            moved[i] += _APART * max(abs(state[i]), setup.scales.sizes[i])
-            there, _ = self._margins(setup, moved, time)
+            moved[i] += _APART * max(abs(state[i]), self._setup.scales.sizes[i])
+            there = self._numbers(moved)[: PER_CONDITION * len(here) : PER_CONDITION]
             gradients[:, i] = (there - here) / (moved[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
         for k in places[steep[places] > 0.0].tolist():
-            point = self.points[self._conditions[k].contact]
+            point = points[self._of._conditions[k].contact]
             found[point] = max(found[point], bands[k] / steep[k])
-        return [found[point] for point in self.points]
+        return [found[point] for point in points]
 
     def kept_on(
-        self,
-        setup: SceneSetup,
-        state: Array,
-        time: float,
-        verdicts: Sequence[int],
-        contacts: Collection[int],
-        fired: Collection[str],
+        self, verdicts: Sequence[int], contacts: Collection[int], fired: Collection[str]
     ) -> list[int]:
         """Return the verdicts if the atoms of contacts hold that are zero within round-off.
 
         Not those whose margins fell.
         """
-        margins, bands = self._margins(setup, state, time)
+        atoms = zip(self._of._conditions, verdicts, self._is_zero.tolist(), strict=True)
         return [
             HOLDS if one.contact in contacts and one.atom.name not in fired and zero else verdict
-            for one, verdict, zero in zip(
-                self._conditions, verdicts, (np.abs(margins) <= bands).tolist(), strict=True
-            )
+            for one, verdict, zero in atoms
         ]
 
-    def failing(
-        self,
-        setup: SceneSetup,
-        state: Array,
-        time: float,
-        fired: Collection[str] = (),
-        motion: Callable[[Sequence[bool]], Roles | None] | None = None,
-    ) -> tuple[str, ...]:
-        """Return, for every contact, a condition that fails; "" where none does.
-
-        See `verdicts` for the parameters.
-        """
-        return self.first(self.verdicts(setup, state, time, fired, motion))
+    def failing(self) -> tuple[str, ...]:
+        """Return, for every contact, a condition that fails; "" where none does."""
+        return self._of.first(self.verdicts())
 
     def verdicts(
         self,
-        setup: SceneSetup,
-        state: Array,
-        time: float,
         fired: Collection[str] = (),
         motion: Callable[[Sequence[bool]], Roles | None] | None = None,
         on: Sequence[bool] = (),
@@ -243,23 +258,19 @@ class Conditions:
         fail, the roles in which the scene then moves, or None: further derivatives are taken along
         it, until what holds and how it moves agree.
         """
-        found, unsure = [], []
-        for k, verdict in enumerate(self._judged(setup, self._at(setup, state, time)).tolist()):
-            if verdict == UNSURE:
-                unsure.append(k)
-                verdict = self._standing(self._conditions[k], (), on)
-            found.append(verdict)
-        standing = [self._standing(self._conditions[k], fired, on) for k in unsure]
-        if motion is None or setup.modes is None or not unsure:
+        found = self._verdicts.tolist()
+        unsure = [k for k, verdict in enumerate(found) if verdict == UNSURE]
+        standing = [self._standing(k, fired, on) for k in unsure]
+        if motion is None or self._setup.modes is None or not unsure:
             for k, still in zip(unsure, standing, strict=True):
                 found[k] = still
             return found
+        for k in unsure:
+            found[k] = self._standing(k, (), on)
 
         def ways(verdicts: Sequence[int]) -> list[float] | None:
-            roles = motion([name != "" for name in self.first(verdicts)])
-            if roles is None:
-                return None
-            return [self._way(setup, roles, self._conditions[k], state, time) for k in unsure]
+            roles = motion([name != "" for name in self._of.first(verdicts)])
+            return None if roles is None else [self._way(roles, k) for k in unsure]
 
         tried = [found]
         for _ in range(_ROUNDS):
@@ -280,61 +291,25 @@ class Conditions:
         signs = ways(closed)
         return found if signs is None or min(signs) < 0.0 else closed
 
-    def _at(self, setup: SceneSetup, state: Array, time: float) -> Array:
-        """Return the numbers of every atom, then of every contact, flat; see `tape`."""
-        if not self.present:
-            return np.empty(0)
-        return conditions_at(
-            *self.tape.program,
-            setup.scales.with_time,
-            setup.precision,
-            state,
-            setup.values,
-            time,
-        )
-
-    def first(self, verdicts: Sequence[int]) -> tuple[str, ...]:
-        """Return, for every contact, the first relation of a gate that fails; else ""."""
-        result = [""] * self._count
-        found = self._truths(verdicts).tolist() if verdicts else []
-        top = -1
-        for k, (kind, above, contact) in enumerate(self.nodes.tolist()):
-            top = k if above < 0 else top
-            # The parts of the topmost node are the relations.
-            if above == top and found[k] == FAILS and not result[contact]:
-                atom = kind
-                for below in range(k + 1, len(self.nodes)):
-                    if atom >= 0:
-                        break
-                    atom = int(self.nodes[below, 0])
-                result[contact] = self._conditions[atom].atom.words
-        return tuple(result)
-
-    def _standing(self, one: _Condition, fired: Collection[str], on: Sequence[bool]) -> int:
-        """Judge a condition that stays on its boundary as far as its derivatives tell."""
+    def _standing(self, k: int, fired: Collection[str], on: Sequence[bool]) -> int:
+        """Judge an atom that stays on its boundary as far as its derivatives tell."""
+        one = self._of._conditions[k]
         if one.atom.name in fired:
             return FAILS
-        if on and on[one.contact] and one.margin.free_symbols & self._moving:
+        if on and on[one.contact] and one.margin.free_symbols & self._of._moving:
             return HOLDS
         return HOLDS if one.atom.closed or one.atom.back in fired else FAILS
 
-    def _way(
-        self, setup: SceneSetup, roles: Roles, one: _Condition, state: Array, time: float
-    ) -> float:
-        """Return the sign of the first derivative of a condition in a mode that is not zero."""
-        memory, values = setup.values[: self._memory], setup.values[self._memory :]
-        whole = np.concatenate([state, memory])
+    def _way(self, roles: Roles, k: int) -> float:
+        """Return the sign of the first derivative of an atom in a mode that is not zero."""
+        of, setup = self._of, self._setup
+        memory, values = np.split(setup.values, [of._memory])
+        whole = np.concatenate([self._state, memory])
         assert setup.sizes is not None
         sizes = np.maximum(np.abs(whole), setup.sizes)
-        return self._derivatives.sign(
-            replace(setup, values=values),
-            (*roles, *self._roles),
-            one.margin,
-            whole,
-            sizes,
-            time,
-            setup.precision,
-        )
+        inner, roles = replace(setup, values=values), (*roles, *of._roles)
+        margin = of._conditions[k].margin
+        return of._derivatives.sign(inner, roles, margin, whole, sizes, self._time, setup.precision)
 
 
 def _alike(one: Contact, other: Contact) -> bool:

@@ -14,7 +14,7 @@ from statechart.arrays import Array
 class ContactLaw(NamedTuple):
     """Modes, friction and restitution of a contact."""
 
-    name: str  # Of the contact
+    name: str  # Name of the contact
     states: tuple[str, ...]  # Its region's states
     # `cone_n`, `cone_t`: Unit edge of the friction cone
     cone_n: float

@@ -97,6 +97,22 @@ def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition
     return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
 
 
+def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
+    """Return the values of what is `given` in these states, without symbols of each other."""
+    found: dict[sp.Symbol, sp.Expr] = {}
+    for symbol, value in given_in(mechanics, states):
+        found[symbol] = value.xreplace(found)
+    return found
+
+
+def memory_rates_in(
+    mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
+) -> dict[sp.Symbol, sp.Expr]:
+    """Return the rates of what controllers remember, with the values of `values_in`."""
+    rates = memory_rates(mechanics)
+    return {mechanics.memory[name]: rate.xreplace(known) for name, rate in rates.items()}
+
+
 class Controllers:
     """The controllers of a scene: their states, and the guards out of these, built when needed."""
 
@@ -127,10 +143,8 @@ class ControlGuards:
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
-        set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in given_in(mechanics, states):
-            set_[control] = value.xreplace(set_)
-        memory = {mechanics.memory[n]: r.xreplace(set_) for n, r in memory_rates(mechanics).items()}
+        known = values_in(mechanics, states)
+        memory = memory_rates_in(mechanics, known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += guards(place, name, region.transitions, states[name])
@@ -151,7 +165,7 @@ class ControlGuards:
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
             timers=[mechanics.memory[timer] for timer in mechanics.scene.controlled.timers],
-            given=set_,
+            given=known,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
 

@@ -48,7 +48,7 @@ class GateAtom(NamedTuple):
     back: str
     words: str  # The relation that it belongs to
     margin: sp.Expr  # At or above 0 while it holds
-    closed: bool  # Whether it holds at 0
+    closed: bool  # It holds at 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ Vector = tuple[sp.Expr, sp.Expr]
 class Rim:
     """A disc about a point of a body."""
 
-    radius: sp.Expr  # Of the disc; 0: the point itself touches
+    radius: sp.Expr  # Radius of the disc; 0: the point itself touches
     turn: sp.Expr  # Angle of its body against the surface
     # ((Expr, Expr), Expr), optional: Centre of the circle that it touches, and how far its own
     # centre is from there
@@ -152,7 +152,7 @@ class Geometry:
         return x + along * c - across * s, y + along * s + across * c
 
     def curved(self, name: str) -> bool:
-        """Whether a contact's surface is the graph of a function that is not linear."""
+        """Return whether a contact's surface is the graph of a function that is not linear."""
         height = self.scene.surfaces[self.scene.contacts[name].surface].height
         x = sp.Symbol("x", real=True)
         return height is not None and sp.diff(self._formula(height, x=x), x, 2) != 0

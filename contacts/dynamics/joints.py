@@ -13,7 +13,7 @@ from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools
 
-# Of a unit combination: whose share is less takes no part.
+# A row with a smaller share of a unit combination takes no part.
 _SHARE = 1e-3
 
 

@@ -40,7 +40,7 @@ class _Surroundings(NamedTuple):
     normal: Vector
     rates: Vector
     drifts: Vector
-    turned: sp.Expr  # What the turning of the tangent adds to the derivative of the slip
+    turned: sp.Expr  # Share of the turning tangent in the derivative of the slip
 
 
 class Mechanics(Geometry):
@@ -72,8 +72,8 @@ class Mechanics(Geometry):
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.asked_states)
         }
-        # What states of controllers set, each after those that its values use: coefficients of
-        # contacts and the scene's controls.
+        # Symbols that states of controllers set, each after those that its values use: coefficients
+        # of contacts and the scene's controls.
         self.controls = (
             *self._coefficients.values(),
             *(s for name in self._coefficients for s in cones[name]),
@@ -222,13 +222,13 @@ class Mechanics(Geometry):
             result.append(left - right - contact_forces - joint_forces)
         for row in self.joint_rows:
             held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
-            # What the other rows imply leaves its force undetermined: it is taken as zero.
+            # A row that others imply leaves its force undetermined: it is taken as zero.
             result.append(held + row.redundant * row.force)
         return tuple(result)
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
-        """What all joints hold, in the order of their declaration."""
+        """Rows of all joints, in the order of their declaration."""
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
@@ -322,7 +322,7 @@ class Mechanics(Geometry):
 
     @property
     def observables(self) -> dict[str, sp.Expr]:
-        """What formulas of outputs and stop conditions may use, name -> expression."""
+        """Quantities that outputs and stop conditions may use, name -> expression."""
         result = dict(self.known)
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
@@ -390,7 +390,7 @@ class Mechanics(Geometry):
         own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
         here = dict(zip(own, centre, strict=True))
         function, direction, factor = self._surface(surface, *own)
-        # Of a disc the function is linear, or a distance.
+        # For a disc the function is linear, or a distance.
         function -= radius / factor
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rates = self.rate(centre[0]), self.rate(centre[1])

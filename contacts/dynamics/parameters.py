@@ -35,7 +35,7 @@ def friction_cones(
         elif contact.friction is None:  # without slide a pin holds whatever it takes (no-slip)
             result[name] = (sp.S.Zero, sp.S.One)
         elif scene.controlled.region_of(contact.friction) is not None:
-            # What states set; their values are parameters (see `COEFFICIENTS`).
+            # States set them; their values are parameters (see `COEFFICIENTS`).
             result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))
         else:
             result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
@@ -123,5 +123,5 @@ def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
         if point.body == name
     ]
     mass = parse(scene.bodies[name].mass).to_sympy(known)
-    # Which arm is the longest is a matter of numbers: to prove it takes SymPy half a second.
+    # Numbers decide which arm is the longest: to prove it takes SymPy half a second.
     return mass * (sp.Max(*arms, evaluate=False) if arms else sp.S.Zero)

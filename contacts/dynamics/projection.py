@@ -27,13 +27,13 @@ DRIFT = 0.05
 CREEP = 2e-3
 # Weights of an open contact's numbers.
 _FREE = (0.0,) * 5
-# Of the scene's length: how far a step may be off a surface before it counts as blind. Enclosures
+# A step farther off a surface than this part of the scene's length counts as blind. Enclosures
 # as narrow as the gap's tolerance would take 1e5 boxes a step.
 UNSEEN = 1e-4
 _EPS = float(np.finfo(float).eps)
-# What projection cannot reduce is rounding up to so many times what a last bit makes of it.
+# A residual that projection cannot reduce is round-off up to so many times a last bit's effect.
 _ROUNDINGS = 64.0
-# What a last bit makes is read off so small a part of every number.
+# That effect is measured by a shift of so small a part of every number.
 _SHIFT = 2.0**-26
 
 
@@ -165,7 +165,7 @@ class Projection:
 
 def unseen_room(tolerances: Mapping[str, float], scales: Scales) -> float:
     """Return how far a step may be off a surface before it counts as blind."""
-    # What may be off that far at a loose tolerance is not brought back.
+    # At a loose tolerance a state may be off that far without being projected.
     return max(UNSEEN * scales.length, tolerances["gap"])
 
 

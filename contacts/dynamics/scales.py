@@ -53,7 +53,7 @@ class Scales:
 
     def state(self, memory: Array) -> Array:
         """Return the sizes of coordinates, rates and what controllers remember, at its start."""
-        # What begins at zero does not tell how large it gets.
+        # A value that begins at zero does not tell how large it gets.
         return np.concatenate([self.sizes, np.where(memory == 0.0, 1.0, np.abs(memory))])
 
     def solved(self, count: int) -> Array:
@@ -150,7 +150,7 @@ class ScaleTape:
         gaps = [mechanics.contact(name).symbols.gap for name in scene.contacts]
         shifts, turns, levers = _prescribed(mechanics)
         gravity = [[g] for g in mechanics.gravity]
-        # Of each group the largest is wanted.
+        # The largest of each group is wanted.
         groups = [lengths, speeds, pushes, springs, [mass], [duration], across, upward, gaps]
         groups += [extents, levers, *gravity, *moves]
         self.gravity = len(gravity)

@@ -14,7 +14,7 @@ from statechart.automaton.laws import Setup
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
 # not grow with the tolerance of the integration: events are those of the trajectory computed.
 FORCE_BAND = 1e-12
-# What breaks an inequality of a mode by up to this part of the force's tolerance is a tie.
+# A violation of an inequality of a mode by up to this part of the force's tolerance is a tie.
 TIE = 0.5
 # Sequences of impacts are looked at from here on; how high the contacts still fly decides.
 SHORT = 0.1
@@ -26,15 +26,15 @@ ROUNDING = 1e-13
 class SceneSetup(Setup):
     """The numbers of one run of a scene."""
 
-    scales: Scales  # Of this run
+    scales: Scales  # Scales of this run
     contacts: tuple[ContactLaw, ...]  # With this run's coefficients
     capture: float  # Rebounds slower than this are summed instead of simulated
     # Stop condition -> how near zero its margin counts as met; from its value at the start
     bands: Mapping[str, float]
-    start_depth: float = 0.0  # How deep bodies with shapes start in what they touch
-    # What steps leave of what rests, in parts of the size of each number: of impulses of points
-    # their rounding, 1e-16 of the speeds, times what masses are apart; of bodies with shapes what
-    # their impulses miss by
+    start_depth: float = 0.0  # Initial penetration of bodies with shapes
+    # Residual motion of resting bodies after steps, in parts of the size of each number: for points
+    # round-off of impulses, 1e-16 of the speeds, times the ratio of masses; for bodies with shapes
+    # the residual of their impulses
     rounded: float = 1e-12
 
     @property

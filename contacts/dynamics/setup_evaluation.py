@@ -6,7 +6,7 @@ The kernel `run_numbers` does it for runs that are made many at a time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, meas
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.lint import lint
-from contacts.scene.parts import Contact
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
 from contacts.states import implied_joints
@@ -36,14 +35,12 @@ from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
 
-_Reader = Callable[[Sequence[float]], ContactLaw]
-
 # A moment of inertia below this part of mass times arm squared cannot be told from zero: the
 # forces that turn the body are then differences of terms that many times larger.
 POINT_MASS = 1e-12
 # Round-off of positions above this part of the length is worth a warning.
 FAR = 1e-10
-# How far the first flow looks ahead, in the scene's own unit of time.
+# First horizon of a run, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
 
@@ -61,10 +58,14 @@ class SceneNumbers:
         self.gap_offsets = np.array(offsets, np.int64)
         self.scale_tape = ScaleTape(mechanics)
         self.conditions = Conditions(mechanics)
-        self._readers: dict[tuple[str, ...], tuple[_Reader, ...]] = {}
+        self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
+        self._region_states = {
+            name: states_of(contact, gate=scene.gate(name))
+            for name, contact in scene.contacts.items()
+        }
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
-        # Whether every stop condition holds as soon as one of its margins falls.
+        # Every stop condition holds as soon as one of its margins falls.
         self.disjoint = all(stop.condition.disjoint for stop in stops)
         self._single = {stop.name for stop in stops if stop.condition.single}
         forces = mechanics.unknown_forces
@@ -84,10 +85,10 @@ class SceneNumbers:
         )
         # Bodies, and the places of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
-        self._unlikely = (*lint(scene), *_unpressed(mechanics))
+        self.lint = (*lint(scene), *_unpressed(mechanics))
         # Physical between `bounds` (2, l); None where states of controllers set some of it.
         self.limits: Tape | None = None
-        # What is a number was checked when it was read.
+        # Numbers were checked when they were read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
             bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
@@ -145,7 +146,7 @@ class SceneNumbers:
             initial=begins,
             tolerances=tolerances,
             short=SHORT,
-            warnings=(*self._unlikely, *warnings, *implied, *_far(scales)),
+            warnings=(*self.lint, *warnings, *implied, *_far(scales)),
             sizes=scales.state(memory),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
@@ -159,7 +160,7 @@ class SceneNumbers:
         )
 
     def _physical(self, values: Array, initial: Array) -> bool:
-        """Whether masses and the like are surely within their bounds."""
+        """Return whether masses and the like are surely within their bounds."""
         if self.limits is None:
             return False
         found, (least, most) = self.limits.at(initial, values, 0.0), self.bounds
@@ -198,44 +199,45 @@ class SceneNumbers:
         self, values: Array, states: Mapping[str, str] | None = None
     ) -> tuple[ContactLaw, ...]:
         """Return the contacts' laws."""
+        places, fixed = self.coefficients(states)
+        found = np.where(places >= 0, values[places], fixed).tolist()
+        return tuple(
+            ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
+            for (name, contact), (n, t, e) in zip(self.scene.contacts.items(), found, strict=True)
+        )
+
+    def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:
+        """Return places (c, 3) of cone_n, cone_t and restitution among the values of a run.
+
+        Beside them their values (c, 3) where the place is -1, as there is no such parameter.
+        """
         states = states or self.scene.controlled.initial
         key = tuple(states.values())
-        if key not in self._readers:
-            self._readers[key] = tuple(
-                self._reader(name, contact, states) for name, contact in self.scene.contacts.items()
-            )
-        listed = values.tolist()
-        return tuple(read(listed) for read in self._readers[key])
+        if key not in self._coefficients:
+            region_of = self.scene.controlled.region_of
 
-    def coefficients(
-        self, name: str, contact: Contact, states: Mapping[str, str] | None = None
-    ) -> tuple[tuple[int | None, float], ...]:
-        """Return where cone_n, cone_t and the restitution of a contact are found.
+            def place(name: str, key: str, text: FormulaText | None) -> int:
+                region = region_of(text)
+                name = f"{name}.{key}" + (f".{states[region]}" if region else "")
+                return self.places.get(name, -1)
 
-        Places among the values, and what they are where there is none.
-        """
-        states = self.scene.controlled.initial if states is None else states
-        region_of = self.scene.controlled.region_of
-
-        def place(key: str, text: FormulaText | None) -> int | None:
-            region = region_of(text)
-            return self.places.get(f"{name}.{key}" + (f".{states[region]}" if region else ""))
-
-        # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
-        fixed = (1.0, 0.0) if contact.frictionless else (0.0, 1.0)
-        n, t = (place(key, contact.friction) for key in ("cone_n", "cone_t"))
-        return (n, fixed[0]), (t, fixed[1]), (place("restitution", contact.restitution), 0.0)
-
-    def _reader(self, name: str, contact: Contact, states: Mapping[str, str]) -> _Reader:
-        """Return what reads a contact's coefficients off the values of a run."""
-        region_states = states_of(contact, gate=self.scene.gate(name))
-        found = self.coefficients(name, contact, states)
-
-        def read(values: Sequence[float]) -> ContactLaw:
-            n, t, e = [fixed if place is None else values[place] for place, fixed in found]
-            return ContactLaw(name, region_states, n, t, e, contact.impact)
-
-        return read
+            # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
+            found = [
+                (
+                    place(name, "cone_n", one.friction),
+                    place(name, "cone_t", one.friction),
+                    place(name, "restitution", one.restitution),
+                )
+                for name, one in self.scene.contacts.items()
+            ]
+            fixed = [
+                (1.0, 0.0, 0.0) if one.frictionless else (0.0, 1.0, 0.0)
+                for one in self.scene.contacts.values()
+            ]
+            shape = len(found), 3
+            arrays = np.array(found, np.int64).reshape(shape), np.array(fixed, float).reshape(shape)
+            self._coefficients[key] = arrays
+        return self._coefficients[key]
 
 
 def _far(scales: Scales) -> Iterator[str]:

@@ -121,7 +121,7 @@ class SnapshotTape:
             outputs += [*geometry.anchor, *geometry.slipping]
         n, count = self.size, self.count
         lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
-        # Where mass matrix, forces and energy, Jacobians, biases and scalars end.
+        # Ends of mass matrix, forces and energy, Jacobians, biases and scalars.
         self._ends = tuple(accumulate(lengths))
         rows = mechanics.joint_rows
         self.joints = len(rows)

@@ -1,4 +1,4 @@
-"""Whether a scene may start as declared: its joints close, its contacts allow it."""
+"""Checks of the start of a scene: its joints close, and its contacts allow it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from statechart.errors import DeclarationProblem
 from statechart.kernels.jit import kernel
 
 _ITERATIONS = 50
-# Of the accelerations: contradictory ones are off by their own size, consistent ones by rounding.
+# Part of the accelerations: contradictory ones are off by their own size, consistent ones by
+# round-off.
 _ACCELERATION = 1e-8
 # Joints whose part in a contradiction is smaller than this take none.
 _PART = 1e-6
@@ -33,7 +34,7 @@ _HOVERING = 1e-6
 
 @kernel
 def hovers(gap: float, rate: float, near: float, length: float, speed: float) -> bool:
-    """Whether a contact starts off its surface by next to nothing, but more than `near`."""
+    """Return whether a contact starts off its surface by next to nothing, but more than `near`."""
     slow = rate * rate <= _HOVERING * (speed * speed)
     return near < gap and gap <= _HOVERING * length and slow
 

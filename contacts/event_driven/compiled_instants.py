@@ -49,7 +49,7 @@ from statechart.kernels.jit import kernel
 # Contacts within this many tolerances of gaps may meet in a corner.
 _BESIDE = 16.0
 TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
-"""What a change of a contact's state is called, see `contacts.states.cause_of`."""
+"""Causes of changes of a contact's state, see `contacts.states.cause_of`."""
 CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
 """In that order."""
 _PER_CAUSE = len(CAUSES)
@@ -67,7 +67,7 @@ class SceneWatch(NamedTuple):
     # those that do as they begin to, and as gaps of contacts that are off open; -1 for none.
     slots: Ints
     sizes: Array  # (n + 1,): of the state, and of time.
-    relative: float  # What is so small in parts of its terms is zero.
+    relative: float  # Margins that are so small in parts of their terms are zero.
     allowed: Bools  # shape (c, 5)
     cones: Array  # shape (c, 2)
     restitution: Array  # shape (c,)
@@ -269,7 +269,7 @@ def hold_conditions(
 
     `fired`: as for `switched`, of what has just decided a condition on its boundary; 0 for none.
 
-    See `contacts.dynamics.conditions.Conditions.tolerances`.
+    See `contacts.dynamics.conditions.ConditionsAt.tolerances`.
     """
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
     verdicts, bands = np.empty(count, np.int64), np.empty(scene.slots.shape[0])
@@ -303,7 +303,7 @@ def switched(
     kept, taken : (c,) array
         State of every contact; the latter is to be filled.
 
-    See `contacts.dynamics.conditions.Conditions.failing`.
+    See `contacts.dynamics.conditions.ConditionsAt.failing`.
     """
     place, unsure, leaves, stays, beside = -1, False, False, False, False
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
@@ -321,7 +321,7 @@ def switched(
             taken[c] = OFF_CODE
         elif kept[c] == OFF_CODE and gap >= -scene.gap:
             taken[c] = FREE
-        # Where a gap has no value the laws say so.
+        # The laws report a gap without a value.
         nowhere = kept[c] == OFF_CODE and gap != gap
         unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
         if place < 0 and taken[c] != kept[c]:
@@ -366,7 +366,7 @@ def row_of(program: Program, states: Ints) -> int:
 
 @kernel
 def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
-    """Whether other contacts may have been hit since a contact last was: the laws are to know."""
+    """Return whether other contacts may have been hit since a contact last was."""
     if row % _PER_CAUSE != TOUCHDOWN:
         return False
     contact, last = row // _PER_CAUSE, block.used[EVENTS] - 1
@@ -473,7 +473,7 @@ def instant(
     block.used[EVENTS] += 1
     place[runs.N_MODE] = target
     place[runs.N_JUMPS] += 1
-    # What an impact leaves may go another way from the boundary of a condition.
+    # After an impact the state may leave the boundary of a condition another way.
     place[runs.N_ASKED] = 1 if switches else 2 if struck >= 0 and boundary else 0
     now[runs.T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN

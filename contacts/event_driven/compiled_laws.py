@@ -68,14 +68,15 @@ class CompiledSceneLaws:
         self._of_margins = {name: k for k, name in enumerate(conditions.names, 1)}
         self._of_margins |= {name: -k for k, name in enumerate(conditions.back, 1)}
         self._conditions = conditions
+        self.warnings, self.has_remarks = numbers.lint, conditions.present
         self.series = tuple((name, cause) for name in names for cause in CAUSES)
 
     def compiled(self) -> bool:
-        """Whether the loop lies compiled on disk."""
+        """Return whether the loop lies compiled on disk."""
         return cast(Kernel, run_batch).is_cached
 
     def ready(self) -> bool:
-        """Whether it does, and costs nothing to have."""
+        """Return whether it does, in a process that has loaded its compiler."""
         return is_ready(run_batch)
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
@@ -93,17 +94,17 @@ class CompiledSceneLaws:
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:
         """Return the margins that have a tolerance of their own in a flow from a state, with it."""
         assert isinstance(setup, SceneSetup)
-        own = self._conditions.tolerances(setup, state, time)
+        own = self._conditions.at(setup, state, time).tolerances()
         return {**setup.bands, **own} if own else setup.bands
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
-        """Whether no bounces are skipped in a flow, and its margins have their usual tolerances."""
+        """Return whether a flow skips no bounces, and its margins have their usual tolerances."""
         assert isinstance(setup, SceneSetup)
         conditions = self._conditions
         own = {*conditions.names, *conditions.back, *conditions.gaps}
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands
-        usual = usual and alike(conditions.tolerances(setup, state, time), flow.tolerances)
+        usual = usual and alike(conditions.at(setup, state, time).tolerances(), flow.tolerances)
         return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
 
     def within(self, mode: Key) -> Tape | None:

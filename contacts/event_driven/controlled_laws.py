@@ -201,7 +201,7 @@ class ControlledLaws:
         tolerances = np.array([flow.tolerances[margin] for margin in guarded.watch.margins])
         rows = guarded.rows(setup, clock.high, state)
         watched = tolerances < np.inf
-        # Of a guard with several atoms the first flow in a mode watches all, and is judged.
+        # The first flow in a mode watches all atoms of a guard, and is judged.
         if (rows[watched, 0] > tolerances[watched]).all() and (
             guarded.watch.single or not watched.all()
         ):
@@ -259,7 +259,7 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
-        own = self._at(states).conditions.tolerances(inner, motion, clock.high)
+        own = self._at(states).conditions.at(inner, motion, clock.high).tolerances()
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

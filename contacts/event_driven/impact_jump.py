@@ -65,10 +65,10 @@ class Landing(NamedTuple):
     """End of a flow on its constraints, and the numbers of the scene there."""
 
     at: Instant  # On the constraints.
-    setup: SceneSetup  # Of the instant.
+    setup: SceneSetup  # Numbers of the run.
     snapshot: Snapshot  # There.
     moving: Key  # The mode that the flow moves in.
-    closed: list[bool]  # Of every contact.
+    closed: list[bool]  # Mask of the closed contacts.
 
     @property
     def slow(self) -> float:
@@ -174,7 +174,7 @@ def impact_jump(
     warning = "; ".join(filter(None, told))
     flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
     flow = flow._replace(doubted=entered.doubted)
-    # Where a long flight's rounding has left a gap below its tolerance, it opens from there.
+    # A gap that round-off of a long flight has left below its tolerance opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap
         for law, contact, now in zip(laws, contacts, moving_mode(entered.roles), strict=True)
@@ -244,7 +244,7 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     roles = roles_in(choice.sliding) if isinstance(choice, Jam) else choice.taken.roles
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
-    # Where bounces are skipped the contact is still free, and moves as if closed.
+    # A contact whose bounces are skipped is still free, and moves as if closed.
     target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)

@@ -86,7 +86,7 @@ class SceneLaws:
 
     @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
-        """What of the laws is compiled; None with joints, and where conditions overlap."""
+        """The compiled part of the laws; None with joints, and where stop conditions overlap."""
         if self._mechanics.joint_rows or not self.numbers.disjoint:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
@@ -189,7 +189,7 @@ class SceneLaws:
         if made is None or (jump := made[0]) is None:
             return made
         flow, setup, offsets = made[1], at.setup, self.numbers.gap_offsets
-        # What controllers remember stands before the parameters here.
+        # The memory of controllers stands before the parameters here.
         parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
         known = parameters if at.flow.values is None else at.flow.values
         before, moving = moving_mode(at.flow.roles), moving_mode(flow.roles)
@@ -276,7 +276,7 @@ class SceneLaws:
         jam = self._grown(here)
         if jam is None:
             sizes = setup.scales.sizes[: len(here.at.state) // 2]
-            # Where contacts share a load their constraints are dependent, and rightly so.
+            # Contacts that share a load have dependent constraints, and rightly so.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
                 raise SingularMode(why)
@@ -399,7 +399,7 @@ class SceneLaws:
     ) -> Feasibility:
         """Judge every product mode by the velocities that it asks for."""
         assert isinstance(setup, SceneSetup)
-        failing = self.conditions.failing(setup, state, time)
+        failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
     def _impact(

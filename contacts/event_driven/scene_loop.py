@@ -79,7 +79,7 @@ _PER_CONTACT = 5
 MOST_AT_ONCE = 16
 # So many steps and boxes in one call, some tens of milliseconds.
 _STEPS, _BOXES = 4096, 65536
-# What a longer run takes is not worth a row.
+# A run of more pauses is left to an execution of its own.
 _PAUSES = 64
 
 INSTANTS = 3
@@ -216,7 +216,7 @@ def _end(
 
 @kernel
 def _other(values: Array, zeros: Bools) -> bool:
-    """Whether other parameters are zero than these."""
+    """Return whether other parameters are zero than these."""
     other = False
     for i in range(values.shape[0]):
         other = other or (values[i] == 0.0) != zeros[i]
@@ -415,8 +415,8 @@ def run_batch(
         See `statechart.engines.compiled_flow`.
     scene : SceneBatch
     first_watch, first_instants
-        Buffers. Of a run that has begun, `scene.numbers` and the tolerances `first_watch.kinds`
-        are given.
+        Buffers. Where the numbers of a run are known, they stand in `scene.numbers`, and the
+        tolerances in `first_watch.kinds`.
     rows : BatchInputs
     block : TraceBuffer
         Takes arcs and events of all runs.
@@ -432,7 +432,7 @@ def run_batch(
         state = found.final[row]
         ends[runs.HOW] = runs.UNUSUAL
         put(used, before)
-        if not rows.begun:
+        if not rows.known:
             if not rows.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, rows.code, rows.constants,
                 rows.outputs, rows.inputs[row], numbers,
@@ -491,7 +491,7 @@ _NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE
 
 
 class SceneLoop:
-    """Calls of the compiled loop of a scene (see `statechart.execution.compiled_loop.LoopCall`).
+    """Calls of the compiled loop of a scene (see `statechart.automaton.laws.CompiledLaws.call`).
 
     Parameters
     ----------
@@ -536,22 +536,37 @@ class SceneLoop:
         """Make runs; return how many of them before the block was full."""
         return self._call(self._scene, rows, block, found)
 
+    def begin(
+        self, setup: Setup, until: float, most_jumps: int, floor: float, block: TraceBuffer,
+        found: BatchResult,
+    ) -> None:  # fmt: skip
+        """Make a run of which the numbers are known."""
+        scene = self._known(setup, setup.values)
+        scene.numbers.initial[:] = setup.initial
+        ends = np.array([until], float)
+        rows = _KNOWN._replace(until=ends, most_jumps=most_jumps, floor=floor)
+        self._call(scene, rows, block, found)
+
     def resume(
         self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
     ) -> None:
         """Take a run on that has come somewhere."""
+        scene = self._known(setup, found.values[0])._replace(series=series)
+        self._call(scene, _KNOWN._replace(floor=floor, begun=True), block, found)
+
+    def _known(self, setup: Setup, values: Array) -> SceneBatch:
+        """Write the numbers of a run to the buffers."""
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
         numbers, (watch, _) = self._scene.numbers, self._buffers
         scales = setup.scales
-        numbers.values[:], numbers.sizes[:] = found.values[0], setup.sizes
+        numbers.values[:], numbers.sizes[:] = values, setup.sizes
         numbers.scales[:] = (
             scales.length, scales.speed, scales.acceleration, scales.force, scales.rounding,
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        scene = self._scene._replace(gap=setup.precision, doubtful=setup.doubtful, series=series)
-        self._call(scene, _BEGUN._replace(floor=floor), block, found)
+        return self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
 
     def _call(
         self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
@@ -570,12 +585,12 @@ class _Inputs(NamedTuple):
     constants: Array
     outputs: Ints32
     given: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
-    fixed: Array  # What it takes, but for these.
+    fixed: Array  # Its inputs, but for these.
 
 
-_BEGUN = BatchInputs(
+_KNOWN = BatchInputs(
     np.empty((0, 3), np.int32), np.empty(0), np.empty(0, np.int32), np.empty((1, 0)), np.zeros(1),
-    np.zeros(0, np.bool_), 0, 0.0, alone=True, begun=True,
+    np.zeros(0, np.bool_), 0, 0.0, alone=True, begun=False, known=True,
 )  # fmt: skip
 
 
@@ -601,16 +616,12 @@ def _declared(
 ) -> SceneBatch:
     """Return what is the same whatever the values: what contacts may do, where coefficients are."""
     count = len(laws)
-    found = [numbers.coefficients(*item) for item in numbers.scene.contacts.items()]
-    places = [[-1 if place is None else place for place, _ in one] for one in found]
-    fixed = [[value for _, value in one] for one in found]
     gap, speed, _ = tolerated(relative)
     stops = [*numbers.stops]
     return SceneBatch(
         loop.tapes,
         rules,
-        np.array(places, np.int64).reshape(count, 3),
-        np.array(fixed, float).reshape(count, 3),
+        *numbers.coefficients(),
         np.array([stops.index(m) if m in stops else -1 for m in loop.margins], np.int64),
         _starts([law.name for law in laws], numbers.scene.initial_modes),
         gap,

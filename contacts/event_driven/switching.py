@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
-from contacts.dynamics.conditions import Conditions, hidden
+from contacts.dynamics.conditions import Conditions, ConditionsAt, hidden
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import decide
@@ -20,10 +20,10 @@ from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
 from statechart.errors import NonFinite, SimulationError
 
-# Of the round-off of a place; what is zero may be on either side.
+# Multiple of the round-off of a place: a zero may be on either side.
 _MORE = 2.0
 
-# Where none of the contacts that meet within so many tolerances of gaps is on, it is told.
+# A warning is given where none of the contacts that meet within so many tolerances of gaps is on.
 _CORNER = 1000.0
 
 Strike = Callable[[Key], tuple[Array, Snapshot] | None]
@@ -35,19 +35,30 @@ class Switching:
 
     def __init__(self, names: Sequence[str], conditions: Conditions, paradox: Resolution) -> None:
         self._names, self._conditions, self._paradox = names, conditions, paradox
-        self._verdicts: list[int] = []  # of the instant that was asked about last
+        self._verdicts: list[int] = []  # of the instant that `switched` was asked about last
 
     def failing(
+        self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
+    ) -> tuple[str, ...]:
+        """Return, for every contact, a condition that fails; see `ConditionsAt`."""
+        here = self._conditions.at(setup, state, time)
+        near = _closed_below(setup, snapshot, here)
+        return self._conditions.first(self._judged(setup, snapshot, here, near))
+
+    def _judged(
         self,
         setup: SceneSetup,
         snapshot: Snapshot,
-        state: Array,
-        time: float,
+        here: ConditionsAt,
+        near: Sequence[float],
         fired: tuple[str, ...] = (),
-        mode: Key = (),
-    ) -> tuple[str, ...]:
-        """Return, for every contact, a condition that fails in a mode; see `Conditions`."""
-        near, slow = self._near(setup, snapshot, state, time), setup.tolerances["speed"]
+        on: Sequence[bool] = (),
+    ) -> list[int]:
+        """Return the verdicts of the atoms in a state, with contacts closed up to the gaps `near`.
+
+        `on` are the contacts that are, where a flow has come there.
+        """
+        slow = setup.tolerances["speed"]
 
         def motion(failing: Sequence[bool]) -> Roles | None:
             off = tuple(
@@ -56,72 +67,51 @@ class Switching:
                     failing, setup.contacts, snapshot.contacts, near, strict=True
                 )
             )
-            here = hidden(snapshot, off)
-            # What strikes is not held before it has.
+            shown = hidden(snapshot, off)
+            # A contact that strikes is not held before it has.
             touching = [
                 c.gap <= close and abs(c.gap_rate) <= slow
-                for c, close in zip(here.contacts, near, strict=True)
+                for c, close in zip(shown.contacts, near, strict=True)
             ]
             try:
-                choice = decide(setup, here, touching, self._paradox, Before())
+                choice = decide(setup, shown, touching, self._paradox, Before())
             except SimulationError:
                 return None
             return None if isinstance(choice, Jam) else choice.taken.roles
 
-        on = [state != OFF for state in mode[: len(self._names)]]
-        verdicts = self._conditions.verdicts(setup, state, time, fired, motion, on)
-        self._verdicts = self._in_corners(setup, snapshot, state, time, verdicts, fired, on)
-        return self._conditions.first(self._verdicts)
+        verdicts = here.verdicts(fired, motion, on)
+        kept = self._kept_in_corners(setup, snapshot, here, near, verdicts, fired, on)
+        return here.kept_on(verdicts, kept, fired)
 
-    def _near(
-        self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float
-    ) -> list[float]:
-        """Return up to which gap every contact is closed.
-
-        A place at which a gate is zero is known to the round-off of the gate. So is, then, the gap
-        of what takes over there.
-        """
-        whole = snapshot if snapshot.held is None else snapshot.held.whole
-        blurred = self._conditions.blurred(setup, state, time)
-        return [
-            setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
-            for blur, contact in zip(blurred, whole.contacts, strict=True)
-        ]
-
-    def _in_corners(
+    def _kept_in_corners(
         self,
         setup: SceneSetup,
         snapshot: Snapshot,
-        state: Array,
-        time: float,
+        here: ConditionsAt,
+        near: Sequence[float],
         verdicts: list[int],
         fired: Collection[str],
         on: Sequence[bool],
-    ) -> list[int]:
-        """Let gates hold that are on their boundary, in a corner where nothing takes over.
+    ) -> set[int]:
+        """Return the contacts whose atoms on their boundary hold, as nothing else takes over.
 
-        There contacts of one point meet. Edges at an acute angle have no place of their own behind
-        the corner: a point that slides on one of them strikes the other, and passes the ends of
-        both. Elsewhere a contact that is on waits for the other, of which less round-off tells that
-        it is not there yet.
+        That is in a corner where contacts of one point meet. Edges at an acute angle have no place
+        of their own behind the corner: a point that slides on one of them strikes the other, and
+        passes the ends of both. Elsewhere a contact that is on waits for the other, of which less
+        round-off tells that it is not there yet.
         """
         failing = self._conditions.first(verdicts)
+        kept: set[int] = set()
         if not any(failing):
-            return verdicts
-        near, slow = self._near(setup, snapshot, state, time), setup.tolerances["speed"]
+            return kept
         contacts, points = snapshot.contacts, self._conditions.points
-        every = range(len(points))
-        near = [max(near[j] for j in every if points[j] == points[i]) for i in every]
+        slow, every = setup.tolerances["speed"], range(len(points))
         corners: dict[int, list[int]] = {}
         for i, point in enumerate(points):
-            if abs(contacts[i].gap) <= near[i]:
+            if abs(contacts[i].gap) <= max(near[j] for j in every if points[j] == point):
                 corners.setdefault(point, []).append(i)
-        would = self._conditions.kept_on(setup, state, time, verdicts, every, fired)
-        doubtful = [
-            bool(why) and not then
-            for why, then in zip(failing, self._conditions.first(would), strict=True)
-        ]
-        kept: set[int] = set()
+        would = self._conditions.first(here.kept_on(verdicts, every, fired))
+        doubtful = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
@@ -129,7 +119,7 @@ class Switching:
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
                 kept.update(leaves)
             kept.update(i for i in places if doubtful[i] and on and on[i])
-        return self._conditions.kept_on(setup, state, time, verdicts, kept, fired)
+        return kept
 
     def switched(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, strike: Strike
@@ -137,11 +127,14 @@ class Switching:
         """Return the contacts that go off, with a condition that fails, or come back, with ""."""
         if not self._conditions.present:
             return {}
-        failing = self.failing(setup, snapshot, at.state, at.clock.high, at.fired, at.flow.mode)
-        if any(failing) and self._conditions.on_boundary(setup, at.state, at.clock.high):
-            failing = self._struck_too(at, setup, snapshot, failing, strike)
+        here = self._conditions.at(setup, at.state, at.clock.high)
+        near = _closed_below(setup, snapshot, here)
+        on = [state != OFF for state in at.flow.mode]
+        self._verdicts = self._judged(setup, snapshot, here, near, at.fired, on)
+        failing = self._conditions.first(self._verdicts)
+        if any(failing) and here.on_boundary:
+            failing = self._struck_too(at, setup, snapshot, near, failing, strike)
         result: dict[int, str] = {}
-        near = self._near(setup, snapshot, at.state, at.clock.high)
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
             if why and now != OFF:
@@ -161,6 +154,7 @@ class Switching:
         at: Instant,
         setup: SceneSetup,
         snapshot: Snapshot,
+        near: Sequence[float],
         failing: tuple[str, ...],
         strike: Strike,
     ) -> tuple[str, ...]:
@@ -169,8 +163,7 @@ class Switching:
         In a narrow valley an impact on one side sends the point to the other, whose contact is
         closed as well: both take part.
         """
-        slow, verdicts = setup.tolerances["speed"], self._verdicts
-        near = self._near(setup, snapshot, at.state, at.clock.high)
+        slow = setup.tolerances["speed"]
         mode = tuple(
             OFF if why else "free" if state == OFF and contact.gap >= -close else state
             for why, state, contact, close in zip(
@@ -182,7 +175,6 @@ class Switching:
             return failing
         state, after = found
         then = self.failing(setup, after, state, at.clock.high)
-        self._verdicts = verdicts
         return tuple(
             "" if not later and abs(contact.gap) <= close and contact.gap_rate < -slow else why
             for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
@@ -238,19 +230,31 @@ class Switching:
         What a jump leaves on the boundary of a condition may go another way: it is judged again.
         """
         jump, flow = made
-        own = self._conditions.tolerances(setup, state, time)
-        settled = flow.settled and not (
-            jump is not None and self._conditions.on_boundary(setup, state, time)
-        )
-        return jump, flow._replace(tolerances={**flow.tolerances, **own}, settled=settled)
+        here = self._conditions.at(setup, state, time)
+        settled = flow.settled and not (jump is not None and here.on_boundary)
+        tolerances = {**flow.tolerances, **here.tolerances()}
+        return jump, flow._replace(tolerances=tolerances, settled=settled)
 
     def kept(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
         """Let a mode that holds go on, if other conditions decide that it does; else None."""
         flow = at.flow
-        own = self._conditions.tolerances(setup, at.state, at.clock.high, self._verdicts)
+        here = self._conditions.at(setup, at.state, at.clock.high)
+        own = here.tolerances(self._verdicts)
         if alike(own, flow.tolerances):
             return None
         return None, flow._replace(tolerances={**flow.tolerances, **own})
+
+
+def _closed_below(setup: SceneSetup, snapshot: Snapshot, here: ConditionsAt) -> list[float]:
+    """Return up to which gap every contact is closed.
+
+    A place at which a gate is zero is known to the round-off of the gate. So is, then, the gap of
+    the contact that takes over there.
+    """
+    return [
+        setup.tolerances["gap"] + _MORE * blur * float(np.linalg.norm(contact.jacobian[0]))
+        for blur, contact in zip(here.blurred, snapshot.whole.contacts, strict=True)
+    ]
 
 
 def alike(own: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:

@@ -403,7 +403,7 @@ class SceneStepper(Stepper):
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
             check_joints(self._mechanics, SnapshotTape(self._mechanics), within, RELATIVE)
-        failing = self._numbers.conditions.failing(within, within.initial, 0.0)
+        failing = self._numbers.conditions.at(within, within.initial, 0.0).failing()
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
         closed = max(ROUNDING * setup.scales.length, setup.scales.rounding)

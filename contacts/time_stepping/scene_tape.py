@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, given_in, memory_rates
+from contacts.dynamics.controllers import given, memory_rates, values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
@@ -41,10 +41,8 @@ class SteppedTape:
     """Tape of the equations that a step evaluates."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
-        set_: dict[sp.Symbol, sp.Expr] = {}
-        for control, value in given_in(mechanics, states):
-            set_[control] = value.xreplace(set_)
-        forces = [force.xreplace(set_) for force in mechanics.generalised_forces]
+        known = values_in(mechanics, states)
+        forces = [force.xreplace(known) for force in mechanics.generalised_forces]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
@@ -58,7 +56,7 @@ class SteppedTape:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
             gate = mechanics.gate(name)
-            outputs.append(sp.S.One if gate is None else gate.by_steps(set_))
+            outputs.append(sp.S.One if gate is None else gate.by_steps(known))
         rows = mechanics.joint_rows
         for row in rows:
             outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
@@ -69,15 +67,15 @@ class SteppedTape:
             [
                 sp.Max(
                     mechanics.contact(name).symbols.gap,
-                    *(() if gate is None else (-gate.by_steps(set_),)),
+                    *(() if gate is None else (-gate.by_steps(known),)),
                 )
                 for name, gate in zip(self.names, map(mechanics.gate, self.names), strict=True)
             ]
         )
-        outputs += [set_[symbol] for symbol in given(mechanics)]
+        outputs += [known[symbol] for symbol in given(mechanics)]
         self.given = len(given(mechanics))
         self.tape: Tape = mechanics.whole_tape(outputs)
-        flows = [set_.get(rate, rate) for rate in memory_rates(mechanics).values()]
+        flows = [known.get(rate, rate) for rate in memory_rates(mechanics).values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(

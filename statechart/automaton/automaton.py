@@ -50,7 +50,7 @@ NEUTRAL = re.compile(r"zz\d+zz")
 class Automaton:
     """Regions composed over shared unknowns; topology and modes on demand."""
 
-    name: str  # Of the model.
+    name: str  # Name of the model.
     declaration: Declaration  # The document it was made from (outputs, stop, settings).
     # Names and symbols of the state's variables.
     names: tuple[str, ...]
@@ -65,7 +65,7 @@ class Automaton:
     rates: tuple[sp.Expr, ...]  # d/dt of every variable, in variables and unknowns.
     equations: tuple[sp.Expr, ...]  # The equations that hold in every mode, each = 0.
     regions: tuple[Region, ...]  # In the order of the keys.
-    stops: tuple[StopCondition, ...]  # What ends a run.
+    stops: tuple[StopCondition, ...]  # Conditions that end a run.
     # Name -> expression; what outputs, tables and figures can show.
     observables: Mapping[str, sp.Expr]
     # From overrides of parameters and a relative tolerance to the numbers of a run.
@@ -73,14 +73,14 @@ class Automaton:
     laws: Laws | None  # Initial mode, jumps, projection; None where only steps can run the model.
     # True where an unknown that no state sets is zero (a chart's variable without a flow).
     idle: bool = False
-    # What the states of regions set (`State.values`), in an order in which each value uses only
+    # Controls set by states of regions (`State.values`), in an order in which each value uses only
     # those before it. In every mode exactly one state sets each.
     controls: tuple[sp.Symbol, ...] = ()
     # Makes what steps the model through time without its modes, where its kind offers that.
     stepper: Callable[[], TimeStepper] | None = None
-    # Where nothing but steps can run the model: returns how long they should be, by its scales.
+    # Returns the step by the model's scales, if only steps can run the model.
     own_step: Callable[[], float] | None = None
-    # Where the equations are those of mechanics: what modes may be reduced by.
+    # Coordinates by which modes may be reduced, if the equations are those of mechanics.
     coordinates: Coordinates | None = None
     # Returns the parts that have nothing to do with each other; none where all belong together.
     components: Callable[[], tuple[Component, ...]] = tuple
@@ -135,7 +135,7 @@ class Automaton:
 
     @cached_property
     def invariants(self) -> tuple[Invariant, ...]:
-        """What the declaration asserts of all of a run; no run looks at them."""
+        """Assertions of the declaration about all of a run; runs do not evaluate them."""
         return tuple(
             Invariant(label, text, self.observables)
             for label, text in self.declaration.invariants.items()
@@ -183,7 +183,7 @@ class Component:
     restricted: Callable[[Setup, Places], Setup]
     # From the role of a region in the component to that in the whole.
     shown: Callable[[Role, Places], Role]
-    # Whether components that jump at one instant do so in one jump, or one after another.
+    # Components that jump at one instant do so in one jump, not one after another.
     joint: bool
 
     def named(self, text: str) -> str:

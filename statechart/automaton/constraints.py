@@ -40,4 +40,4 @@ NO_CONSTRAINTS = Constraints(
     np.empty(0),
     lambda state, _: state,
 )
-"""Of a flow that its differential equation alone determines."""
+"""Constraints of a flow that its differential equation alone determines."""

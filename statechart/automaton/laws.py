@@ -27,14 +27,14 @@ HELD = ""
 """In a role: the state of a region that contributes nothing, so that what it moves rests."""
 
 UNBOUNDED = "unbounded"
-"""What ends a flow that cannot be continued, though no margin fell; the laws may know what follows
-(a force that has grown without bound)."""
+"""End of a flow that cannot be continued, though no margin fell; the laws may know the jump that
+follows (a force that has grown without bound)."""
 
 
 @lru_cache(maxsize=1024)
 def roles_in(mode: Key) -> Roles:
     """Return the roles of regions whose equations are those of their states."""
-    # Of thousands of regions each is in one of a few states.
+    # Thousands of regions share a few states.
     roles = {state: Role(state) for state in set(mode)}
     return tuple([roles[state] for state in mode])
 
@@ -62,10 +62,10 @@ class Setup:
     # The laws are asked to skip the rest of a sequence of jumps that accumulate once it takes less
     # than this part of the sequence's longest interval.
     short: float = 0.0
-    warnings: tuple[str, ...] = ()  # What a reader must know of these numbers.
+    warnings: tuple[str, ...] = ()  # Remarks on these numbers for the reader.
     # (n,): how large each variable is, where the model has scales of its own.
     sizes: Array | None = None
-    # How well margins are known, in parts of their terms: a value summed from them is off by a few
+    # Precision of margins, in parts of their terms: a value summed from them is off by a few
     # units in the last place of the largest.
     precision: float = 64.0 * EPS
     # A long time for the first flow, in the model's own scales: how far to look ahead at first.
@@ -87,10 +87,10 @@ class Flow(NamedTuple):
     # Time until the laws are asked again even if no margin falls (a Zeno sequence's accumulation);
     # inf otherwise.
     remaining: float = float("inf")
-    warning: str = ""  # What a reader must know of the choice of this mode; "" where nothing.
+    warning: str = ""  # Warning about the choice of this mode; "" if none.
     # True when the laws have seen the state that the flow starts from and keep the mode.
     settled: bool = False
-    notes: tuple[str, ...] = ()  # What a reader must know of the mode, told once.
+    notes: tuple[str, ...] = ()  # Warnings about the mode, given once.
     # Region -> when its Zeno sequence, whose rest is skipped, comes to its end.
     held: Mapping[str, Clock] = _NOTHING
     # Margin -> its tolerance in this flow, where that of its kind is not the one.
@@ -107,13 +107,13 @@ class Flow(NamedTuple):
     start: Array | None = None
     # (p,): the parameters of this flow; None where they are those of the run.
     values: Array | None = None
-    # Whether forces may begin beyond their bounds, by what the run is off by: then they fall from
-    # where they begin.
+    # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
+    # begin.
     doubted: bool = False
 
     @property
     def sizes(self) -> Array | None:
-        """How large the terms of each variable are; its rounding is relative to them."""
+        """Sizes of the terms of each variable; its round-off is relative to them."""
         return None if self.terms is None else np.abs(self.terms).sum(axis=1)
 
 
@@ -121,9 +121,9 @@ class Instant(NamedTuple):
     """End of a flow, as the laws are asked about it."""
 
     setup: Setup  # The numbers of the run.
-    clock: Clock  # When.
-    j: int  # How many jumps there were.
-    flow: Flow  # What has come here.
+    clock: Clock  # Its time.
+    j: int  # Number of jumps before it.
+    flow: Flow  # The flow that ends here.
     state: Array  # (n,): values of the variables.
     fired: tuple[str, ...] = ()  # Margins that have fallen.
 
@@ -150,7 +150,7 @@ class Laws(Protocol):
 
     @property
     def compiled_laws(self) -> CompiledLaws | None:
-        """What of it is compiled."""
+        """The part of the laws that is compiled."""
         ...
 
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
@@ -211,15 +211,25 @@ class CompiledLaws(Protocol):
 
     @property
     def setup(self) -> Callable[[Mapping[str, float], float], Setup]:
-        """What gives the numbers of a run that the loop finds itself where it starts runs."""
+        """Function of the numbers of a run that the loop computes itself where it starts runs."""
+        ...
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of every run that it starts."""
+        ...
+
+    @property
+    def has_remarks(self) -> bool:
+        """Whether `Laws.remarks` may have something to say of a run that it has made."""
         ...
 
     def compiled(self) -> bool:
-        """Whether the loop lies compiled on disk; if not, that takes a while."""
+        """Return whether the loop lies compiled on disk; if not, compiling takes a while."""
         ...
 
     def ready(self) -> bool:
-        """Whether it does, and costs nothing to have."""
+        """Return whether it does, in a process that has loaded its compiler."""
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
@@ -235,11 +245,19 @@ class CompiledLaws(Protocol):
         ...
 
     def takes(self, setup: Setup, flow: Flow, state: Array, time: float) -> bool:
-        """Whether it can go on from the start of a flow in a mode that it knows."""
+        """Return whether it can go on from the start of a flow in a mode that it knows."""
         ...
 
     def call(self, loop: Any, relative: float) -> Any:
-        """Return calls of the loop; see `statechart.execution.compiled_loop.LoopCall`."""
+        """Return calls of the loop.
+
+        They have the `loop`, whether it `starts` runs by values of their parameters, and the
+        `series` of the jumps of the last run that was started. `inputs(names, table)` returns the
+        first four of `statechart.execution.compiled_loop.BatchInputs` for values (m, p).
+        `start(rows, block, found)` makes runs, and returns how many before the block was full;
+        `begin(setup, until, most_jumps, floor, block, found)` makes one with known numbers;
+        `resume(setup, floor, block, found, series)` takes a run on that has come somewhere.
+        """
         ...
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
@@ -262,4 +280,4 @@ class Feasibility:
     modes: Mapping[Key, str]  # Every product mode -> why it is not possible; "" where it is.
     # The same as the declaration counts modes (sliding without direction).
     declared: Mapping[Key, str]
-    remarks: tuple[str, ...] = ()  # What a reader must know of the configuration.
+    remarks: tuple[str, ...] = ()  # Remarks on the configuration for the reader.

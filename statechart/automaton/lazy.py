@@ -8,7 +8,7 @@ from typing import Generic, TypeVar, overload
 
 T = TypeVar("T")
 
-# Of a sequence, the first so many are kept once they have been made.
+# Number of items, from the first on, that a sequence keeps once they are made.
 _MAX_KEPT = 1 << 12
 
 

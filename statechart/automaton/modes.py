@@ -37,7 +37,7 @@ def build_mode(automaton: Automaton, roles: Roles, zeros: frozenset[sp.Symbol]) 
         value = values[control].xreplace(substitution)
         controls.append((control, value))
         if value.is_Atom:
-            # What is zero, or the same as something else, must show before solving.
+            # Zeros and synonyms must show before solving.
             substitution[control] = value
     loads = [state.loads for state in states if state.loads is not None]
     margins = (*(m for state in states for m in state.margins), *automaton.stop_margins)

@@ -26,10 +26,10 @@ _Jump = tuple[Key, Key, str, str]  # source, target, region, event
 class Product:
     """Modes of an automaton and the edges between them, which are found when they are asked for."""
 
-    name: str  # Of the automaton.
-    modes: dict[Key, dict[str, Any]]  # What is told of every mode, as nodes of `graph` have it.
+    name: str  # Name of the automaton.
+    modes: dict[Key, dict[str, Any]]  # Attributes of every mode, as of the nodes of `graph`.
     charts: tuple[Region, ...]  # The regions as they are shown.
-    taken: Counter[_Jump] | None  # How often a run took every edge.
+    taken: Counter[_Jump] | None  # Number of times that a run took each edge.
 
     def edges(self) -> Iterator[tuple[Key, Key, dict[str, Any]]]:
         """Yield the ends of every edge, and what `graph` has of it: by source, then by target."""

@@ -34,13 +34,13 @@ class Elimination:
     # Equation for accelerations -> place of the coordinate whose equation stands for it now.
     replaced: Mapping[sp.Expr, int]
     forces: frozenset[sp.Symbol]  # Those that hold the coordinates eliminated.
-    # Whether they may move without bound when the others move: forces are then lost in the
+    # They may move without bound when the others move: forces are then lost in the
     # difference of accelerations, so that these are found together.
     steep: bool
 
     @property
     def known(self) -> dict[sp.Symbol, sp.Expr]:
-        """What stands for positions and rates in equations, without anchors."""
+        """Expressions that replace positions and rates in equations, without anchors."""
         bare = {q: e for q, e in self.positions.items() if not e.has(*self.anchors)}
         return {**bare, **self.rates}
 
@@ -55,7 +55,7 @@ class Coordinates:
     rates: tuple[sp.Symbol, ...]
     accelerations: tuple[sp.Symbol, ...]
     time: sp.Symbol
-    joints: tuple[Hold, ...]  # What every mode holds.
+    joints: tuple[Hold, ...]  # Holds of every mode.
     # From an `Elimination` and the forces that may do work beside it to the equations of motion
     # (each = 0) of the coordinates that are left, in their order.
     motion: Callable[[Elimination, Collection[sp.Symbol]], Sequence[sp.Expr]]

@@ -30,9 +30,9 @@ MarginKind = Literal["plain", "gap", "speed", "force"]
 class Margin:
     """An expression that is >= 0 while a mode holds."""
 
-    name: str  # Such as ``tip.gap`` or ``tip.mu V - H``.
+    name: str  # For example ``tip.gap`` or ``tip.mu V - H``.
     expression: sp.Expr  # In variables, parameters, time and unknowns.
-    # Which tolerance decides it. A `force` margin is an event once it is below minus its tolerance
+    # The kind of its tolerance. A `force` margin is an event once it is below minus its tolerance
     # (hysteresis, so that the mode just left is not entered again); the others are located at their
     # zero.
     kind: MarginKind = "plain"
@@ -152,17 +152,17 @@ class HierarchicalEdge:
     source: str
     target: str
     guard: str  # As of an `Edge`.
-    # Where it leads: `target` itself, or one of the states in it, which the laws choose.
+    # States that it leads to: `target` itself, or one of the states in it, which the laws choose.
     choices: tuple[Choice, ...]
     on_zeno: bool = False  # As of an `Edge`.
     # Variable -> new value, of the values before.
     updates: Mapping[str, str | int | float] = field(default_factory=dict)
-    events: tuple[str, ...] = ()  # Of other regions, that fire it.
-    internal: bool = False  # Whether it leaves no state.
+    events: tuple[str, ...] = ()  # Events of other regions that fire it.
+    internal: bool = False  # It leaves no state.
 
     @property
     def reset(self) -> str:
-        """What it resets whatever is chosen, and "" where that depends on the choice."""
+        """Reset that all its choices share; "" where it depends on the choice."""
         resets = {choice.reset for choice in self.choices}
         return resets.pop() if len(resets) == 1 else ""
 
@@ -170,10 +170,10 @@ class HierarchicalEdge:
 class History(NamedTuple):
     """A target that stands for what was last active."""
 
-    # Whether it remembers states of `parent` alone, or those in them, too.
+    # It remembers states of `parent` alone, or those in them, too.
     depth: Literal["shallow", "deep"]
-    parent: str  # Of which it remembers.
-    initial: str  # What it stands for as long as nothing is remembered.
+    parent: str  # The superstate that it remembers.
+    initial: str  # Its target as long as nothing is remembered.
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +214,7 @@ class Nesting:
 class Claim:
     """Relations that all hold as long as a state is active, or of which one does not."""
 
-    name: str  # Of the guard, invariant or condition.
+    name: str  # Name of the guard, invariant or condition.
     relations: tuple[str, ...]  # As declared.
     holds: bool  # True: all of them hold. False: at least one does not.
 
@@ -245,7 +245,7 @@ class Hold:
     forces: tuple[sp.Symbol, ...]  # As many; in motions that keep the places they do no work.
     # Constant of a flow that is in `places` -> the expression of the variables that is constant.
     anchors: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    steep: bool = False  # Whether gradients of the places may grow without bound.
+    steep: bool = False  # Gradients of the places may grow without bound.
 
 
 @dataclass(frozen=True)
@@ -254,14 +254,14 @@ class State:
 
     # Each = 0, linear in the automaton's unknowns and its carriers.
     equations: tuple[sp.Expr, ...] = ()
-    margins: tuple[Margin, ...] = ()  # What an event of the state is the fall of.
-    # What its declaration asserts besides; for checks of a trace, no run looks at them.
+    margins: tuple[Margin, ...] = ()  # Margins whose fall is an event of the state.
+    # Assertions of its declaration, for checks of a trace; runs do not evaluate them.
     invariants: tuple[Invariant, ...] = ()
-    # What the state sets: some of the automaton's controls -> expressions without unknowns.
+    # Controls of the automaton that the state sets -> expressions without unknowns.
     values: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
-    # What it adds where the mode's motion leaves some of its unknowns open.
+    # Its share where the motion of a mode leaves unknowns open.
     loads: Loads | None = None
-    holds: tuple[Hold, ...] = ()  # What some of its equations hold in place.
+    holds: tuple[Hold, ...] = ()  # Positions that its equations hold.
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ class Edge:
     # States of the region.
     source: str
     target: str
-    # What fires it and what it does; "" where nothing is changed.
+    # The trigger and the changes; "" where nothing is changed.
     guard: str
     reset: str = ""
     # True where no guard fires it but the accumulation of jumps out of `source`.
@@ -283,7 +283,7 @@ class Edge:
 class Region:
     """An orthogonal region: its states, built when first asked for, and its edges."""
 
-    name: str  # Of the region (a contact, a controller).
+    name: str  # Name of the region (a contact, a controller).
     states: tuple[str, ...]  # Names of its states.
     build: Callable[[Role], State]  # Role -> State.
     edges: tuple[Edge, ...]  # The region's own statechart.
@@ -296,7 +296,7 @@ class Region:
     # Cause that its jumps have where it is struck, besides that of its change: impact; "" where
     # what strikes it changes it, as a contact.
     blow: str = ""
-    # What else its declaration says of states in states.
+    # Declared nesting of states.
     nesting: Nesting = field(default_factory=Nesting)
     # Unknowns that are zero for others while the region is captured (see `Role`).
     forces: tuple[sp.Symbol, ...] = ()
@@ -353,7 +353,7 @@ class Mode:
     definitions: tuple[Definition, ...]  # Straight-line program for the controls and the unknowns.
     rates: tuple[sp.Expr, ...]  # d/dt of every variable.
     margins: tuple[Margin, ...]  # The mode's invariant, stop conditions last.
-    # What forces are for those who look at the mode, where they are not what moves the state.
+    # Forces as observers see them, where they differ from those that move the state.
     hidden: Mapping[sp.Symbol, sp.Expr] = field(default_factory=dict)
     # Place of a variable that follows from the others -> expression of these, of parameters, time
     # and anchors. Its rate is that of the expression, and is integrated along with the others;

@@ -19,7 +19,7 @@ class Impulses(NamedTuple):
 
 
 USUAL = Impulses()
-"""Where nothing else is said."""
+"""Default tolerances."""
 
 
 class OutputStream(Protocol):
@@ -27,12 +27,12 @@ class OutputStream(Protocol):
 
     @property
     def events(self) -> bool:
-        """Whether it needs jumps, and the modes of arcs."""
+        """True if it needs jumps, and the modes of arcs."""
         ...
 
     @property
     def motion(self) -> bool:
-        """Whether it needs arcs and jumps between the start and the end."""
+        """True if it needs arcs and jumps between the start and the end."""
         ...
 
     def add(self, piece: Trace) -> None:

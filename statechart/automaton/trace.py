@@ -55,7 +55,7 @@ class Outcome(Enum):
 
     @property
     def succeeded(self) -> bool:
-        """Whether the run reached an end that its declaration names."""
+        """True if the run reached an end that its declaration names."""
         return self in (Outcome.HORIZON, Outcome.STOPPED)
 
 
@@ -79,8 +79,8 @@ class Role(NamedTuple):
     # True where the region is shown in another state meanwhile: for everybody else its forces are
     # what they are in that, zero.
     captured: bool = False
-    # What determines the quantities that the mode's equations leave open, where these do not change
-    # the motion; for the region that builds the state to read.
+    # Law of the quantities that the mode's equations leave open without effect on the motion; read
+    # by the region that builds the state.
     share: Hashable | None = None
 
 
@@ -128,7 +128,7 @@ class Arc:
 
     @property
     def end(self) -> Clock:
-        """When the arc ends."""
+        """End of the arc."""
         return self.start.later(self.duration)
 
     @property

@@ -241,7 +241,18 @@ class TraceStore:
 
     def sequences(self) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
         """Return the arcs and the jumps so far; they grow with the run."""
-        return LazySequence(self._arc, self._arc_count), LazySequence(self._event, self._count)
+        jumps = LazySequence(self._event, self._count)
+        jumps.source = self
+        return LazySequence(self._arc, self._arc_count), jumps
+
+    def times(self) -> list[float]:
+        """Return the times of the jumps so far."""
+        blocks = [*(self._blocks[k] for k in range(len(self._blocks))), self.buffer]
+        parts = [block.numbers[: block.used[EVENTS], 0] for block in blocks]
+        found: list[float] = np.concatenate(parts).tolist()
+        for j, jump in self.made.items():
+            found[j] = jump.t
+        return found if self.last is None else [*found, self.last().t]
 
     def add(self, block: TraceBuffer) -> None:
         """Append a block."""
@@ -277,6 +288,12 @@ class TraceStore:
         block = bisect_right(begins, place) - 1
         row = place - begins[block]
         return (self.buffer if block == len(self._blocks) else self._blocks[block]), row
+
+
+def jump_times(jumps: Sequence[Jump]) -> list[float]:
+    """Return the times of jumps; those in a store are not made for that."""
+    store = jumps.source if isinstance(jumps, LazySequence) else None
+    return store.times() if isinstance(store, TraceStore) else [jump.t for jump in jumps]
 
 
 class TraceRecorder(TraceStore):

@@ -108,7 +108,7 @@ def evaluate(
 def stands(
     program: Program, mode: int, parameters: Array, floors: Array, state: Array, time: float
 ) -> bool:
-    """Whether a flow may begin on the boundary of a stop condition, so that it is to be judged.
+    """Return whether a flow may begin on the boundary of a stop condition, and is to be judged.
 
     See `statechart.execution.standing`; `floors` (n,) are small for the variables, and more than
     what they are off by.
@@ -137,7 +137,7 @@ def stands(
 class Scratch(NamedTuple):
     """Buffers of a flow: its steps, as in `statechart.engines.engine.Path`, and what makes them."""
 
-    # Of the steps; times[0] is 0.
+    # The steps, the first of which begins at time 0.
     times: Array  # shape (s + 1,)
     coefficients: Array  # shape (s, n, terms)
     # of shape (n,) each
@@ -146,7 +146,7 @@ class Scratch(NamedTuple):
     pars: Array  # (p,): at least as many as any mode takes.
     clock: Array  # shape (2,)
     series: Array  # shape (n, terms)
-    # Of the length of a step.
+    # Powers of the length of a step, and that length.
     powers: Array  # shape (terms,)
     length: Array  # shape (1,)
     # (n,): of a step, see `statechart.engines.taylor_loop.stray`.
@@ -195,7 +195,7 @@ class Watch(NamedTuple):
     # (k,): of the constraints.
     targets: Array
     weights: Array
-    room: float  # How far what is to stay above zero may fall.
+    room: float  # Depth to which the outputs of `WITHIN` may fall below zero.
     # Tolerances of the engine, see `statechart.engines.engine.Pace`.
     tolerance: float
     max_step: float
@@ -239,7 +239,7 @@ def first_tolerances(
 
 
 WHOLE, AT_EVENT, IN_VAIN = range(3)
-"""How a flow ends: at the end of its duration, at an event, or not in this way."""
+"""Ends of a flow: the end of its duration, an event, or not in this way."""
 
 
 @kernel
@@ -285,7 +285,7 @@ def _level(ready: Ready, registers: int, jets: Array) -> None:
 
 @kernel
 def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
-    """Whether a state is so far off its constraints that it has to be brought back."""
+    """Return whether a state is so far off its constraints that it has to be projected."""
     code, constants, outputs, _, _ = tape_of(program, watch.off)
     return (
         off_by(
@@ -434,7 +434,7 @@ def _strays(
     step: int,
     length: float,
 ) -> bool:
-    """Whether a step ends off its rates; note whether it may have been off them on its way."""
+    """Return whether a step ends off its rates; note whether it may have been on its way."""
     offs, sizes = memory.offs, memory.sizes
     off = stray(memory.coefficients[step], length, memory.series, offs, sizes)
     if off > max(STRAY, ORDERS * watch.tolerance):
@@ -463,7 +463,7 @@ def _followed(
     length: float,
     jets: Array,
 ) -> bool:
-    """Whether a step is known to follow its rates, from where it ends and its ranges.
+    """Return whether a step is known to follow its rates, by its end and its ranges.
 
     Where all rates are resolved on the whole of it, they are as smooth as it is long: what it
     leaves out grows towards its end, by a power above its order.
@@ -486,7 +486,7 @@ def _missed(
     start: float,
     doubtful: Bools,
 ) -> bool:
-    """Whether steps may have missed something of their surfaces or, the doubtful, their rates."""
+    """Return whether steps may have missed a bump of a surface or, the doubtful, their rates."""
     within = tape_of(program, row[WITHIN : WITHIN + TAPE])
     steps = Steps(times, coeffs, watch.parameters, start)
     if within.outputs.shape[0] > 0:

@@ -14,6 +14,7 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.modes import Reconstruction
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import LARGEST
+from statechart.engines.budget import Allowance
 from statechart.errors import StepFailure, TooLong
 from statechart.formulas.tape import Tape
 
@@ -112,10 +113,10 @@ class FlowWatch(NamedTuple):
 
     guards: Tape  # Outputs: the margins whose fall is an event.
     tolerances: Array  # (g,): how far below zero each may go.
-    constraints: Constraints  # What the states are to satisfy.
+    constraints: Constraints  # Constraints of the states.
     parameters: Array  # (p,): values of the automaton's parameters.
-    start: float  # When the flow begins.
-    reconstruction: Reconstruction  # What follows from other variables in every state.
+    start: float  # Start of the flow.
+    reconstruction: Reconstruction  # The dependent coordinates.
 
 
 class Pace(NamedTuple):
@@ -125,15 +126,15 @@ class Pace(NamedTuple):
     tolerance: float
     max_step: float
     allowed: float
-    terms: int  # Of its series.
+    terms: int  # Number of terms of its series.
 
 
 class Entry(NamedTuple):
     """Entry of compiled loops into a mode's step."""
 
     address: int  # See `statechart.engines.taylor_loop.Step`.
-    fixed: Tape  # What it takes of the automaton's parameters, behind the time.
-    takes: int  # How many parameters it takes, the time among them.
+    fixed: Tape  # Its parameters behind the time, from the automaton's.
+    takes: int  # Number of its parameters, the time among them.
     pace: Pace
 
 
@@ -143,18 +144,20 @@ class Engine(ABC):
     An engine is created for one tolerance and may keep what it compiled for a mode.
     """
 
-    # What it is called; `method` is `name` where there is only one.
+    # Its name, and that of its method; the same where there is only one.
     name: str
     method: str
     tolerance: float  # Relative.
-    sharp: bool = False  # Whether the last digits cost little more than the first.
-    evaluations: int = 0  # Of the rates, so far; 0 where they are not counted.
+    sharp: bool = False  # The last digits cost little more than the first.
+    evaluations: int = 0  # Evaluations of the rates so far; 0 if not counted.
     # (n,): how large each variable is in the model's own scales, where it says so; set for each
     # run.
     sizes: Array | None = None
     # (n,): errors of a variable that is smaller are relative to this; set for each flow.
     floor: Array | float = 0.0
-    # Of what a variable is and moves in a step, how far the slope of the step may be off its rate.
+    # Ends runs in time; such runs are made step by step.
+    allowance: Allowance | None = None
+    # Allowed error of the slope of a step, in parts of what a variable is and moves in the step.
     # The slope of a dense output is of a lower order than the step.
     allowed: float
 

@@ -94,7 +94,7 @@ class Converter:
         return self(expression)
 
     def _moves(self, node: sp.Expr) -> bool:
-        """Whether a formula is more than a number of the run."""
+        """Return whether a formula varies in a run."""
         found = self._moving.get(node)
         if found is None:
             if node.is_Symbol:

@@ -43,7 +43,7 @@ def choose(setting: Setting) -> tuple[Engine, str]:
         raise DeclarationError(f"no engine {engine!r}", advice=f"known: {known}")
     reason = ""
     if engine == "auto":
-        # What a method is given for is the engine that has methods.
+        # Only scipy has methods to choose from.
         engine = "scipy" if method is not None or not _has_heyoka() else "taylor"
         if engine == "scipy" and method is None:
             reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
@@ -90,7 +90,7 @@ class Chosen:
     setting: Setting  # With a tolerance.
     error: float  # That of its run at most: against a reference, and that of the reference itself.
     outcome: str  # Why its run ended.
-    # Which it took.
+    # Costs of its run.
     steps: int
     evaluations: int
     flows: int
@@ -98,12 +98,12 @@ class Chosen:
 
 
 class Measured(Protocol):
-    """What was measured of a model at many settings, as `statechart.study.study.Study`."""
+    """Measurements of a model at many settings, as `statechart.study.study.Study`."""
 
     until: float
 
     def of(self, model: Declaration) -> bool:
-        """Whether a model is the one that was measured."""
+        """Return whether a model is the one that was measured."""
         ...
 
     def shown(self, label: str) -> Mapping[str, Any]:
@@ -120,11 +120,11 @@ class Measured(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """How to run a model."""
+    """Plan of the runs of a model."""
 
-    setting: Setting  # What was asked for, with what the model's settings say in the place of None.
+    setting: Setting  # The request, completed by the model's settings.
     first: float | None = None  # Tolerance of the first run, where that was measured.
-    # What that was chosen by, or the first step.
+    # Source of that tolerance, or of the first step.
     basis: str = "guessed (no earlier `trade`)"
     chosen: Chosen | None = None  # The run that was measured to reach the accuracy asked for.
     # End of the runs that it was chosen by, where they were measured: what they say holds of a run
@@ -158,9 +158,9 @@ def planned(
     try:
         asked.check()
     except DeclarationProblem as problem:
-        # Of what was given in the call, which has no place in the file.
+        # A value given in the call has no place in the file.
         raise DeclarationError(problem.message, advice=problem.advice) from None
-    # What stands in the file is told with its place.
+    # A value in the file is reported with its place.
     of_file = asked.engine == settings.engine and given.engine is None and given.method is None
     if asked.engine != "impulse" and automaton.laws is None:
         message = f"the engine {asked.engine} cannot run bodies that collide by their shapes"
@@ -225,7 +225,7 @@ def _stepping(
         asked,
         impulse_tolerance=asked.impulse_tolerance or settings.impulse_tolerance,
         impulse_bound=asked.impulse_bound or settings.impulse_bound,
-        # What is compared to reach an accuracy are events, too.
+        # Estimates of accuracy compare events, too.
         record=asked.record or ("modes" if asked.accuracy is not None else settings.record),
     )
     step, basis = asked.step or model.settings.step, "as given"

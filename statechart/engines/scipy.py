@@ -20,7 +20,7 @@ METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
 # A thousand roundings: with the factor below, a variable at rest is known to one.
 _ROUNDING = 1e3 * float(np.finfo(float).eps)
-# What is smaller has errors below what a float can hold.
+# Errors of smaller magnitudes underflow.
 _SMALLEST = 1e-280
 # solve_ivp refuses a relative tolerance below this.
 _LEAST = 100 * float(np.finfo(float).eps)

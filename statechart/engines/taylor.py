@@ -27,7 +27,7 @@ from statechart.tabular import several
 # Compiling 250 operations without loops takes 1.7 s and 42 MB, with loops 0.4 s and 8 MB; unless
 # they are so few on tape, where each is there once.
 _COMPACT, _FEW = 240, 100
-# What compiling takes at least, and for each operation: somewhat more than the shipped models need.
+# Seconds that compiling takes at least, and for each operation: above the shipped models' times.
 _BEGIN, _EACH = 0.01, 2e-4
 # To the power -20, the order of the method, and some more for the derivatives of a surface, this is
 # near the largest float. Asked for only where a step fails.
@@ -39,13 +39,13 @@ _SHOWN = 80  # characters of a formula in a message
 
 
 def _many(mode: Mode, rates: Tape) -> bool:
-    """Whether the operations of a mode are too many to be compiled without loops."""
+    """Return whether the operations of a mode are too many to be compiled without loops."""
     written = sp.count_ops([*(value for _, value in mode.definitions), *mode.rates])
     return bool(len(rates.code) > _FEW and written > _COMPACT)
 
 
 def has_long_double() -> bool:
-    """Whether there is a long double of more digits than a double, and heyoka computes with it."""
+    """Return whether a long double has more digits than a double, and heyoka computes with it."""
     import heyoka as hy
 
     finer = np.finfo(np.longdouble).eps < np.finfo(float).eps
@@ -56,7 +56,7 @@ def has_long_double() -> bool:
 class _Stepper:
     integrator: Any
     compiled: Step | None
-    fixed: Tape  # What the integrator takes as its parameters, behind the time.
+    fixed: Tape  # The integrator's parameters behind the time.
     powers: tuple[str, ...]  # Without a series where their base is zero.
     bases: Tape
     rates: Tape
@@ -65,7 +65,7 @@ class _Stepper:
         # Views into the integrator's own memory; it alone writes the last.
         self.state, self.pars = self.integrator.state, self.integrator.pars
         self.series, self.shape = self.integrator.tc, self.integrator.tc.shape
-        # Of the compiled steps: address, state, parameters, clock, series.
+        # Arguments of compiled steps: address, state, parameters, clock, series.
         address, self._clock = 0 if self.compiled is None else self.compiled.address, np.zeros(2)
         series = np.empty(self.shape)
         self.integrator_memory = address, self.state, self.pars, self._clock, series
@@ -209,7 +209,7 @@ class Taylor(Engine):
                 )
             raise NonFinite(f"the state or its rate is not finite near t = {start:.6g}")
         if h == 0.0 and left > 0.0:
-            # What came before the step that underflowed stands, and may hold an event.
+            # The steps before the one that underflowed stand, and may hold an event.
             if path.times.item(last) == path.times.item(last - 1):
                 last -= 1
             if last == first:

@@ -21,7 +21,7 @@ from statechart.kernels.jit import kernel, native
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
 
-# What a call by address relies on: heyoka documents the module, not the function.
+# A call by address relies on this: heyoka documents the module, not the function.
 _SIGNATURE = re.compile(
     r"^define void @step\("
     r"ptr[^,]*%state_ptr, ptr[^,]*%par_ptr, ptr[^,]*%time_ptr, ptr[^,]*%h_ptr, ptr[^,]*%tc_ptr\)",
@@ -116,7 +116,7 @@ LEAST_MOTION = 1e-6
 # Above this it is never rounding; below, what falls by less as a step is halved is: what a series
 # leaves out falls with a power above its order.
 _ROUGH, _ROUNDING = 1e-3, 0.25
-# Where the rate itself ends no length of a step helps, and none is made.
+# No step is made where the rate itself ends: shorter ones do not help.
 HALVINGS = 40
 
 Integrator = tuple[int, Array, Array, Array, Array, float, float]
@@ -126,7 +126,7 @@ the integration began and its rounding, series (n, d + 1), tolerance, longest st
 
 @kernel
 def stray(row: Array, h: float, series: Array, offs: Array, reaches: Array) -> float:
-    """How far the slope at the end of a step is off the rate there, in parts of the motion.
+    """Return the error of the slope at the end of a step, in parts of the motion.
 
     Infinite where the step is not finite.
 
@@ -165,7 +165,7 @@ def expand(series: Array, h: float, row: Array, powers: Array) -> None:
 
 @kernel
 def _finite(row: Array) -> bool:
-    """Whether all terms of a step are."""
+    """Return whether all terms of a step are finite."""
     bounded = True
     for v in range(row.shape[0]):
         for k in range(row.shape[1]):

@@ -6,6 +6,5 @@ to the first event (`finding` judges what was found), ask the laws, jump; the `c
 so over modes as arrays as long as instants are unambiguous, for one run or for many. `standing`
 ends what stands still on a stop. `zeno` watches for jumps that accumulate, `livelock` for those
 that lead nowhere. `certificate` proves how far a run is off. `time_stepping` runs models by fixed
-steps instead; a `stream` is a run as it comes. `perturbation` changes a run slightly, `outcome`
-makes an error of an end.
+steps instead; `perturbation` changes a run slightly, `outcome` makes an error of an end.
 """

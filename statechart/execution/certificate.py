@@ -23,17 +23,17 @@ _LEAST = 1e-6
 # The rounding of rates, bounded operation by operation, is up to so many times what it is: a step
 # may be off by as much more than what the check of steps allows.
 _PROVED = 16.0
-# Of central differences, and of states before and after an event, in sizes of the variables: their
-# truncation and their rounding are of no matter to an estimate.
+# Step of central differences, in sizes of the variables: truncation and round-off do not matter to
+# an estimate.
 _STEP = 1e-6
 # A displacement that becomes as large has met another event.
 _FAR = 1e3 * _STEP
 # By what part a guard's rate may change within what its event may be late by: where it turns, the
 # time of its event goes with the root of the error.
 _TURNS = 0.25
-# Where a step begins this close to where the last one ends, it goes on from there.
+# A step that begins this close to the end of the last one continues it.
 _ROUNDED = 8.0 * float(np.finfo(float).eps)
-# Of the exponential of a matrix whose norm is up to 1/2: what follows is below 1e-18.
+# Terms of the exponential of a matrix of norm up to 1/2: the remainder is below 1e-18.
 _TERMS = 15
 # A law may change its equations so often before it jumps.
 _PATIENCE = 8
@@ -58,12 +58,12 @@ class Certificate:
         self._error = np.zeros(len(self._scale))
         self._unknown = np.zeros((len(self._scale),) * 2)  # a covariance
         self._local, self._where, self._late = 0.0, (0.0, ""), 0.0
-        # Whether errors are so small that what becomes of them is in proportion to them.
+        # Errors are so small that they propagate linearly.
         self._linear = True
         self._before: tuple[Arc, CompiledMode] | None = None
-        # Where an event is under way: the state and those displaced from it, one for every
-        # variable and one along the flow; how much later the event is for a variable that is
-        # larger; how much too early it was taken, as its guard was rounded; and the largest rate.
+        # During an event: its state and those displaced from it, one for every variable and one
+        # along the flow; the delay of the event by each variable; how much too early it was taken,
+        # as its guard was rounded; the largest rate.
         self._states: list[Array] = []
         self._later, self._early, self._fastest = np.zeros(len(self._scale)), 0.0, 1.0
 
@@ -73,7 +73,7 @@ class Certificate:
             self._carry(self._through(self._states)[:, :-1])
         with np.errstate(invalid="ignore"):
             ends = np.abs(self._error) + np.sqrt(np.diag(self._unknown))
-        # What counts as closed and as at rest follows from the tolerance.
+        # The tolerance decides which contacts are closed and at rest.
         whole = max(float(ends.max(initial=0.0)), self._late, self._least)
         return Motion(
             local=self._local,
@@ -137,7 +137,7 @@ class Certificate:
         found = _made(self._laws, instant, jump)
         if found is not None and np.abs((found - jump.after) / self._scale).max() < _FAR:
             return found
-        # Where something else follows, what was displaced stays so.
+        # If another jump follows, the displacement stays as it is.
         return jump.after + (instant.state - jump.before)
 
     def _carry(self, through: Array) -> None:

@@ -8,7 +8,7 @@ returns why it left a run, and the execution alone acts on that.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,20 +37,20 @@ flow from here has to be made step by step; the pad is full; to be looked at; th
 counted; they accumulate."""
 
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
-"""Where a loop is: the clock, when the run ends, how far to look ahead, when the last jump was; the
-time to an accumulation, as it ends."""
+"""Columns of `BatchResult.now`: the clock, the end of the run, the horizon, the time of the last
+jump, and the time to an accumulation as the loop ends."""
 N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
-"""Likewise: the row of its mode, the number of jumps, the most of them, steps and boxes so far;
-1 where an instant is under way, and the laws are to be asked again."""
+"""Columns of `BatchResult.place`: the row of its mode, the number of jumps, the most of them, steps
+and boxes so far; 1 if an instant is under way, and the laws are asked again."""
 
 LOOK_AHEAD = 16.0
-"""How far to look ahead at first, in lengths of the last flow: those of bounces shrink."""
+"""First horizon of a flow, in lengths of the last flow: those of bounces shrink."""
 
 
 UNUSUAL, OTHER, ENDED, CLOSING, STOPPED, HANDED = range(6)
-"""How a run of a batch ends: it is left to an execution of its own; other parameters of it are zero
-than those that the modes were solved for; at the end of the run; there, where it is to be judged
-whether something just happens; at a stop; where an execution goes on from here."""
+"""Ends of a run of a batch: an execution has to make it; other parameters are zero than those that
+the modes were solved for; the end of the run; the end, where an event may be happening; a stop; an
+execution goes on from here."""
 
 HOW, REASON, MARGIN, FIRST_MODE = range(4)
 """Columns of `BatchResult.ends`."""
@@ -69,9 +69,10 @@ class BatchInputs(NamedTuple):
     until: Array  # (m,): when each ends; not a number where that is refused.
     zeros: Bools  # (p,): which parameters are exactly zero.
     most_jumps: int
-    floor: float  # What is smaller counts as so large.
-    alone: bool  # Whether a run is handed over as far as it has come.
-    begun: bool  # Whether the one run goes on from where it is, with numbers that are known.
+    floor: float  # Smaller magnitudes count as so large.
+    alone: bool  # The one run is handed over as far as it has come.
+    begun: bool  # The one run goes on from where it is.
+    known: bool  # The numbers of the one run are known.
 
 
 class BatchResult(NamedTuple):
@@ -104,16 +105,16 @@ class Batch(NamedTuple):
     """Runs that have gone through a loop; valid until the next ones do."""
 
     rows: NDArray[np.intp]  # (m,): which they are.
-    found: BatchResult  # Of them alone.
+    found: BatchResult  # Their results.
     block: TraceBuffer  # Holds their arcs and events, and others.
-    kinds: tuple[Kind, ...]  # Of the modes.
+    kinds: tuple[Kind, ...]  # Kinds of the modes.
     modes: LoopModes
     zeros: frozenset[int]  # Places of the parameters that are exactly zero.
     series: Array  # (s, ..): of the jumps of the last run, see `statechart.execution.zeno`.
 
     @property
     def stopped(self) -> Bools:
-        """Which runs (m,) a stop has ended."""
+        """Mask (m,) of the runs that a stop has ended."""
         return np.asarray(self.found.ends[:, HOW] == STOPPED)
 
     def outcome(self, row: int) -> Outcome:
@@ -133,7 +134,7 @@ _STEPS, _PART = 512, 1 << 17
 
 
 class _Worth:
-    """Whether it pays to have something compiled: it is, on disk, or it was asked for often.
+    """Decides whether compiled code pays: it lies on disk, or was asked for often.
 
     To look on the disk takes as long as a short run: that is done when twice as much was asked for.
     """
@@ -159,17 +160,18 @@ class LoopModes:
         Of every row; those of other flows of the runs stand between them.
     jumps : tuple of (str, str)
         Regions and causes of the jumps that loops make.
+    laws : CompiledLaws
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
         self.kinds: list[Kind] = []
         self.jumps = laws.series
-        self._laws, self._engine, self._automaton = laws, engine, automaton
+        self.laws, self._engine, self._automaton = laws, engine, automaton
         self._watched: dict[Kind, Tape] = {}
         self._compiled: dict[Kind, CompiledMode] = {}
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
-        self._call: LoopCall | None = None
+        self._call: Any = None  # as `CompiledLaws.call` returns it
         self._worth, self._batch_worth = _Worth(laws.ready), _Worth(laws.compiled)
 
     def compiled(self, kind: Kind) -> CompiledMode:
@@ -177,30 +179,30 @@ class LoopModes:
         return self._compiled[kind]
 
     def knows(self, kind: Kind) -> bool:
-        """Whether loops can go through a mode."""
+        """Return whether loops can go through a mode."""
         return kind in self._compiled
 
     def about(self, event: RecordedEvent) -> tuple[str, str]:
         """Return the region that an event of a loop is about, and its cause."""
-        return self._laws.about(event)
+        return self.laws.about(event)
 
     def jump(self, setup: Callable[[], Setup], event: RecordedEvent) -> Jump:
         """Return the jump of an event that a loop has made; `setup` gives the run's numbers."""
         names = self._compiled[event.source, roles_in(event.source)].names
         fired = names[event.fired] if event.fired >= 0 else ""
-        return self._laws.jump(setup, event, fired)
+        return self.laws.jump(setup, event, fired)
 
     def add(self, mode: Key, roles: Roles, compiled: CompiledMode) -> None:
         """Make a mode known, if loops can go through it."""
         kind = mode, roles
-        if kind in self._compiled or self._laws.listed(*kind, compiled.names) is None:
+        if kind in self._compiled or self.laws.listed(*kind, compiled.names) is None:
             return
         entry = self._engine.entry(compiled.stepper)
-        if entry is not None:
+        if entry is not None and self._engine.allowance is None:
             self._compiled[kind], self._entries[kind] = compiled, entry
             self._call = None
 
-    def batch(self, count: int) -> LoopCall | None:
+    def batch(self, count: int) -> Any:
         """Return what starts so many runs; None where nothing can, or it is not worth compiling."""
         if not self._batch_worth.asked(count) or not self._compiled:
             return None
@@ -208,16 +210,32 @@ class LoopModes:
         return call if call.starts else None
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
-        """Whether rows of runs have the numbers that this gives for one."""
-        return self._laws.setup == setup
+        """Return whether rows of runs have the numbers that `setup` gives for one."""
+        return self.laws.setup == setup
 
     def flow(
         self, setup: Setup, kind: Kind, state: Array, time: float, terms: Array | None = None
     ) -> Flow:
         """Return a usual flow in a mode, from a state."""
         mode, roles = kind
-        tolerances = self._laws.tolerances(setup, state, time)
+        tolerances = self.laws.tolerances(setup, state, time)
         return Flow(mode, roles, settled=True, tolerances=tolerances, terms=terms)
+
+    def begin(
+        self, setup: Setup, until: float, max_jumps: int, buffer: TraceBuffer
+    ) -> Batch | None:
+        """Let the loop make a run of which the numbers are known; None where it cannot."""
+        call, floor = self.batch(1), self._engine.floor
+        if call is None or not isinstance(floor, float):
+            return None
+        kinds = call.loop.kinds
+        found = BatchResult.empty(1, len(setup.values), len(setup.initial), len(kinds))
+        buffer.used[:] = 0
+        call.begin(setup, until, max_jumps, floor, buffer, found)
+        if found.ends.item(HOW) == UNUSUAL:
+            return None
+        rows = np.zeros(1, np.intp)
+        return Batch(rows, found, buffer, kinds, self, setup.zeros, call.series)
 
     def resume(
         self, setup: Setup, flow: Flow, now: Array, counts: tuple[int, int], state: Array,
@@ -242,7 +260,7 @@ class LoopModes:
             Parameters that are exactly zero.
         """
         kind, floor = (flow.mode, flow.roles), self._engine.floor
-        if not self._laws.takes(setup, flow, state, now.item(T_HIGH)):
+        if not self.laws.takes(setup, flow, state, now.item(T_HIGH)):
             return None
         if kind not in self._compiled or not self._worth.asked():
             return None
@@ -256,10 +274,10 @@ class LoopModes:
         call.resume(setup, floor, buffer, found, series)
         return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)
 
-    def _made(self) -> LoopCall:
+    def _made(self) -> Any:
         """Return the calls of a loop over all modes known."""
         if self._call is None:
-            self._call = self._laws.call(self._loop(), self._engine.tolerance)
+            self._call = self.laws.call(self._loop(), self._engine.tolerance)
         return self._call
 
     def _loop(self) -> Loop:
@@ -274,9 +292,9 @@ class LoopModes:
                 (KINDS.index(how), self._bands.setdefault(name, len(self._bands)))
                 for name, how in compiled.watched
             ]
-            listed = self._laws.listed(*kind, compiled.names)
+            listed = self.laws.listed(*kind, compiled.names)
             assert listed is not None
-            within = self._laws.within(kind[0])
+            within = self.laws.within(kind[0])
             row = rows[self.kinds.index(kind)]
             row[:] = (
                 entry.address,
@@ -294,8 +312,8 @@ class LoopModes:
                 *packed.tape(compiled.reconstruction.anchors),
                 packed.ints(compiled.reconstruction.places),
             )
-        tapes = np.array([packed.tape(tape) for tape in self._laws.tapes], np.int64)
-        # Of one engine, and so of one order.
+        tapes = np.array([packed.tape(tape) for tape in self.laws.tapes], np.int64)
+        # All modes have one engine, and so one order.
         pace, n = entry.pace, len(self._automaton.variables)
         steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
         memory = scratch(steps, pace.terms, rows, n, len(self._automaton.parameters))
@@ -313,39 +331,6 @@ class LoopModes:
         return found
 
 
-class LoopCall(Protocol):
-    """Calls of a compiled loop."""
-
-    @property
-    def loop(self) -> Loop:
-        """What runs go through."""
-        ...
-
-    @property
-    def starts(self) -> bool:
-        """Whether runs can be started by values of their parameters."""
-        ...
-
-    @property
-    def series(self) -> Array:
-        """The series of the jumps of the last run that was started."""
-        ...
-
-    def inputs(self, names: tuple[str, ...], table: Array) -> tuple[Ints32, Array, Ints32, Array]:
-        """Return the first four of `BatchInputs` for runs with values (m, p) of parameters."""
-        ...
-
-    def start(self, rows: BatchInputs, block: TraceBuffer, found: BatchResult) -> int:
-        """Make runs; return how many of them before the block was full."""
-        ...
-
-    def resume(
-        self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
-    ) -> None:
-        """Take a run on that has come somewhere."""
-        ...
-
-
 class Loop(NamedTuple):
     """Modes and buffers of a compiled loop."""
 
@@ -354,7 +339,7 @@ class Loop(NamedTuple):
     pace: Pace
     memory: Scratch
     margins: tuple[str, ...]  # Whose tolerances a run may set one by one, in their order.
-    kinds: tuple[Kind, ...]  # Of the rows of the program.
+    kinds: tuple[Kind, ...]  # Kinds of the rows of the program.
 
 
 _NO_TAPE = (0,) * TAPE

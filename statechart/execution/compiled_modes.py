@@ -27,7 +27,7 @@ class TapedMode:
     mode: Mode  # Equations and margins.
     guards: Tape  # Outputs: the margins, in order.
     rates: Tape  # Outputs: the rates of all variables.
-    reconstruction: ModeReconstruction  # What follows from other variables.
+    reconstruction: ModeReconstruction  # The dependent coordinates.
     wholes: Tape  # Outputs: the margins of whole relations; see `whole_margins`.
 
     @cached_property
@@ -42,7 +42,7 @@ class TapedMode:
 
     @cached_property
     def plain(self) -> Bools:
-        """Whether each margin is of the kind `plain`."""
+        """Mask of the margins of the kind `plain`."""
         return np.array([kind == "plain" for _, kind in self.watched], np.bool_)
 
     def kind(self, guard: int) -> str:
@@ -166,6 +166,8 @@ class CompiledModes:
         """Let the engine compile the rates, unless they are those of another mode."""
         bare = uncaptured(roles)
         if bare == roles:
+            if self.engine.allowance is not None:
+                self.engine.allowance.check_for(self.engine.compiling(taped.rates))
             stepper = self.engine.compile(self.automaton, taped.mode, taped.rates)
         else:
             stepper = self.compiled(bare, zeros).stepper

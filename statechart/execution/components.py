@@ -21,13 +21,14 @@ from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import Setup
 from statechart.automaton.lazy import LazyMapping, LazySequence
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace
+from statechart.automaton.trace_store import jump_times
 from statechart.formulas.tape import Tape
 from statechart.tabular import several
 
 # Instants this near, in units in the last place of time, are one.
 _ONE_INSTANT = 4.0
 _ULP = float(np.finfo(float).eps)
-# Of longer runs, arcs and jumps that were looked at are not kept: each is as large as the whole.
+# Longer runs do not keep arcs and jumps that were read: each is as large as the whole.
 _KEPT = 1 << 12
 
 
@@ -36,7 +37,7 @@ class _Part:
 
     def __init__(self, component: Component, places: Places, trace: Trace) -> None:
         self.component, self.places, self.trace = component, places, trace
-        self.times = [jump.t for jump in trace.jumps]
+        self.times = jump_times(trace.jumps)
         self.numbers: list[int] = []  # of its jumps among those of the whole
 
     @cached_property
@@ -46,7 +47,7 @@ class _Part:
 
     @cached_property
     def starts(self) -> list[Clock]:
-        """When they start."""
+        """Starts of the arcs."""
         return [arc.start for arc in self.arcs]
 
     def key(self, count: int) -> Key:
@@ -93,7 +94,7 @@ class MergedRun:
         self._automaton, self._setup = automaton, setup
         self._parts = [_Part(*part) for part in parts]
         ends = [part.trace.t_end for part in self._parts]
-        # Of those that end at one time, one that ends the run.
+        # Among those that end at one time, one that ends the run.
         at_end = [part.trace.outcome is Outcome.HORIZON for part in self._parts]
         self._last = min(range(len(ends)), key=lambda place: (ends[place], at_end[place]))
         self.end = ends[self._last]
@@ -109,7 +110,7 @@ class MergedRun:
             joint=self._parts[0].component.joint,
         )
         if stops:
-            # What else happens at this instant comes first.
+            # Other events of this instant come first.
             groups.append((self.end, {self._last: len(ended.times) - 1}))
         self.many = len(groups) >= max_jumps
         if self.many:
@@ -238,7 +239,7 @@ class MergedRun:
 
     @cached_property
     def _spans(self) -> list[tuple[Clock, Clock]]:
-        """When arcs of the whole start and end: wherever a component jumps, or starts an arc."""
+        """Starts and ends of the arcs of the whole, wherever a component jumps or starts an arc."""
         end = Clock(self.end)
         found = {Clock()} | {s for part in self._parts for s in part.starts if s < end}
         starts: list[Clock] = []

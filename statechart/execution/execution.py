@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,8 @@ import numpy as np
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
-from statechart.automaton.trace import Jump, Key, Outcome, Roles, Trace, check_size
+from statechart.automaton.time_stepper import Sample, Sampling, in_order
+from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
 from statechart.engines.engine import FlowWatch, Path
 from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure, TooLong
@@ -23,7 +25,7 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
-from statechart.execution.outcome import Progress
+from statechart.execution.outcome import Progress, error_of
 from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
@@ -51,12 +53,12 @@ class Execution:
     zeros: frozenset[int]  # Places of the parameters that are exactly zero.
     until: float  # Its end.
     max_jumps: int  # End after so many jumps.
-    progress: bool  # Whether to report to stderr.
+    progress: bool  # Report to stderr.
     # Takes the run through unambiguous instants in compiled code, where that can be.
     loop: LoopModes | None = None
     # Takes all flows and jumps, where the run is made again to prove its motion.
     certificate: Certificate | None = None
-    begun: Batch | None = None  # How far a loop has taken the run from its start.
+    begun: Batch | None = None  # The part of the run that a loop has made from its start.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -84,14 +86,14 @@ class Execution:
 
     def run(self) -> Trace:
         """Run to an end; return what was made, also where the run could not go on."""
-        with self.told():
+        with self.ending():
             ended = self.begin()
             while not ended:
                 ended = self.advance()
         return self.trace()
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def ending(self) -> Iterator[None]:
         """Let the run end where it is interrupted or cannot go on, and its outcome say why."""
         try:
             with interrupts.held():
@@ -107,6 +109,56 @@ class Execution:
 
     def _end(self, outcome: Outcome, message: str) -> None:
         self.outcome, self.message = outcome, message
+
+    def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
+        """Yield arcs and jumps as they come; parameters may be set between samples.
+
+        Raises
+        ------
+        SimulationError
+            Where the run cannot go on, after all that it made.
+        """
+        values, end, count, seen = dict(parameters), self.until, 0, [0, 0]
+
+        def fresh() -> Iterator[Arc | Jump]:
+            pieces: list[Arc | Jump] = [*self.record.arcs[seen[0] :], *self.record.jumps[seen[1] :]]
+            seen[:] = len(self.record.arcs), len(self.record.jumps)
+            yield from in_order(pieces)
+
+        ended = False
+        with self.ending():
+            ended = self.begin()
+        while self.outcome is Outcome.HORIZON and not ended:
+            changed = None if sampling.control is None else sampling.control(self._sample())
+            if changed:
+                values |= changed
+                with self.ending():
+                    ended = self._change(values)
+            yield from fresh()
+            count += 1
+            self.until = min(end, sampling.every * count) if count * sampling.every < end else end
+            window = False
+            while not window and self.outcome is Outcome.HORIZON and not ended:
+                with self.ending():
+                    window = self.advance()
+                yield from fresh()
+            ended = ended or self.until >= end
+        yield from fresh()
+        trace = self.trace()
+        if not trace.outcome.succeeded and trace.outcome is not Outcome.INTERRUPTED:
+            raise error_of(trace)
+
+    def _sample(self) -> Sample:
+        states = zip(self.automaton.region_names, self.flow.mode, strict=True)
+        values = zip(self.automaton.names, self.state.tolist(), strict=True)
+        return Sample(self.clock.high, dict(states), dict(values))
+
+    def _change(self, overrides: Mapping[str, float]) -> bool:
+        """Go on with other values of parameters; whether the run ends there."""
+        setup = self.automaton.setup(overrides, self.engine.tolerance)
+        self.zeros, self.entered = setup.zeros, {}
+        self.setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        return self.settle()
 
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
@@ -296,7 +348,7 @@ class Execution:
             taped = self.modes.taped(self.flow.roles, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
             if met := self.modes.standing.met(taped.mode, taped.guards, at):
-                # What else happens at this instant comes first.
+                # Other events of this instant come first.
                 at = self._instant()
                 made = None if alone(compiled, at, count) else laws.jump(at)
                 if made is None or made[0] is None:
@@ -304,7 +356,7 @@ class Execution:
         return (margin.name,)
 
     def _unbounded(self) -> bool:
-        """Whether rates have grown without bound towards here, and a jump resolves it."""
+        """Return whether rates have grown without bound towards here, and a jump resolves it."""
         flow, laws = self.flow, self.automaton.laws_of_events
         if flow.terms is None or not self.record.arcs:
             return False
@@ -316,7 +368,7 @@ class Execution:
         return Instant(self.setup, self.clock, len(self.record.jumps), self.flow, self.state, fired)
 
     def _ending(self) -> bool:
-        """Whether something may just be happening as the run ends: it belongs to the run.
+        """Return whether an event may be happening as the run ends: it belongs to the run.
 
         Gaps and slips are searched for below zero, and a guard may fall short of its boundary by
         what the run is off.
@@ -385,7 +437,7 @@ class Execution:
         return self._stands()
 
     def _stands(self) -> bool:
-        """Whether the run ends here, on the boundary of a stop condition that counts it."""
+        """Return whether the run ends here, on the boundary of a stop condition."""
         if standing := self.modes.standing:
             taped = self.modes.taped(self.flow.roles, self.zeros)
             met, self.flow = standing.judged(taped.mode, taped.guards, self._instant())
@@ -398,7 +450,7 @@ class Execution:
         self._end(Outcome.STOPPED, f"{condition} at t = {self.clock.high:.6g}")
 
     def counted(self) -> bool:
-        """Whether the run ends here, as there were as many jumps as may be.
+        """Return whether the run ends here, at the greatest number of jumps.
 
         Raises
         ------

@@ -43,11 +43,11 @@ UNFOLLOWED = "steps may not follow the rates: narrow features may have been miss
 _DRIFT = 0.2
 # A single step that ends so far off was blind to something; of what rounding does this is no part.
 _BLIND = 1e3
-# What a step half as long is off as much as this part of, comes of errors and rounding far from
-# where the run began.
+# If a step half as long is off by more than this part, the cause is round-off far from the start
+# of the run.
 _STAYS = 0.75
-# What a step misses of smooth rates falls by more than this as it is halved; beyond the second, in
-# parts of the motion, it is not rounding.
+# The defect of a step over smooth rates falls by more than this as the step is halved; a defect
+# above the second, in parts of the motion, is not round-off.
 _FALLS, _ROUGH = 0.25, 1e-3
 # After so many steps of which it is not known what they miss, they are no longer asked.
 _UNKNOWN = 4096
@@ -55,7 +55,7 @@ _UNKNOWN = 4096
 LEAST = 1e-6
 # Ends of a flow into a jump of a margin, in units in the last place of time.
 _BEYOND = (0.0, 1.0, 2.0, 4.0)
-# Of the way to where a step left its constraints unseen, or missed its rates.
+# Part of the way to the place where a step left its constraints unseen, or missed its rates.
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
 _LOOKED_AT, _TOO_MANY = 4096, 1e12
@@ -102,7 +102,7 @@ class Advance:
     # Costs.
     boxes: int = 0
     steps: int = 0
-    failure: SimulationError | KeyboardInterrupt | None = None  # What stopped the flow where it is.
+    failure: SimulationError | KeyboardInterrupt | None = None  # The error that stopped the flow.
     unfollowed: float | None = None  # From when on it is not known whether steps follow the rates.
     # Steps that are proved, and the local time that they reach.
     _kept: int = field(init=False)
@@ -111,11 +111,11 @@ class Advance:
     _count: int = field(init=False)
     _end: float = field(init=False)
     _begin: Begin = field(init=False)
-    # How far the last step was off that was made again; steps and time when their pace was told.
+    # Distance by which the last repeated step was off; steps and time at the last check of pace.
     _seen: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
-    # Where the last step began that missed its rates, where it did and by how much; what is known
-    # as rounding; in how many steps it was not known what they miss.
+    # Start of the last step that missed its rates, the place and the amount; the defect known to be
+    # round-off; the number of steps whose defect has no bound.
     _missed: tuple[float, float, float] = field(init=False)
     _rounded: float = field(init=False)
     _unknown: int = field(init=False)
@@ -147,6 +147,8 @@ class Advance:
         watch, path, first = self.watch, self.path, self._kept
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
+        if self.engine.allowance is not None:
+            self.engine.allowance.check(watch.start + path.times.item(first))
         finished = self.engine.steps(
             self.compiled.stepper,
             path,
@@ -216,7 +218,7 @@ class Advance:
             self._missed = begun, at, off
             again = begun == last_begun
             if again and _FALLS * before < off < _ROUGH:
-                # What a step half as long misses as much of is rounding.
+                # A defect that halving the step does not reduce is round-off.
                 self._rounded, first = 2.0 * off, step
             elif not begun < begun + _NEARER * (at - begun):
                 # No time passes in it, but the rates may end there.
@@ -324,7 +326,7 @@ def _constrained(watch: FlowWatch, state: Array, local: float) -> tuple[Array, f
     """Return a state brought onto its constraints, and how far it was off; the same if near."""
     time = watch.start + local
     off = watch.constraints.off(state, watch.parameters, time)
-    # What is not finite is left to the guards to report.
+    # The guards report a state that is not finite.
     if off <= NEAR or not math.isfinite(off):
         return state, 0.0
     following = watch.constraints.project(state, time)

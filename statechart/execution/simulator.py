@@ -42,7 +42,6 @@ from statechart.execution.components import MergedRun
 from statechart.execution.execution import Execution, evidence_of
 from statechart.execution.finding import closing
 from statechart.execution.outcome import error_of
-from statechart.execution.stream import streamed
 from statechart.kernels.polynomials import summands
 
 # Rows of one call: tens of milliseconds, between which a signal is heard.
@@ -50,7 +49,7 @@ _AT_ONCE = 256
 
 
 class _Once:
-    """The numbers of a run, made when they are first asked for."""
+    """Numbers of a run, made when first read. To set up `functools.cache` would take 9 us."""
 
     def __init__(self, make: Callable[[], Setup]) -> None:
         self._make = make
@@ -122,12 +121,28 @@ class Simulator:
             rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
         batch = rows.alone(values, until, max_jumps)
-        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
-            return self._execution(self._setup(parameters), until, max_jumps, batch).run()
-        return self._trace_of(batch, _Once(partial(self._setup, dict(parameters))))
+        return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
 
-    def _trace_of(self, batch: Batch, setup: Callable[[], Setup]) -> Trace:
-        """Return the trace of a run that a loop has made from its start to its end."""
+    def _finish(
+        self,
+        batch: Batch | None,
+        setup: Callable[[], Setup],
+        until: float,
+        max_jumps: int,
+        warnings: Sequence[str] | None = None,
+    ) -> Trace:
+        """Return the trace of a run that a loop has made, or take it on from where that came."""
+        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
+            return self._execution(setup(), until, max_jumps, batch).run()
+        return self._trace_of(batch, setup, warnings)
+
+    def _trace_of(
+        self, batch: Batch, setup: Callable[[], Setup], warnings: Sequence[str] | None
+    ) -> Trace:
+        """Return the trace of a run that a loop has made from its start to its end.
+
+        `warnings` are those of its numbers; by default those of all runs of the model.
+        """
         automaton, engine, found = self.automaton, self.engine, batch.found
         modes, kinds = batch.modes, batch.kinds
         place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
@@ -146,6 +161,9 @@ class Simulator:
         store = TraceStore.of(block, modes.kinds, partial(modes.jump, setup), stop)
         arcs, jumps = store.sequences()
         arcs.source = batch._replace(block=block)
+        remarks: tuple[str, ...] = ()
+        if modes.laws.has_remarks:
+            remarks = automaton.laws_of_events.remarks(setup(), arcs)
         return Trace(
             name=automaton.name,
             regions=automaton.region_names,
@@ -165,7 +183,7 @@ class Simulator:
             tolerances=LazyMapping(lambda: dict(setup().tolerances)),
             engine=engine.title,
             tolerance=engine.tolerance,
-            warnings=(),
+            warnings=(*(modes.laws.warnings if warnings is None else warnings), *remarks),
             counts={
                 "steps": place[runs.N_STEPS],
                 "evaluations": 0,
@@ -201,13 +219,13 @@ class Simulator:
         until: float,
         max_jumps: int = 100_000,
     ) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps of a run as they come; see `streamed`.
+        """Yield arcs and jumps of a run as they come; see `Execution.stream`.
 
         No other run may be made meanwhile.
         """
         made = self._execution(self._setup(parameters), until, max_jumps)
         made.loop = None
-        return streamed(made, parameters, sampling)
+        return made.stream(parameters, sampling)
 
     def _by_components(
         self, parameters: Mapping[str, float], until: float, max_jumps: int
@@ -223,7 +241,7 @@ class Simulator:
         made: dict[tuple[Automaton, bytes, bytes], Trace] = {}
         for component, places in zip(components, self._places, strict=True):
             own = component.restricted(setup, places)
-            # Of components that start alike one is run.
+            # Components that start alike are run once.
             alike = component.automaton, own.initial.tobytes(), own.values.tobytes()
             trace = made.get(alike)
             if trace is None or trace.t_end > end:
@@ -250,8 +268,10 @@ class Simulator:
 
     def _from(self, setup: Setup, until: float, max_jumps: int) -> Trace:
         """Run with the numbers of a run."""
-        modes = partial(self.modes.mode, zeros=setup.zeros)
-        return self._execution(replace(setup, modes=modes), until, max_jumps).run()
+        setup = replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
+        loop = self._loop(setup.zeros)
+        batch = None if loop is None else loop.begin(setup, until, max_jumps, self.buffer)
+        return self._finish(batch, lambda: setup, until, max_jumps, setup.warnings)
 
     def _setup(self, parameters: Mapping[str, float]) -> Setup:
         """Return the numbers of a run."""
@@ -313,7 +333,7 @@ class BatchRunner:
         self._gone: dict[frozenset[int], Bools] = {}
 
     def ready(self, count: int) -> bool:
-        """Whether so many rows can be run: the call for them is compiled, or worth that now."""
+        """Return whether so many rows can be run: their call is compiled, or worth compiling."""
         return any(modes.batch(count) for _, modes in self.simulator.known())
 
     def run(self, table: Array, until: Array, max_jumps: int) -> Iterator[Batch]:
@@ -347,7 +367,7 @@ class BatchRunner:
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
-                modes, zeros, row, values[None], np.array([until]), max_jumps, alone=True
+                modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
             )
             how = runs.OTHER if batch is None else batch.found.ends.item(runs.HOW)
             if how != runs.OTHER:
@@ -377,8 +397,11 @@ class BatchRunner:
         if gone is None:
             gone = self._gone[zeros] = np.zeros(p, np.bool_)
             gone[list(zeros)] = True
-        inputs = call.inputs(self._names, table)
-        asked = BatchInputs(*inputs, until, gone, max_jumps, engine.floor, alone, begun=False)
+        code, constants, outputs, inputs = call.inputs(self._names, table)
+        asked = BatchInputs(
+            code, constants, outputs, inputs, until, gone, max_jumps, engine.floor, alone,
+            begun=False, known=False,
+        )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
         made = max(call.start(asked, block, found), 1)
@@ -395,7 +418,7 @@ class BatchRunner:
         return kept
 
     def _closing(self, batch: Batch, row: int, values: Array) -> bool:
-        """Whether something may just be happening as a row ends (see `closing`)."""
+        """Return whether an event may be happening as a row ends (see `closing`)."""
         found, block, simulator = batch.found, batch.block, self.simulator
         setup = self.setup(values)
         kind = batch.kinds[found.place[row, runs.N_MODE]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.documents.setting import Record, Setting
-from statechart.engines.budget import Allowance, Limited
+from statechart.engines.budget import Allowance
 from statechart.engines.engine import Engine
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
@@ -47,7 +47,8 @@ class Observers:
     def engine(self, setting: Setting) -> Engine:
         """Return a new engine as a setting asks for it; see `choose`."""
         engine, _ = choose(setting)
-        return engine if self._allowance is None else Limited(engine, self._allowance)
+        engine.allowance = self._allowance
+        return engine
 
     def floor(self, setting: Setting) -> float:
         """Return the least tolerance of a setting's engine."""

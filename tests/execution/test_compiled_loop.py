@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import models
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from statechart.automaton.trace import Trace
+from statechart.documents.yaml_reader import read_text
 from statechart.execution import compiled_loop
 from statechart.running.runner import Runner
 
@@ -90,3 +94,12 @@ def test_low_bounces_are_made_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> No
     # The last two bounces are looked at closely, what they come to, and the end of the run.
     assert len(ball.jumps) > 20
     assert ball.counts["python_instants"] <= 4
+
+
+def test_repeated_run_keeps_its_warnings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled_loop, "_WORTH", -1)
+    lifted = (Path(models.__file__).parent / "bouncing_ball.yaml").read_text()
+    runner = Runner(read_text(lifted.replace("gravity: g\n", "gravity: -9.81\n")))
+    warnings = [runner.run(until=0.1).trace.warnings for _ in range(3)]
+    assert "acts upwards" in warnings[0][0]
+    assert warnings[0] == warnings[1] == warnings[2]

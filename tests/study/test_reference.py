@@ -119,7 +119,7 @@ def test_a_motion_on_which_no_two_runs_agree_is_chaotic() -> None:
     assert 1.0 < found.third.parted <= found.parted < 40.0
     said = format_text(found)
     assert f"and {found.third.setting} the nearer of them at t = " in said
-    assert "chaotic, or on a knife's edge" in said
+    assert "chaotic, or at a bifurcation" in said
 
 
 def test_on_a_knifes_edge_two_of_three_prove_nothing() -> None:
@@ -132,7 +132,7 @@ def test_on_a_knifes_edge_two_of_three_prove_nothing() -> None:
     assert found.parted == third.parted is not None
     said = format_text(found)
     assert "leaves itself at t = 1.57" in said
-    assert "where its start is off by 3e-12: chaotic, or on a knife's edge" in said
+    assert "where its start is off by 3e-12: chaotic, or at a bifurcation" in said
     # A little below the edge every run reaches the top at once.
     assert referred(Runner(read_text(EDGE.replace("TOP", "0.999")))).third is None
 
@@ -160,5 +160,5 @@ def test_a_check_that_warns_of_another_law_is_not_called_chaotic() -> None:
 
 def test_a_missing_third_engine_is_reported() -> None:
     said = format_text(study(parted=0.5, check="impulse step 3e-4", step=3e-4))
-    assert "t = 0.5, and no run of another kind can judge: chaotic, or on a knife's edge" in said
+    assert "t = 0.5, and no run of another kind can judge: chaotic, or at a bifurcation" in said
     assert "or their steps are too long" in said
