@@ -8,11 +8,21 @@ are the points of contact (Gottschalk, Lin and Manocha 1996; Catto, Contact mani
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
+
+
+class ConvexShape(NamedTuple):
+    """A convex polygon or a disc in the world."""
+
+    corners: Array  # (k, 2): counter-clockwise; none of a disc.
+    centre: Array  # shape (2,)
+    radius: float  # Of a disc; else 0.
+
 
 FOUND = 5
 """Of a point of contact: normal (2), point (2), gap; the normal points to the first body."""
@@ -150,8 +160,9 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
 
 @kernel
 def _disc_and_polygon(
-    centre: Array, radius: float, polygon: Array, flip: bool, within: float, found: Array
+    disc: ConvexShape, polygon: Array, flip: bool, within: float, found: Array
 ) -> int:
+    _, centre, radius = disc
     best, edge = -math.inf, 0
     for i in range(len(polygon)):
         j = (i + 1) % len(polygon)
@@ -183,47 +194,29 @@ def _disc_and_polygon(
 
 @kernel
 def between(
-    one: Array,
-    one_centre: Array,
-    one_radius: float,
-    other: Array,
-    other_centre: Array,
-    other_radius: float,
-    within: float,
-    found: Array,
-    features: Ints,
+    one: ConvexShape, other: ConvexShape, within: float, found: Array, features: Ints
 ) -> int:
     """Find the points where two bodies are near each other; return their number.
 
-    Parameters
-    ----------
-    one, other : (k, 2)
-        Vertices in the world, counter-clockwise; none of a disc.
-    one_centre, other_centre : (2,)
-    one_radius, other_radius : float
-        Of discs.
-    within : float
-        Gaps up to this are found.
-    found : (m, FOUND), features : (m,) array of int
-        To be filled.
+    Gaps up to `within` are found; `found` (m, FOUND) and `features` (m,) are filled.
     """
     # A disc has one point.
     features[0] = 0
-    if len(one) == 0 and len(other) == 0:
-        dx, dy = one_centre[0] - other_centre[0], one_centre[1] - other_centre[1]
-        away = norm(dx, dy)
-        gap = away - one_radius - other_radius
-        if gap > within:
-            return 0
-        nx, ny = (dx / away, dy / away) if away > 0.0 else (0.0, 1.0)
-        x, y = other_centre[0] + other_radius * nx, other_centre[1] + other_radius * ny
-        write(found[0], nx, ny, x, y, gap)
-        return 1
-    if len(one) == 0:
-        return _disc_and_polygon(one_centre, one_radius, other, False, within, found)
-    if len(other) == 0:
-        return _disc_and_polygon(other_centre, other_radius, one, True, within, found)
-    return _polygons(one, one_centre, other, other_centre, within, found, features)
+    if len(one.corners) > 0 and len(other.corners) > 0:
+        return _polygons(one, other, within, found, features)
+    if len(other.corners) > 0:
+        return _disc_and_polygon(one, other.corners, False, within, found)
+    if len(one.corners) > 0:
+        return _disc_and_polygon(other, one.corners, True, within, found)
+    dx, dy = one.centre[0] - other.centre[0], one.centre[1] - other.centre[1]
+    away = norm(dx, dy)
+    gap = away - one.radius - other.radius
+    if gap > within:
+        return 0
+    nx, ny = (dx / away, dy / away) if away > 0.0 else (0.0, 1.0)
+    x, y = other.centre[0] + other.radius * nx, other.centre[1] + other.radius * ny
+    write(found[0], nx, ny, x, y, gap)
+    return 1
 
 
 @kernel
@@ -256,17 +249,17 @@ def _reach(corners: Array, middle: Array) -> float:
 
 @kernel
 def _polygons(
-    one: Array, centre: Array, other: Array, beside: Array, within: float, found: Array,
-    features: Ints,
-) -> int:  # fmt: skip
+    shape: ConvexShape, beside: ConvexShape, within: float, found: Array, features: Ints
+) -> int:
     """Find the points where two polygons are near each other; see `between`."""
+    one, other = shape.corners, beside.corners
     first, edge = _farthest(one, other)
     if first > within:
         return 0
     second, edge_of_other = _farthest(other, one)
     if second > within:
         return 0
-    width = min(_reach(one, centre), _reach(other, beside))
+    width = min(_reach(one, shape.centre), _reach(other, beside.centre))
     if second > first + _PREFERRED * width:
         count = _clipped(other, edge_of_other, one, within, True, found, features)
     else:

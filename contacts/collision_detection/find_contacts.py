@@ -15,18 +15,20 @@ from contacts.collision_detection.active_contacts import (
 )
 from contacts.collision_detection.body_numbers import BodyNumbers, Memory
 from contacts.collision_detection.broad_phase import Grid, near_pairs
-from contacts.collision_detection.convex import FOUND, between
+from contacts.collision_detection.convex import FOUND, ConvexShape, between
 from contacts.collision_detection.ground import POINTS, Ground, carried_along, is_far, on_surface
-from contacts.collision_detection.internal_edges import drop_internal_edges, met_by_faces
-from contacts.collision_detection.joints import held
-from contacts.collision_detection.midpoint import TOUCHING, Midpoint
-from contacts.collision_detection.obstacles import (
+from contacts.collision_detection.internal_edges import (
     COVERING,
     Neighbours,
+    Touched,
+    drop_internal_edges,
     list_neighbours,
+    met_by_faces,
     near_obstacles,
     sort_pairs,
 )
+from contacts.collision_detection.joints import held
+from contacts.collision_detection.midpoint import TOUCHING, Midpoint
 from contacts.collision_detection.surfaces import PLATE, ROUND
 from contacts.collision_detection.time_of_impact import (
     entered_elsewhere,
@@ -173,8 +175,8 @@ def _of_pieces(
         past = passing_time(numbers, mid, (p, q), min(since, times.h), deep, points.aside)
         _note(points, PASSED, past / times.h)
     return between(
-        mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p],
-        mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q],
+        ConvexShape(mid.world[firsts[p] : firsts[p + 1]], centres[p], radii[p]),
+        ConvexShape(mid.world[firsts[q] : firsts[q + 1]], centres[q], radii[q]),
         mid.reach[p] + mid.reach[q], points.found, points.features,
     )  # fmt: skip
 
@@ -220,16 +222,12 @@ def _bared(
     many = near_obstacles(numbers, ground, mid, sides, near, h, found, count)
     if many <= 1:
         return count
-    covering, side = near.covering[:many], 2.0 * turn - 1.0
-    count, barred = drop_internal_edges(
-        numbers, ground, mid, sides, covering, side, found, features, count
-    )
+    touched = Touched(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
+    count, barred = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
     if count == 0 and barred:
-        count = met_by_faces(numbers, ground, mid, sides, side, pair.whole, found, features)
+        count = met_by_faces(numbers, ground, mid, touched, pair.whole, found, features)
         if count > 0:
-            count, _ = drop_internal_edges(
-                numbers, ground, mid, sides, covering, side, found, features, count
-            )
+            count, _ = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
     return count
 
 
@@ -307,16 +305,20 @@ def _takes_part(
         mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
-    slow = SLOW * max(gained, TOUCHING * pair.size / h)
+    turned = 0.0
+    if place >= 0 and memory.contacts[place, 1] == 0.0:
+        # What has just rebounded comes back by turning as well: else it would at every step.
+        turned = h / times.since * turning_change(memory, place, m, active)[0]
+    forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
+    slow = SLOW * max(gained, forced, TOUCHING * pair.size / h)
     if gap < 0.0 and not known:
         explained = times.since * max(memory.past[1], nearing, slow)
         if times.first:
             explained += _STARTED * pair.size + LANDED * memory.past[2]
         _note(points, SUNK, -gap - explained)
     # Struck in the step whose middle is nearest to the instant of touching.
-    role, level, above = arriving(
-        gap, level, lasting, nearing, active.free[m, 0], slow, 0.5 + BESIDE, 0.0, h
-    )
+    closing, reached = h * (slow - active.free[m, 0]), (0.5 + BESIDE) * h * nearing
+    role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     alike = known or pair.slowly
     if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, alike, points):
         role = APART

@@ -9,7 +9,7 @@ import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.collision_detection.convex import FOUND, norm, place
+from contacts.collision_detection.convex import FOUND, ConvexShape, norm
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
     HOLLOW,
@@ -21,6 +21,7 @@ from contacts.collision_detection.surfaces import (
     distance,
     seen_from,
 )
+from contacts.collision_detection.time_of_impact import shape_at
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -105,8 +106,8 @@ def on_surface(
     passed = crossed(surfaces, s, before, after, pieces.cores[p])
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
-        surfaces, s, frames[1], ground.registers, mid.world[first:end], mid.centres[p],
-        pieces.radii[p], within, found, features,
+        surfaces, s, frames[1], ground.registers,
+        ConvexShape(mid.world[first:end], mid.centres[p], pieces.radii[p]), within, found, features,
     )  # fmt: skip
     turned = h * mid.old[pieces.bodies[p], 2] - (frames[1, 2] - frames[0, 2])
     way = norm(after[0] - before[0], after[1] - before[1]) + pieces.spans[p] * abs(turned)
@@ -131,20 +132,17 @@ def _passed_over(
     move straight and turn evenly. What was in the surface where the way begins leaves it.
     """
     (p, s), pieces = pair, numbers.pieces
-    b, first, end = pieces.bodies[p], pieces.firsts[p], pieces.firsts[p + 1]
+    b = pieces.bodies[p]
     found, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
     frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
     for i in range(looks):
         back = 1.0 - i / looks
-        x, y, angle = mid.places[b] - back * h * mid.old[b]
+        shape = shape_at(pieces, p, mid.places[b] - back * h * mid.old[b])
         for d in range(3):
             frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
         points = against_surface(
-            numbers.surfaces, s, frame, ground.registers,
-            place(pieces.vertices[first:end], x, y, angle),
-            place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p], within, found,
-            features,
-        )  # fmt: skip
+            numbers.surfaces, s, frame, ground.registers, shape, within, found, features
+        )
         deepest = 0.0
         for at in range(points):
             deepest = min(deepest, found[at, 4])

@@ -8,36 +8,428 @@ contact and do not move against it:
 
 - a corner has the normals that are in the normal cones of all obstacles at it;
 - a face has none where obstacles cover it all along, or stand between its end and the body.
+
+An obstacle is a piece or a surface as a convex set in the world: a polygon, a disc, a half-plane or
+a sheet (an edge without thickness). A curve that is neither is its tangent half-plane.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.collision_detection.convex import against_faces, write
-from contacts.collision_detection.ground import Ground
+from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
+from contacts.collision_detection.convex import against_faces, norm, write
+from contacts.collision_detection.ground import Ground, pose_of
+from contacts.collision_detection.joints import held
 from contacts.collision_detection.midpoint import Midpoint
-from contacts.collision_detection.obstacles import (
-    DISC,
-    FLUSH,
-    HALF,
-    POLYGON,
-    RAYS,
-    Obstacle,
-    add_rays,
-    between_normals,
-    chord,
-    distance_to,
-    edge_of,
-    edges,
-    goes_on,
-    obstacle,
+from contacts.collision_detection.surfaces import (
+    PLATE,
+    ROUND,
+    carried,
+    distance,
+    seen_from,
+    tangent_at,
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
+
+POLYGON, DISC, HALF, SHEET = range(4)
+"""Sorts of obstacles."""
+
+FLUSH = 1e-6
+"""Obstacles this close, relative to the smaller one, are flush; normals of less than this angle are
+one."""
+
+RAYS = 32
+"""Boundary rays that a point can have."""
+
+
+class Obstacle(NamedTuple):
+    """A convex set."""
+
+    sort: int
+    # (k, 2): of a polygon, counter-clockwise; two on the boundary of a half-plane, which has its
+    # solid on the left; the ends of a sheet.
+    corners: Array
+    centre: Array  # shape (2,)
+    radius: float  # Of a disc.
+    size: float  # How far it reaches from its middle; infinite of a half-plane.
+
+
+@kernel
+def obstacle(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float
+) -> Obstacle:
+    """Return a piece, or a surface (these stand behind all pieces), as an obstacle near a point."""
+    pieces, surfaces = numbers.pieces, numbers.surfaces
+    if q < len(pieces.sizes):
+        corners = mid.world[pieces.firsts[q] : pieces.firsts[q + 1]]
+        sort = DISC if pieces.radii[q] > 0.0 else POLYGON
+        return Obstacle(sort, corners, mid.centres[q], pieces.radii[q], pieces.sizes[q])
+    s = q - len(pieces.sizes)
+    pose, two, centre = pose_of(numbers, ground, mid, s), np.zeros((2, 2)), np.zeros(2)
+    a, b, c, d = surfaces.numbers[s]
+    if surfaces.kinds[s] == PLATE:
+        two[0, 0], two[0, 1] = carried(pose, a, b)
+        two[1, 0], two[1, 1] = carried(pose, c, d)
+        centre[0], centre[1] = 0.5 * (two[0, 0] + two[1, 0]), 0.5 * (two[0, 1] + two[1, 1])
+        return Obstacle(SHEET, two, centre, 0.0, 0.5 * norm(c - a, d - b))
+    if surfaces.kinds[s] == ROUND:
+        centre[0], centre[1] = carried(pose, a, b)
+        return Obstacle(DISC, two[:0], centre, c, c)
+    two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground.registers, x, y)
+    two[1, 0], two[1, 1] = two[0, 0] - ny, two[0, 1] + nx
+    return Obstacle(HALF, two, centre, 0.0, math.inf)
+
+
+@kernel
+def edges(one: Obstacle) -> int:
+    """Return how many edges an obstacle has: a sheet has one on each side."""
+    return 1 if one.sort == HALF else len(one.corners)
+
+
+@kernel
+def edge_of(one: Obstacle, i: int) -> tuple[float, float, float, float, float]:
+    """Return the begin of an edge, its direction, and its length."""
+    j = i + 1 if i + 1 < len(one.corners) else 0
+    x, y = one.corners[i, 0], one.corners[i, 1]
+    ex, ey = one.corners[j, 0] - x, one.corners[j, 1] - y
+    length = norm(ex, ey)
+    return x, y, ex / length, ey / length, (math.inf if one.sort == HALF else length)
+
+
+@kernel
+def distance_to(one: Obstacle, x: float, y: float) -> float:
+    """Return how far a point is outside of an obstacle, along its normals; below zero in it."""
+    if one.sort == DISC:
+        return norm(x - one.centre[0], y - one.centre[1]) - one.radius
+    most = -math.inf
+    for i in range(edges(one)):
+        ax, ay, ux, uy, length = edge_of(one, i)
+        beside = uy * (x - ax) - ux * (y - ay)
+        if one.sort == SHEET:
+            along = ux * (x - ax) + uy * (y - ay)
+            beside = norm(beside, max(0.0, -along, along - length))
+        most = max(most, beside)
+    return most
+
+
+@kernel
+def add_rays(one: Obstacle, x: float, y: float, near: float, rays: Array, count: int) -> int:
+    """Append the rays of an obstacle's boundary from a point on it; return how many there are.
+
+    A ray is a direction and how far the boundary goes on in it.
+    """
+    if one.sort == DISC:
+        ux, uy = (x - one.centre[0]) / one.radius, (y - one.centre[1]) / one.radius
+        for way in (-1.0, 1.0):
+            if count < RAYS:
+                rays[count, 0], rays[count, 1] = -way * uy, way * ux
+                rays[count, 2] = one.radius
+                count += 1
+        return count
+    for i in range(1 if one.sort == SHEET else edges(one)):
+        ax, ay, ux, uy, length = edge_of(one, i)
+        along, beside = ux * (x - ax) + uy * (y - ay), uy * (x - ax) - ux * (y - ay)
+        endless = one.sort == HALF
+        if abs(beside) > near or not (endless or -near <= along <= length + near):
+            continue
+        if along < length - near and count < RAYS:
+            rays[count, 0], rays[count, 1], rays[count, 2] = ux, uy, length - along
+            count += 1
+        if (along > near or endless) and count < RAYS:
+            rays[count, 0], rays[count, 1] = -ux, -uy
+            rays[count, 2] = math.inf if endless else along
+            count += 1
+    return count
+
+
+@kernel
+def between_normals(
+    one: Obstacle, place: tuple[float, float], outward: tuple[float, float]
+) -> bool:
+    """Return whether a direction is in the normal cone of a piece at a point of its boundary."""
+    (x, y), (nx, ny) = place, outward
+    if one.sort == DISC:
+        ux, uy = x - one.centre[0], y - one.centre[1]
+        return abs(ux * ny - uy * nx) <= FLUSH * one.radius and ux * nx + uy * ny > 0.0
+    near, many = FLUSH * one.size, 0
+    ax = ay = bx = by = 0.0
+    for i in range(edges(one)):
+        cx, cy, ex, ey, _ = edge_of(one, i)
+        if abs(ey * (x - cx) - ex * (y - cy)) <= near:
+            if many == 0:
+                ax, ay = ey, -ex
+            bx, by = ey, -ex
+            many += 1
+    # The first of the two in a counter-clockwise sense; they turn by less than a half.
+    if ax * by - ay * bx < 0.0:
+        ax, ay, bx, by = bx, by, ax, ay
+    ahead = (ax + bx) * nx + (ay + by) * ny > 0.0
+    return many > 0 and ahead and ax * ny - ay * nx >= -FLUSH and nx * by - ny * bx >= -FLUSH
+
+
+@kernel
+def chord(
+    one: Obstacle, x: float, y: float, ux: float, uy: float, near: float
+) -> tuple[float, float]:
+    """Return between which lengths a line from x, y along a unit vector is in a solid obstacle."""
+    low, high = -math.inf, math.inf
+    if one.sort == SHEET:
+        return high, low
+    if one.sort == DISC:
+        dx, dy = x - one.centre[0], y - one.centre[1]
+        half = dx * ux + dy * uy
+        inside = half * half - (dx * dx + dy * dy - one.radius * one.radius)
+        root = math.sqrt(max(inside, 0.0))
+        return (-half - root, -half + root) if inside > 0.0 else (math.inf, -math.inf)
+    for i in range(edges(one)):
+        ax, ay, ex, ey, _ = edge_of(one, i)
+        beside, rate = ey * (x - ax) - ex * (y - ay), ey * ux - ex * uy
+        if abs(rate) <= FLUSH:
+            if beside > near:
+                return math.inf, -math.inf
+        elif rate > 0.0:
+            high = min(high, -beside / rate)
+        else:
+            low = max(low, -beside / rate)
+    return low, high
+
+
+@kernel
+def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
+    """Return whether an obstacle has a face on the same line that faces the same way.
+
+    It covers nothing of what it makes one face with.
+    """
+    for i in range(edges(one) if one.sort != DISC else 0):
+        ax, ay, ex, ey, _ = edge_of(one, i)
+        beside = abs(uy * (ax - x) - ux * (ay - y))
+        if beside <= near and abs(ux * ey - uy * ex) <= FLUSH and ux * ex + uy * ey > 0.0:
+            return True
+    return False
+
+
+@kernel
+def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
+    """Return whether two pieces, or a piece and a surface, touch each other by a law."""
+    count = len(numbers.pieces.sizes)
+    if one >= count:
+        one, other = other, one
+    if one >= count:
+        return False
+    b, kinds = numbers.pieces.bodies[one], numbers.kinds
+    if other >= count:
+        s = other - count
+        carrier = numbers.surfaces.carriers[s]
+        return carrier != b and numbers.laws[kinds[b], len(numbers.laws) + s] >= 0
+    c = numbers.pieces.bodies[other]
+    return b != c and not held(numbers.joints, b, c) and numbers.laws[kinds[b], kinds[c]] >= 0
+
+
+@kernel
+def _velocity(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, q: int, x: float, y: float, h: float
+) -> tuple[float, float, float]:
+    """Return the velocity of the point of a piece or surface that is at x, y, and its turning."""
+    count, surfaces = len(numbers.pieces.sizes), numbers.surfaces
+    b = numbers.pieces.bodies[q] if q < count else surfaces.carriers[q - count]
+    if b >= 0:
+        turning = mid.old[b, 2]
+        u, v = x - mid.places[b, 0], y - mid.places[b, 1]
+        return mid.old[b, 0] - turning * v, mid.old[b, 1] + turning * u, turning
+    if not surfaces.moves[q - count]:
+        return 0.0, 0.0, 0.0
+    now, then = ground.paths[1, q - count], ground.paths[2, q - count]
+    u, v = seen_from(now, x, y)
+    u, v = carried(then, u, v)
+    return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
+
+
+@kernel
+def rest_together(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
+    h: float, near: float,
+) -> bool:  # fmt: skip
+    """Return whether two obstacles move at x, y by less than `near` in a step, relatively."""
+    u, v, turning = _velocity(numbers, ground, mid, pair[0], x, y, h)
+    other_u, other_v, other_turning = _velocity(numbers, ground, mid, pair[1], x, y, h)
+    along, across = u - other_u, v - other_v
+    turned = near / FLUSH * (turning - other_turning)
+    return h * h * (along * along + across * across + turned * turned) <= near * near
+
+
+COVERING = 64
+"""Obstacles at a contact that are looked at."""
+
+# Obstacles this near to a point of contact, relative to what is touched, are looked at: points of
+# contact nearer than half of that are one.
+_AROUND = 2e-3
+
+
+class Touched(NamedTuple):
+    """One of a pair, as it is touched by the other."""
+
+    which: int  # A piece, or a plate; surfaces stand behind all pieces.
+    by: int  # What touches it.
+    side: float  # Whether normals point away from it (1) or into it (-1).
+    covering: Ints  # (c,): it, and the obstacles around; see `near_obstacles`.
+
+
+class Neighbours(NamedTuple):
+    """The pieces near each piece."""
+
+    # (p + 1,): of every piece those near it that stand before it: where they begin, and which they
+    # are.
+    heads: Ints
+    lower: Ints
+    # (p,): those near one piece, and how many they are.
+    others: Ints
+    many: Ints
+    covering: Ints  # (c,): is overwritten; see `near_obstacles`.
+
+
+@kernel
+def sort_pairs(pairs: Ints, many: int, count: int, near: Neighbours) -> None:
+    """Sort pairs by their second piece, by counting."""
+    heads = near.heads
+    for p in range(count + 1):
+        heads[p] = 0
+    for i in range(many):
+        heads[pairs[i, 1]] += 1
+    for p in range(count):
+        heads[p + 1] += heads[p]
+    for i in range(many - 1, -1, -1):
+        q = pairs[i, 1]
+        heads[q] -= 1
+        near.lower[heads[q]] = pairs[i, 0]
+
+
+@kernel
+def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours) -> None:
+    """List the pieces near one, whose pairs with those behind it are from `begin` to `end`."""
+    many = 0
+    for i in range(near.heads[p], near.heads[p + 1]):
+        near.others[many] = near.lower[i]
+        many += 1
+    for i in range(begin, end):
+        near.others[many] = pairs[i, 1]
+        many += 1
+    near.many[0] = many
+
+
+@kernel
+def near_obstacles(
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int],
+    near_pieces: Neighbours, h: float, found: Array, count: int,
+) -> int:  # fmt: skip
+    """List the obstacles at points of contact of one of a pair; return how many there are.
+
+    Parameters
+    ----------
+    pair : (int, int)
+        What is touched, and what touches it.
+    near_pieces : Neighbours
+        Its `covering` is filled with the first, and with pieces and surfaces that do not move
+        against it and touch the second.
+    found : (m, FOUND), count : int
+        Points of contact.
+    """
+    pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
+    all_pieces, many = len(pieces.sizes), 1
+    others, covering, count_others = near_pieces.others, near_pieces.covering, near_pieces.many[0]
+    covering[0] = one
+    plate = one >= all_pieces
+    body = -1 if plate else pieces.bodies[one]
+    size = _half_length(numbers, one - all_pieces) if plate else pieces.sizes[one]
+    if not plate:
+        first, end = pieces.begins[body], pieces.begins[body + 1]
+        beside = False
+        for q in range(first, end):
+            beside = beside or (q != one and _near_circle(mid, pieces, q, found, count, size) >= 0)
+        # A face may be covered by several.
+        for q in range(first, end if beside else first):
+            if q != one and many < len(covering):
+                covering[many] = q
+                many += 1
+    solid = touched_by >= all_pieces and surfaces.kinds[touched_by - all_pieces] not in (
+        PLATE,
+        ROUND,
+    )
+    if solid or (not plate and pieces.radii[one] > 0.0):
+        # A half-plane has one normal, and so has a rim: others beside it take none away.
+        return many
+    for k in range(count_others + len(surfaces.kinds)):
+        is_piece = k < count_others
+        q = others[k] if is_piece else all_pieces + k - count_others
+        if q in (one, touched_by) or (is_piece and pieces.bodies[q] == body):
+            continue
+        if is_piece:
+            at = _near_circle(mid, pieces, q, found, count, size)
+        else:
+            at = _near_obstacle(numbers, ground, mid, q, found, count, size)
+        near = FLUSH * (min(size, pieces.sizes[q]) if is_piece else size)
+        if (
+            at < 0
+            or many == len(covering)
+            or not rest_together(
+                numbers, ground, mid, (one, q), found[at, 2], found[at, 3], h, near
+            )
+        ):
+            continue
+        if is_piece and _near_obstacle(numbers, ground, mid, q, found, count, size) < 0:
+            continue
+        if collide(numbers, touched_by, q):
+            covering[many] = q
+            many += 1
+    return many
+
+
+@kernel
+def _near_circle(
+    mid: Midpoint, pieces: PieceNumbers, q: int, found: Array, count: int, size: float
+) -> int:
+    """Return the first point of contact that is near the circle around a piece; -1: none."""
+    for i in range(count):
+        x, y = found[i, 2] - mid.centres[q, 0], found[i, 3] - mid.centres[q, 1]
+        reach = pieces.sizes[q] + _AROUND * size + 2.0 * abs(found[i, 4])
+        if x * x + y * y <= reach * reach:
+            return i
+    return -1
+
+
+@kernel
+def _near_obstacle(
+    numbers: BodyNumbers,
+    ground: Ground,
+    mid: Midpoint,
+    q: int,
+    found: Array,
+    count: int,
+    size: float,
+) -> int:
+    """Return the first point of contact that is near a piece or surface; -1: none."""
+    s = q - len(numbers.pieces.sizes)
+    still = s >= 0 and not (numbers.surfaces.moves[s] or numbers.surfaces.carriers[s] >= 0)
+    for i in range(count):
+        x, y = found[i, 2], found[i, 3]
+        if still:
+            away = distance(numbers.surfaces, s, ground.still[1], x, y)
+        else:
+            away = distance_to(obstacle(numbers, ground, mid, q, x, y), x, y)
+        if away <= _AROUND * size + 2.0 * abs(found[i, 4]):
+            return i
+    return -1
+
+
+@kernel
+def _half_length(numbers: BodyNumbers, s: int) -> float:
+    a, b, c, d = numbers.surfaces.numbers[s]
+    return 0.5 * norm(c - a, d - b)
+
 
 # The normal of a contact is that of a face where it leans by less than this, and the point is
 # between the ends of that.
@@ -86,7 +478,7 @@ def _face(
 
 @kernel
 def _covered_to(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, one: Obstacle, which: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
     start: tuple[float, float], way: tuple[float, float], along_face: float, length: float,
 ) -> float:  # fmt: skip
     """Return how far solid obstacles cover a face from its end on.
@@ -95,13 +487,14 @@ def _covered_to(
     where that is the direction of the face, in which its solid is on the left; else -1.
     """
     (x, y), (ux, uy), covered, gained = start, way, 0.0, True
-    while gained and covered < length - FLUSH * one.size:
+    size = obstacle(numbers, ground, mid, touched.which, x, y).size
+    while gained and covered < length - FLUSH * size:
         gained = False
-        for q in covering:
+        for q in touched.covering:
             at = x + covered * ux, y + covered * uy
             other = obstacle(numbers, ground, mid, q, at[0], at[1])
-            near = FLUSH * min(one.size, other.size)
-            if q == which or goes_on(other, x, y, along_face * ux, along_face * uy, near):
+            near = FLUSH * min(size, other.size)
+            if q == touched.which or goes_on(other, x, y, along_face * ux, along_face * uy, near):
                 continue
             low, high = chord(other, x, y, ux, uy, near)
             if low <= covered + near and high > covered + near:
@@ -111,25 +504,23 @@ def _covered_to(
 
 @kernel
 def _is_covered(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, which: int, covering: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched,
     place: tuple[float, float], outward: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Return whether a point is on a face that solid obstacles cover all along."""
-    one = obstacle(numbers, ground, mid, which, place[0], place[1])
+    one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     i = _face(one, place, outward, FLUSH)
     if i < 0:
         return False
     ax, ay, ux, uy, length = edge_of(one, i)
-    covered = _covered_to(
-        numbers, ground, mid, one, which, covering, (ax, ay), (ux, uy), 1.0, length
-    )
+    covered = _covered_to(numbers, ground, mid, touched, (ax, ay), (ux, uy), 1.0, length)
     return covered >= length - FLUSH * one.size
 
 
 @kernel
 def _stands_between(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
-    i: int, place: tuple[float, float], middle: tuple[float, float], rays: Array,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, i: int,
+    place: tuple[float, float], middle: tuple[float, float], rays: Array,
 ) -> bool:  # fmt: skip
     """Return whether an obstacle at an end of a face stands between the face and a body.
 
@@ -137,22 +528,19 @@ def _stands_between(
     middle is beyond it, and the segment from there to the point of contact crosses it, or the face,
     or what goes on behind that.
     """
-    which = pair[0]
-    one = obstacle(numbers, ground, mid, which, place[0], place[1])
+    one = obstacle(numbers, ground, mid, touched.which, place[0], place[1])
     ax, ay, ex, ey, length = edge_of(one, i)
     nx, ny, (u, v), (cx, cy) = ey, -ex, place, middle
     for way in (1.0, -1.0):
         x, y = (ax, ay) if way > 0.0 else (ax + length * ex, ay + length * ey)
         tx, ty = way * ex, way * ey
-        covered = _covered_to(
-            numbers, ground, mid, one, which, covering, (x, y), (tx, ty), way, length
-        )
+        covered = _covered_to(numbers, ground, mid, touched, (x, y), (tx, ty), way, length)
         x, y, many = x + covered * tx, y + covered * ty, 0
-        for q in covering:
+        for q in touched.covering:
             other = obstacle(numbers, ground, mid, q, x, y)
             near = FLUSH * min(one.size, other.size)
             # A disc curves away from its rays: what is beyond them may see the face.
-            if q != which and other.sort != DISC and distance_to(other, x, y) <= near:
+            if q != touched.which and other.sort != DISC and distance_to(other, x, y) <= near:
                 many = add_rays(other, x, y, near, rays, many)
         turned = math.atan2((cx - x) * nx + (cy - y) * ny, (cx - x) * tx + (cy - y) * ty)
         if turned < 0.0:
@@ -188,28 +576,18 @@ def _crosses(
 
 @kernel
 def drop_internal_edges(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
-    side: float, found: Array, features: Ints, count: int,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, found: Array,
+    features: Ints, count: int,
 ) -> tuple[int, bool]:  # fmt: skip
     """Leave out contacts with internal edges; return how many are left.
 
-    And whether a corner does not have the normal by which it is least deep.
-
-    Parameters
-    ----------
-    pair : (int, int)
-        What is touched, a piece or a plate, and what touches it.
-    covering : (c,) array of int
-        See `contacts.collision_detection.obstacles.near_obstacles`.
-    side : float
-        Whether normals point away from it (1) or into it (-1).
-    found : (m, FOUND), features : (m,) array of int, count : int
-        Points of contact; those left come first.
+    And whether a corner does not have the normal by which it is least deep. Of the `count` points
+    of contact in `found` (m, FOUND), with their `features` (m,), those left come first.
     """
     kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
     barred = math.inf
     for i in range(count):
-        how[i] = _how(numbers, ground, mid, pair, covering, side, found[i], rays)
+        how[i] = _how(numbers, ground, mid, touched, found[i], rays)
         if how[i] == _BARRED:
             barred = min(barred, found[i, 4])
     for i in range(count):
@@ -223,11 +601,11 @@ def drop_internal_edges(
 
 @kernel
 def _how(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], covering: Ints,
-    side: float, point: Array, rays: Array,
-) -> int:  # fmt: skip
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, point: Array, rays: Array
+) -> int:
     """Return how a point of contact is on what is touched; see `_OF_FACE`."""
-    which, all_pieces = pair[0], len(numbers.pieces.sizes)
+    which, by, side, covering = touched
+    all_pieces = len(numbers.pieces.sizes)
     body = numbers.pieces.bodies[which] if which < all_pieces else -1
     nx, ny, x, y, gap = point
     out = side * nx, side * ny
@@ -255,7 +633,8 @@ def _how(
         same = q < all_pieces and numbers.pieces.bodies[q] == body
         if same and away >= -near and between_normals(other, (u, v), out):
             # A contact of both pieces is that of the first, where no other covers it.
-            if q < which and not _is_covered(numbers, ground, mid, q, covering, (u, v), out):
+            first = Touched(q, by, side, covering)
+            if q < which and not _is_covered(numbers, ground, mid, first, (u, v), out):
                 return _COVERED
         elif face < 0 and one.sort == DISC:
             # A contact of a rim beside another obstacle is as deep in that as its point is.
@@ -268,10 +647,10 @@ def _how(
     if face < 0:
         # Two faces that lie on each other share the normal of one.
         return _OF_CORNER if _face(one, (u, v), out, _LEANS) < 0 else _OF_FACE
-    if beside and _is_covered(numbers, ground, mid, which, covering, (u, v), out):
+    if beside and _is_covered(numbers, ground, mid, touched, (u, v), out):
         return _COVERED
-    middle = _beyond(obstacle(numbers, ground, mid, pair[1], u, v), (u, v), out, one.size)
-    if _stands_between(numbers, ground, mid, pair, covering, face, (u, v), middle, rays):
+    middle = _beyond(obstacle(numbers, ground, mid, by, u, v), (u, v), out, one.size)
+    if _stands_between(numbers, ground, mid, touched, face, (u, v), middle, rays):
         return _COVERED
     return _OF_FACE
 
@@ -293,28 +672,19 @@ def _in_cone(
 
 @kernel
 def met_by_faces(
-    numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], side: float,
-    whole: bool, found: Array, features: Ints,
+    numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, whole: bool,
+    found: Array, features: Ints,
 ) -> int:  # fmt: skip
     """Find where one of a pair is overlapped through its faces; return how many points there are.
 
-    Parameters
-    ----------
-    pair : (int, int)
-        What is touched, and what touches it.
-    side : float
-        Whether normals point away from the first (1) or into it (-1).
-    whole : bool
-        Whether both are pieces.
-    found : (m, FOUND), features : (m,) array of int
-        To be filled.
+    `whole`: whether both are pieces; `found` (m, FOUND) and `features` (m,) are filled.
     """
-    one = obstacle(numbers, ground, mid, pair[0], 0.0, 0.0)
-    other = obstacle(numbers, ground, mid, pair[1], 0.0, 0.0)
+    one = obstacle(numbers, ground, mid, touched.which, 0.0, 0.0)
+    other = obstacle(numbers, ground, mid, touched.by, 0.0, 0.0)
     if len(one.corners) == 0 or len(other.corners) == 0 or HALF in (one.sort, other.sort):
         return 0
     # Plates are the first, where they are met by others (`contacts.collision_detection.surfaces`).
-    flip = side > 0.0 if whole else side < 0.0
+    flip = touched.side > 0.0 if whole else touched.side < 0.0
     count = against_faces(one.corners, other.corners, 0.0, flip, found, features)
     for i in range(count if not whole else 0):
         found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]

@@ -39,28 +39,18 @@ def _bent(x: float, y: float, across: bool, turn: float) -> float:
 
 @kernel
 def _joint_rows(
-    joints: JointNumbers, j: int, places: Array, old: Array, loose: Array, paths: Array, h: float,
-    past: float, rows: Array, before: Array, free: Array, wanted: Array, closing: Array,
+    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, past: float, m: int,
+    active: ActiveContacts,
 ) -> float:  # fmt: skip
-    """Write the rows of a joint; return by how much the path of its place bends in a step.
+    """Write the rows of a joint as contact m; return by how much its place's path bends in a step.
 
-    Parameters
-    ----------
-    places, old, loose : (b, 3)
-        Where bodies are at this detection, their rates before it, and after it without impulses.
-    paths : (3, j, 2)
-        Where the places of all joints in the world were at the last detection, are, and are next.
-    h, past : float
-        Lengths of this step and of the one before.
-    rows : (2, 6)
-        Velocities per unit rates of the two bodies; to be filled, as is what follows.
-    before, free : (2,)
-        Velocities relative to the path, before the step and after it without impulses.
-    wanted : (2,)
-        What these may not differ from, negated.
-    closing : (2, 2)
-        How far it may be open at the next detection, and by how much less with time; in place.
+    Velocities are relative to the path. `paths` (3, j, 2) is where the places of all joints in the
+    world were at the last detection, are, and are next; `h` and `past` are the lengths of this step
+    and of the one before.
     """
+    places, old, loose = mid.places, mid.old, mid.loose
+    rows, before, free = active.rows[m], active.before[m], active.free[m]
+    wanted, closing = active.wanted[m], active.closing[m]
     for d in range(2):
         before[d] = free[d] = wanted[d] = 0.0
         apart = size = 0.0
@@ -137,11 +127,7 @@ def add_joints(
         for d in range(2):
             active.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
             active.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
-        bent = _joint_rows(
-            joints, j, mid.places, mid.old, mid.loose, places, h, past, active.rows[m],
-            active.before[m], active.free[m], active.wanted[m], active.closing[m],
-        )  # fmt: skip
-        mid.pull[b] += bent
+        mid.pull[b] += _joint_rows(joints, j, mid, places, h, past, m, active)
         active.keys[m, 0], active.keys[m, 1] = first + j, 0
         active.memory[m, 0] = active.memory[m, 1] = 0.0
         m += 1

@@ -45,47 +45,6 @@ class Prescribed(NamedTuple):
         )
 
 
-@kernel
-def _apply(
-    forces: ForceProgram,
-    registers: tuple[int, Array],
-    places: Array,
-    old: Array,
-    memory: Array,
-    time: float,
-    inverse: Array,
-    h: float,
-    rates: Array,
-) -> None:
-    """Add to rates (b, 3) what forces do to them in a step.
-
-    Parameters
-    ----------
-    registers : (int, array)
-        See `statechart.kernels.tapes.filled`.
-    places, old : (b, 3)
-        Where bodies are in the middle of the step, and their rates before it.
-    memory : (w,)
-        What controllers remember.
-    inverse : (b, 3)
-    """
-    base, numbers = registers
-    at = 0
-    for source in (places, old):
-        for b in range(len(source)):
-            for d in range(3):
-                numbers[at, 0] = source[b, d]
-                at += 1
-    for j in range(len(memory)):
-        numbers[at + j, 0] = memory[j]
-    numbers[at + len(memory), 0] = time
-    run_tape(forces.code, 0, len(forces.code), base, numbers, 1)
-    for i in range(len(forces.bodies)):
-        b = forces.bodies[i]
-        for d in range(3):
-            rates[b, d] += h * inverse[b, d] * numbers[forces.outputs[3 * i + d], 0]
-
-
 TOUCHING = 1e-12
 """Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
 
@@ -167,8 +126,26 @@ def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
     time: float, h: float, mid: Midpoint,
 ) -> None:  # fmt: skip
-    """Let forces act on bodies in a step that are looked at."""
-    _apply(forces, registers, mid.places, mid.old, memory, time, numbers.inverse, h, mid.loose)
+    """Let forces act on bodies in a step, and extend what these reach.
+
+    `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) is
+    what controllers remember in the middle of the step.
+    """
+    (base, values), at = registers, 0
+    for source in (mid.places, mid.old):
+        for b in range(len(source)):
+            for d in range(3):
+                values[at, 0] = source[b, d]
+                at += 1
+    for j in range(len(memory)):
+        values[at + j, 0] = memory[j]
+    values[at + len(memory), 0] = time
+    run_tape(forces.code, 0, len(forces.code), base, values, 1)
+    for i in range(len(forces.bodies)):
+        b = forces.bodies[i]
+        for d in range(3):
+            force = values[forces.outputs[3 * i + d], 0]
+            mid.loose[b, d] += h * numbers.inverse[b, d] * force
     for b in forces.bodies:
         sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
         turned, inverse = abs(mid.loose[b, 2] - mid.old[b, 2]), numbers.inverse[b]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.convex import between, norm, write
+from contacts.collision_detection.convex import ConvexShape, between, norm, write
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
@@ -120,9 +120,7 @@ def against_surface(
     s: int,
     pose: Array,
     registers: tuple[int, Array],
-    body: Array,
-    centre: Array,
-    radius: float,
+    shape: ConvexShape,
     within: float,
     found: Array,
     features: Ints,
@@ -137,16 +135,12 @@ def against_surface(
         Its frame.
     registers : (int, array)
         Of the program; see `statechart.kernels.tapes.filled`.
-    body : (k, 2)
-        Vertices in the world; none of a disc.
-    centre : (2,)
-    radius : float
-        Of a disc.
     within : float
         Gaps up to this are found.
     found : (m, FOUND), features : (m,) array of int
         To be filled.
     """
+    body, centre, radius = shape
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0
     middle, corners = centre, body
     if moved:
@@ -157,16 +151,18 @@ def against_surface(
     kind = surfaces.kinds[s]
     a, b, c, d = surfaces.numbers[s]
     if kind in (PLATE, ROUND):
-        ends, no_corners = np.empty((2, 2)), np.empty((0, 2))
+        ends, mine = np.empty((2, 2)), ConvexShape(corners, middle, radius)
         ends[0, 0], ends[0, 1], ends[1, 0], ends[1, 1] = a, b, c, d
         about = np.empty(2)
         about[0], about[1] = (a, b) if kind == ROUND else (0.5 * (a + c), 0.5 * (b + d))
         if kind == ROUND:
-            count = between(corners, middle, radius, no_corners, about, c, within, found, features)
+            disc = ConvexShape(np.empty((0, 2)), about, c)
+            count = between(mine, disc, within, found, features)
         else:
             # The plate is first: where a body's corner is beside a plate's end, in a valley, its
             # face is as near to that end as the plate's to the corner, which is what touches.
-            count = between(ends, about, 0.0, corners, middle, radius, within, found, features)
+            plate = ConvexShape(ends, about, 0.0)
+            count = between(plate, mine, within, found, features)
             for i in range(count):
                 found[i, 0], found[i, 1] = -found[i, 0], -found[i, 1]
     elif kind == GRAPH:

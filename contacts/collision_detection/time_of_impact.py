@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import between, norm, place
+from contacts.collision_detection.convex import ConvexShape, between, norm, place
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
@@ -61,11 +61,12 @@ def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
 
 
 @kernel
-def _moved(pieces: PieceNumbers, p: int, pose: Array) -> tuple[Array, Array, float]:
-    """Return corners, middle and radius of a piece of a body that is there."""
+def shape_at(pieces: PieceNumbers, p: int, pose: Array) -> ConvexShape:
+    """Return a piece of a body that is there."""
     x, y, angle = pose
     corners = place(pieces.vertices[pieces.firsts[p] : pieces.firsts[p + 1]], x, y, angle)
-    return corners, place(pieces.middles[p : p + 1], x, y, angle)[0], pieces.radii[p]
+    middle = place(pieces.middles[p : p + 1], x, y, angle)[0]
+    return ConvexShape(corners, middle, pieces.radii[p])
 
 
 @kernel
@@ -75,12 +76,10 @@ def _points(
 ) -> int:  # fmt: skip
     """Find the points where two pieces are this near that have moved on as they do."""
     pieces, (p, q) = numbers.pieces, pair
-    one, other = pieces.bodies[p], pieces.bodies[q]
-    corners, middle, radius = _moved(pieces, p, mid.places[one] + later * mid.old[one])
-    others, beside, rim = _moved(pieces, q, mid.places[other] + later * mid.old[other])
-    return between(
-        corners, middle, radius, others, beside, rim, within, found, np.empty(len(found), np.int64)
-    )
+    b, c = pieces.bodies[p], pieces.bodies[q]
+    one = shape_at(pieces, p, mid.places[b] + later * mid.old[b])
+    other = shape_at(pieces, q, mid.places[c] + later * mid.old[c])
+    return between(one, other, within, found, np.empty(len(found), np.int64))
 
 
 @kernel

@@ -187,7 +187,7 @@ def settle_bodies(
             continue
         mode = FREE
         if counts[b] > 0:
-            mode = _body_mode(numbers, memory, space, rates, count, b, counts[b], k, chunk)
+            mode = _body_mode(numbers, memory, space, rates, count, b, k, chunk)
         lands = memory.shown[b, 0] != FREE and not chunk.struck[k, b]
         if lands and _hovers(memory, space, rates, b, chunk.h, mode == FREE):
             mode, memory.shown[b, 1] = memory.shown[b, 0], HOVERS
@@ -208,10 +208,11 @@ def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
 @kernel
 def _body_mode(
     numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, b: int,
-    most: int, k: int, chunk: Chunk,
+    k: int, chunk: Chunk,
 ) -> int:  # fmt: skip
-    """Return the mode of body b, which has `most` contacts."""
+    """Return the mode of body b; the workspace has `local` counts of contacts."""
     active, h, shown, m = space.active, chunk.h, memory.shown[b, 0], 0
+    most = space.local[b]
     which = np.empty(most, np.int64)
     free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
     cones, slips, slides = np.zeros((most, 2)), np.zeros(most), np.zeros(most)

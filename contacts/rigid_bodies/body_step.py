@@ -8,6 +8,7 @@ that `contacts.solvers.island_impulses` finds.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,7 @@ from contacts.collision_detection.midpoint import (
     move_to_midpoint,
 )
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
-from contacts.rigid_bodies.impact_order import PLASTIC
-from contacts.rigid_bodies.island_step import push, solve_islands
+from contacts.rigid_bodies.island_step import PLASTIC, push, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
@@ -40,6 +40,20 @@ _LATEST = 0.5 - BESIDE
 _FAR = 0.1
 LEAST = 1e-9
 """Impulses are known to this part of the largest on a body, whatever is allowed."""
+
+
+class StepOptions(NamedTuple):
+    """Choices of a run: the law of impacts, whether forces are read, and bounds of a step.
+
+    A step that closes a gap larger than `deepest`, or in which bodies pass or sink into each other
+    or turn by more than half a turn, or which leaves joints open, is not taken: its status is
+    `COARSE`. Nor is the step before it, of whose second half that tells. Infinite: all are taken.
+    """
+
+    law: int = PLASTIC  # See `contacts.rigid_bodies.island_step`.
+    forces: bool = False
+    allowed: float = math.inf  # Residual of impulses that are good enough.
+    deepest: float = math.inf
 
 
 @kernel
@@ -252,17 +266,9 @@ def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
 
 @kernel
 def step_bodies(
-    numbers: BodyNumbers,
-    around: Prescribed,
-    start: float,
-    done: int,
-    law: int,
-    forces: bool,
-    memory: Memory,
-    space: Workspace,
-    bounds: tuple[float, float],
-    chunk: Chunk,
-) -> tuple[int, int]:
+    numbers: BodyNumbers, around: Prescribed, options: StepOptions, start: float, done: int,
+    memory: Memory, space: Workspace, chunk: Chunk,
+) -> tuple[int, int]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status).
 
     Parameters
@@ -271,22 +277,13 @@ def step_bodies(
         What acts on the bodies.
     start, done : float, int
         When steps began, and how many were taken before these.
-    law : int
-        What is hit together follows; see `contacts.rigid_bodies.impact_order`.
-    forces : bool
-        Whether somebody reads the unknowns, which else are not written.
     memory : Memory
         Where it has too little place the status is `FULL`. Changed in place.
-    bounds : (float, float)
-        Residual of impulses that are good enough; a step that closes a larger gap, or in which
-        bodies pass or sink into each other or turn by more than half a turn, or which leaves
-        joints open, is not taken: the status is `COARSE`. Nor is the step before it, of whose
-        second half that tells. Infinite: all are taken.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
-        forces of joints.
+        forces of joints, and are not written where forces are not read.
     """
-    h, n, (allowed, deepest) = chunk.h, 3 * len(numbers.sizes), bounds
+    h, n, (law, forces, allowed, deepest) = chunk.h, 3 * len(numbers.sizes), options
     state = chunk.states[0].copy()
     old, loose, active = space.mid.old, space.mid.loose, space.active
     surfaces = numbers.surfaces

@@ -17,6 +17,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
+from contacts.rigid_bodies.body_step import StepOptions
 from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
     closed_joints,
@@ -177,24 +178,19 @@ class BodyStepper(Stepper):
         moved = self._bodies.starts.at(values, known)
         bodies = body_numbers(self._declared, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)
-        law = get_args(Simultaneous).index(self._scene.simultaneous)
+        anything = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 
         def run_of(
-            bodies: BodyNumbers,
-            allowed: float = math.inf,
-            deepest: float = math.inf,
-            forces: bool = False,
-            start_depth: float = 0.0,
+            bodies: BodyNumbers, options: StepOptions = anything, start_depth: float = 0.0
         ) -> RigidBodyRun:
             around = PrescribedMotion(self._bodies, self._paths, known, values)
-            return RigidBodyRun(
-                self._names, self._surfaces, bodies, around, law, allowed, deepest, forces,
-                start_depth,
-            )  # fmt: skip
+            names, surfaces = self._names, self._surfaces
+            return RigidBodyRun(names, surfaces, bodies, around, options, start_depth)
 
         bodies, depth, remarks = self._started(setup, bodies, known, run_of)
         setup = replace(setup, start_depth=depth, warnings=(*setup.warnings, *remarks))
-        return setup, run_of(bodies, allowed, DEEPEST * setup.scales.length, forces, depth)
+        options = StepOptions(anything.law, forces, allowed, DEEPEST * setup.scales.length)
+        return setup, run_of(bodies, options, depth)
 
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers

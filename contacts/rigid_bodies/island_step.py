@@ -1,23 +1,30 @@
-"""The impulses of a step, island by island."""
+"""The impulses of a step, island by island: impacts at once or in turn, and joints that close."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.rigid_bodies.impact_order import (
-    CAPPED,
-    PLASTIC,
-    SEQUENTIAL,
-    impacts_in_turn,
-    is_ambiguous,
-)
-from contacts.rigid_bodies.joint_closing import close_joints
+from contacts.collision_detection.joints import bent_on
 from contacts.rigid_bodies.workspace import Workspace
-from contacts.solvers.contact_rows import ContactRows, complete, scale, scale_beside
+from contacts.solvers.contact_rows import (
+    HELD,
+    ContactRows,
+    add,
+    complete,
+    joint_work,
+    moved,
+    scale,
+    scale_beside,
+    slope,
+)
 from contacts.solvers.contact_solver import solve_rows
+from contacts.solvers.impact_sequence import in_turn
 from contacts.solvers.impulse_coupling import root
 from contacts.solvers.island_impulses import island_impulses
 from contacts.time_stepping.chunk import (
@@ -27,12 +34,33 @@ from contacts.time_stepping.chunk import (
     ITERATIONS,
     LIVELY,
     RESIDUAL,
+    SLOW,
     UNENDED,
     WORK,
 )
-from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
+from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
+
+PLASTIC, CAPPED, SEQUENTIAL = range(3)
+"""What is hit together does, as `contacts.scene.parts.Simultaneous` names it."""
+
+
+class Island(NamedTuple):
+    """Contacts that share bodies: their velocities and impulses, each (m, 2), and who rebounds.
+
+    Members are in the order of their rows. Velocities are those before the step and without
+    impulses, and what these may not fall below, negated; `sudden` are impulses of impacts in turn.
+    """
+
+    members: Ints
+    start: Array
+    unforced: Array
+    asked: Array
+    chosen: Array
+    sudden: Array
+    rebounds: Bools
+
 
 # Contacts that are next to each other are of the same body: where they are solved so many apart
 # impulses get through an island in a tenth fewer sweeps, and none waits for the one before.
@@ -237,6 +265,228 @@ def _with_impacts(space: Workspace, members: Ints, sudden: Array, chosen: Array)
 
 
 @kernel
+def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
+    """Return a number of the two things that touch at a contact, whichever pieces of them do."""
+    one, other = active.bodies[i]
+    bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
+    if other >= 0:
+        return int(min(one, other) * bodies + max(one, other))
+    surfaces = len(numbers.surfaces.kinds)
+    return int((bodies + one) * (bodies + surfaces) + active.keys[i, 0] % (pieces + surfaces))
+
+
+@kernel
+def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> float:
+    """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`."""
+    fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    return SLOW * max(fall, abs(active.free[i, 0] - active.before[i, 0]))
+
+
+@kernel
+def impacts_in_turn(
+    numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
+    allowed: float,
+) -> tuple[int, float, float]:  # fmt: skip
+    """Carry out the impacts of an island one after another; see `in_turn` for what is returned.
+
+    They are those of the instant in the middle of the step, at velocities halfway between those
+    before and those that forces alone make: so they do work on the bodies as all impulses of a step
+    do, and none that adds energy. What is hit in turn is struck in this step, also where it rested.
+    The island keeps what is left to be solved by the step; where impacts do not end nothing is
+    changed.
+    """
+    size = len(island.members)
+    pairs, now = np.empty(size, np.int64), np.empty((size, 2))
+    restitution, slow = np.empty(size), np.empty(size)
+    for a in range(size):
+        i = island.members[a]
+        pairs[a] = _pair(numbers, active, i)
+        restitution[a], slow[a] = active.materials[i, 2], _slow(numbers, active, i, h)
+        for d in range(2):
+            now[a, d] = 0.5 * (island.start[a, d] + island.unforced[a, d])
+    done, missed, left = in_turn(contacts, pairs, now, restitution, slow, allowed, island.sudden)
+    if left > 0.0:
+        return done, 0.0, left
+    for a in range(size):
+        i = island.members[a]
+        for d in range(2):
+            changed = now[a, d] - 0.5 * (island.start[a, d] + island.unforced[a, d])
+            island.start[a, d] += changed
+            island.unforced[a, d] += changed
+        if slope(contacts.cones[a]) < 0.0:
+            continue
+        active.hit[i] = active.hit[i] or island.sudden[a, 0] > 0.0
+        island.rebounds[a] = False
+        if active.hit[i]:
+            for d in range(2):
+                island.asked[a, d] = active.wanted[i, d] = 0.0
+    return done, missed, left
+
+
+@kernel
+def is_ambiguous(
+    numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
+    struck: Ints,
+) -> bool:  # fmt: skip
+    """Return whether impacts in turn would do something else than those at once.
+
+    It is so where a body is struck at two of those that it touches, and both are `LIVELY`:
+    where it bears more than in the step before, and than what would rest in two steps. `struck`
+    (b,) is overwritten.
+    """
+    for i in island.members:
+        for side in range(2):
+            if active.bodies[i, side] >= 0:
+                struck[active.bodies[i, side]] = -1
+    for a in range(len(island.members)):
+        i = island.members[a]
+        sudden = contacts.own[a, 0] * (island.chosen[a, 0] - active.pushes[i, 0])
+        if not (active.materials[i, 2] >= LIVELY and sudden > _slow(numbers, active, i, h)):
+            continue
+        pair = _pair(numbers, active, i)
+        for side in range(2):
+            b = active.bodies[i, side]
+            if b >= 0 and struck[b] >= 0 and struck[b] != pair:
+                return True
+            if b >= 0:
+                struck[b] = pair
+    return False
+
+
+# Fixed-point iterations that close joints; they end when the remaining work has not shrunk by this
+# factor in so many. Joints stay open where that work, or the work of their impulses, is more than
+# these parts of the kinetic energy.
+_TRIALS, _SHRINKS, _IDLE, _OPEN, _MOST_WORK = 24, 0.9, 4, 1e-2, 0.1
+
+
+@kernel
+def _follow_arms(
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
+    with_impacts: bool, turns: Array,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Ask joints of an island to close as their arms turn now; return what would be left of that.
+
+    `with_impacts`: whether bodies move by impacts in turn, too; `turns` (2, b): how far bodies turn
+    in the step, as is asked by now, and to work with.
+
+    Returns
+    -------
+    (float, float, float, float)
+        How fast joints part at most, and arms go round; the work of joints on what parts, and the
+        energy of motion before the step.
+    """
+    members, impulses = island.members, island.chosen
+    active, mid, joints = space.active, space.mid, numbers.joints
+    pieces, changes = len(numbers.pieces.sizes), contacts.rates[0, : 3 * contacts.moving + 3]
+    first, most, fastest = pieces * (pieces + len(numbers.surfaces.kinds)), 0.0, 0.0
+    work = energy = 0.0
+    moved(contacts, impulses, changes)
+    for a in range(len(members) if with_impacts else 0):
+        add(contacts, a, island.sudden[a, 0], island.sudden[a, 1], changes)
+    for b in range(len(numbers.sizes)):
+        turns[1, b] = math.inf
+    for a in range(len(members)):
+        for side in range(2):
+            b = active.bodies[members[a], side]
+            # Once for each body.
+            if b < 0 or turns[1, b] < math.inf:
+                continue
+            for d in range(3):
+                rate = mid.loose[b, d] + changes[3 * contacts.bodies[a, side] + d]
+                energy += 0.5 * mid.old[b, d] ** 2 / numbers.inverse[b, d]
+                turns[1, b] = h * rate
+    for a in range(len(members)):
+        i = members[a]
+        if not active.materials[i, 0] < 0.0:
+            continue
+        for d in range(2 if active.materials[i, 0] == HELD else 1):
+            further = 0.0
+            for side in range(2):
+                b = active.bodies[i, side]
+                if b >= 0:
+                    bent, gone = bent_on(
+                        joints, active.keys[i, 0] - first, d, mid.places, side, turns[1, b],
+                        turns[0, b],
+                    )  # fmt: skip
+                    further, fastest = further + bent, max(fastest, gone / h)
+            active.wanted[i, d] += further / h
+            island.asked[a, d] = active.wanted[i, d]
+            most = max(most, abs(further) / h)
+            work += abs(impulses[a, d] * further) / h
+    for b in range(len(numbers.sizes)):
+        if turns[1, b] < math.inf:
+            turns[0, b] = turns[1, b]
+    return most, fastest, work, energy
+
+
+@kernel
+def close_joints(
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, h: float,
+    with_impacts: bool, bounds: tuple[float, float, float], found: tuple[float, int, bool],
+) -> tuple[float, int, bool]:  # fmt: skip
+    """Find impulses that close the joints of an island at the next detection, by fixed points.
+
+    How an arm is then turned follows from the impulses: SHAKE (Ryckaert, Ciccotti and Berendsen
+    1977), whose energy stays within a bound, as it does not where arms turn as they did before.
+    Where they go round in circles, as what may stick as well as slip does, those are taken that
+    leave joints the least work.
+
+    Parameters
+    ----------
+    with_impacts : bool
+        See `_follow_arms`.
+    bounds : (float, float, float)
+        Residual of impulses that are good enough, the bound of their work (see `island_impulses`),
+        and the residual of those of the whole step.
+    found : (float, int, bool)
+        What `island_impulses` returned for the impulses at hand; what is found is returned as that.
+        Of impulses that close none `Workspace.apart` tells, too.
+    """
+    (near, bound, allowed), (missed, done, softened) = bounds, found
+    least, energy, idle = math.inf, 0.0, 0
+    start, unforced, asked, chosen = island.start, island.unforced, island.asked, island.chosen
+    turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), asked.copy()
+    good, soft = missed, softened
+    for b in range(len(numbers.sizes)):
+        turns[0, b] = h * space.mid.old[b, 2]
+    for _ in range(_TRIALS):
+        left, fast, work, moving = _follow_arms(
+            numbers, space, contacts, island, h, with_impacts, turns
+        )
+        given = joint_work(contacts, chosen, start, unforced)
+        if given > bound + _MOST_WORK * moving:
+            # Wedged joints close, too, with unbounded work.
+            work = max(work, given)
+        elif left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
+            return missed, done, softened
+        idle += 1
+        if work < least:
+            idle = 0 if work < _SHRINKS * least else idle
+            least, energy, good, soft = work, moving, missed, softened
+            put_rows(chosen, best)
+        if missed > near or idle == _IDLE:
+            break
+        missed, further, softened = island_impulses(
+            contacts, start, unforced, asked, island.rebounds, chosen, near, bound, True
+        )
+        done += further
+    put_rows(best, chosen)
+    if good > near or least <= _OPEN * energy:
+        return good, done, soft
+    space.apart[0] = max(space.apart[0], least / energy)
+    if space.apart[1] == 0.0:
+        # Wedged joints press without bound: arms turn as before, which does no work.
+        put_rows(first, asked)
+        for a in range(len(chosen)):
+            put(space.active.pushes[island.members[a]], chosen[a])
+        good, further, soft = island_impulses(
+            contacts, start, unforced, asked, island.rebounds, chosen, near, bound, False
+        )
+        done += further
+    return good, done, soft
+
+
+@kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     allowed: float, effort: Array,
@@ -272,7 +522,9 @@ def solve_islands(
         contacts = island_rows(members, bodies, rows, inverse, materials, local, space.contacts)
         start, unforced = space.island[0, :size], space.island[1, :size]
         asked, chosen = space.island[2, :size], space.island[3, :size]
-        rebounds, quiet, lively, touching = space.rebounds[:size], 0, False, 0
+        sudden, rebounds = space.island[4, :size], space.rebounds[:size]
+        together = Island(members, start, unforced, asked, chosen, sudden, rebounds)
+        quiet, lively, touching = 0, False, 0
         for a in range(size):
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
@@ -295,36 +547,34 @@ def solve_islands(
                 if b >= 0 and local[b] >= 0:
                     bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
                     local[b] = -1
-        in_turn = law == SEQUENTIAL and size > 1 and quiet < size
-        sudden, near, turns, left = space.island[4, :size], allowed, 0, 0.0
+        sequential = law == SEQUENTIAL and size > 1 and quiet < size
+        near, turns, left = allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
         fast = scale_beside(contacts, unforced, asked)
-        if in_turn:
+        if sequential:
             turns, missed_turn, left = impacts_in_turn(
-                numbers, active, members, contacts, h, start, unforced, asked, rebounds, sudden,
-                allowed,
-            )  # fmt: skip
+                numbers, active, contacts, together, h, allowed
+            )
             slow = scale_beside(contacts, unforced, asked)
-            in_turn, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
+            sequential, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         if touching < size:
-            missed, further, softened = close_joints(
-                numbers, space, members, contacts, h, rebounds, sudden, in_turn, near, bound,
-                allowed, missed, softened,
-            )  # fmt: skip
-            done += further
+            bounds, found = (near, bound, allowed), (missed, done, softened)
+            missed, done, softened = close_joints(
+                numbers, space, contacts, together, h, sequential, bounds, found
+            )
         missed, done = max(share * missed, missed_turn), done + turns
         if missed > allowed:
             note_worst(numbers.inverse, active.bodies, members, missed, space.worst)
-        if in_turn:
+        if sequential:
             quiet = _with_impacts(space, members, sudden, chosen)
         if (
             lively
             and law == CAPPED
             and size > 1
-            and is_ambiguous(numbers, active, members, contacts, h, chosen, local)
+            and is_ambiguous(numbers, active, contacts, together, h, local)
         ):
             effort[AMBIGUOUS] = 1.0
         effort[UNENDED] = max(effort[UNENDED], left)

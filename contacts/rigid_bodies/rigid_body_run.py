@@ -13,7 +13,7 @@ from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.surfaces import GRAPH
-from contacts.rigid_bodies.body_step import step_bodies
+from contacts.rigid_bodies.body_step import StepOptions, step_bodies
 from contacts.rigid_bodies.island_step import ratio_remarks
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
@@ -201,12 +201,10 @@ class DetectedContacts(NamedTuple):
 
 
 class RigidBodyRun(SteppedSystem):
-    """One run of colliding bodies, whose simultaneous impacts follow a `law` (see `impact_order`).
+    """One run of colliding bodies.
 
-    Impulses with the `allowed` residual are good enough. No step may close a gap of `deepest`.
-    Bodies start up to `start_depth` deep in each other, and are kept no deeper. Forces and
-    accelerations are found where `forces` are read. `least` (b,) is the least gap seen of every
-    body; inf of one that was near nothing.
+    Bodies start up to `start_depth` deep in each other, and are kept no deeper. `least` (b,) is the
+    least gap seen of every body; inf of one that was near nothing.
     """
 
     def __init__(
@@ -215,22 +213,17 @@ class RigidBodyRun(SteppedSystem):
         surfaces: Sequence[str],
         numbers: BodyNumbers,
         around: PrescribedMotion,
-        law: int,
-        allowed: float,
-        deepest: float = math.inf,
-        forces: bool = True,
+        options: StepOptions,
         start_depth: float = 0.0,
     ) -> None:
-        self.surfaces = surfaces
-        self.numbers, self._names, self._around, self._law = numbers, names, around, law
+        self.surfaces, self._options = surfaces, options
+        self.numbers, self._names, self._around = numbers, names, around
         count = len(names)
         self._memory = self._saved = Memory.allocate(numbers)
         # As if an impact had left them there.
         self._memory.past[2] = start_depth / LANDED
         self._workspace = Workspace.of(self.numbers, self._memory)
-        self._allowed = allowed
         self.least = np.full(count, np.inf)
-        self._deepest, self._forces = deepest, forces
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
         # Energy that joints have added, and the largest kinetic energy so far.
@@ -317,7 +310,7 @@ class RigidBodyRun(SteppedSystem):
                 f"{self._length:g}, in which nothing follows how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
-        found += ratio_remarks(self._workspace.worst, self._names, self._allowed)
+        found += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
         found += self._no_ground.remarks
         found += self._penetration.remarks(self._deepest_at)
         if self._parted:
@@ -341,11 +334,11 @@ class RigidBodyRun(SteppedSystem):
         if self._gain_error is not None:
             raise self._gain_error
         self._check_forces(start, h, state)
-        chunk, status = self._taken(start, h, state, count, self._deepest)
+        chunk, status = self._taken(start, h, state, count, self._options.deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
             before, most = self._memory.copy(), next(parts)
-            deepest = math.inf if most == _PARTS[-1] else self._deepest
+            deepest = math.inf if most == _PARTS[-1] else self._options.deepest
             chunk, status = self._taken(start, h / most, state, most, deepest)
             if status == COARSE:
                 self._memory = before
@@ -414,15 +407,14 @@ class RigidBodyRun(SteppedSystem):
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
-        chunk = chunk._replace(modes=chunk.codes.copy())
         done, status = 0, DONE
         while status == FULL or (status == DONE and done < count):
             if done and interrupts.arrived():
                 break
             some = chunk.after(done).first(count - done)
             taken, status = step_bodies(
-                self.numbers, ahead.after(done), start, done, self._law,
-                self._forces, self._memory, self._workspace, (self._allowed, deepest), some,
+                self.numbers, ahead.after(done), self._options._replace(deepest=deepest), start,
+                done, self._memory, self._workspace, some,
             )  # fmt: skip
             done += taken
             if status == FULL:

@@ -88,13 +88,12 @@ class Chunk(NamedTuple):
         """Return place for steps from `state`."""
         states = np.empty((count + 1, len(state)))
         states[0] = state
-        codes = np.zeros((count, regions), dtype=np.int64)
         return cls(
             h,
             states,
             np.zeros((count, unknowns)),
-            codes,
-            codes,
+            np.zeros((count, regions), dtype=np.int64),
+            np.zeros((count, regions), dtype=np.int64),
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions), dtype=np.bool_),
             np.zeros((count, regions, 2)),
@@ -162,8 +161,8 @@ class SteppedSystem(ABC):
 
 @kernel
 def arriving(
-    gap: float, level: float, lasting: bool, nearing: float, ahead: float, slow: float,
-    early: float, near: float, h: float,
+    gap: float, level: float, lasting: bool, nearing: float, slow: float, closing: float,
+    reached: float, near: float,
 ) -> tuple[int, float, float]:  # fmt: skip
     """Return how a contact takes part in a step, its level, and how far above that it is.
 
@@ -173,12 +172,12 @@ def arriving(
         At the midpoint; at which a contact that lasts is kept.
     lasting : bool
         Whether it does.
-    nearing, ahead : float
-        Speed of approach before the step, and of separation after it without impulses.
-    slow : float
-        Up to here an approach is that of a contact that lasts.
-    early : float
-        What touches within this part of a step is struck in it.
+    nearing, slow : float
+        Speed of approach before the step; up to which that is one of a contact that lasts.
+    closing : float
+        How much nearer a slow contact comes within the step without impulses, at most.
+    reached : float
+        What is fast is struck in this step up to so far off.
     near : float
         Gap tolerance: a contact touches up to this gap.
     """
@@ -187,12 +186,12 @@ def arriving(
         level = min(max(level, gap), 0.0)
     above = gap - level
     # A slow contact takes part before it arrives: others may push it there in this step.
-    soon = gap <= near or above + h * (ahead - slow) <= 0.0
+    soon = gap <= near or above <= closing
     if lasting or (nearing <= slow and soon):
         if above < 0.0 and not lasting:
             return LASTING, gap, 0.0
         return LASTING, level, above
-    if above <= max(early * h * nearing, near) and nearing > slow:
+    if above <= max(reached, near) and nearing > slow:
         return HIT, min(gap, 0.0), above
     return APART, level, above
 

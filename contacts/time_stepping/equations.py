@@ -120,6 +120,22 @@ class TapeValues(NamedTuple):
     per: int
 
 
+class FactoredEquations(NamedTuple):
+    """The equations of a step in all that moves: rates (n,), what is held, and joints."""
+
+    factors: Array  # See `contacts.solvers.saddle_point.factorise`.
+    order: Ints
+    change: Array  # What a step changes without free contacts.
+
+
+class StepInstant(NamedTuple):
+    """The middle of a step."""
+
+    time: float
+    state: Array  # Before the step.
+    middle: Array  # The coordinates there, and the velocities before the step.
+
+
 class ContactRoles(NamedTuple):
     """Roles of contacts in a step."""
 

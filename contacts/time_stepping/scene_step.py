@@ -31,7 +31,9 @@ from contacts.time_stepping.equations import (
     ContactMemory,
     ContactProblem,
     ContactRoles,
+    FactoredEquations,
     StepConstants,
+    StepInstant,
     TapeValues,
     factor_equations,
     solve_factored,
@@ -50,7 +52,7 @@ from contacts.time_stepping.step_contacts import (
     split_forces,
     write_modes,
 )
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Bools
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import tape_values
@@ -166,8 +168,8 @@ _AT_REST = 1e-9
 @kernel
 def _free_change(
     scene: StepConstants, light: Bools, numbers: Array, n: int, h: float
-) -> tuple[bool, Array, Array, Ints]:
-    """Return (regular, change, factors, order): how a step changes rates without free contacts.
+) -> tuple[bool, FactoredEquations]:
+    """Return how a step changes rates without free contacts, where its equations are regular.
 
     Where coordinates have no inertia of their own they are given one, from there on.
     """
@@ -176,40 +178,36 @@ def _free_change(
     if not regular and not light[0]:
         light[0] = True
         regular, factors, order, right = factor_equations(numbers, n, h, damped, held, joints, True)
-    return regular, solve_factored(factors, order, right) if regular else right, factors, order
+    change = solve_factored(factors, order, right) if regular else right
+    return regular, FactoredEquations(factors, order, change)
 
 
 @kernel
 def _write_forces(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, problem: ContactProblem,
-    answer: ContactForces, met: ContactRoles, rates: Array, k: int, total: Array, lasting: Array,
-    chunk: Chunk,
+    answer: ContactForces, met: ContactRoles, k: int, chunk: Chunk,
 ) -> bool:  # fmt: skip
-    """Write what contacts bear in step k; return whether forces are mixed with impacts.
-
-    What all impulses, and those that are forces, do to what moves is added to `total` and
-    `lasting`.
-    """
-    made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
-    chunk.gained[k] = max(chunk.gained[k], made)
+    """Write what contacts bear in step k; return whether forces are mixed with impacts."""
     # Before the memory of lasting contacts changes.
     mixed = mixed_with_impacts(memory, tape, problem, answer.pushes, chunk.h)
     modes = write_modes(scene, memory, problem, answer, met, k, chunk)
-    blurred, columns = False, problem.columns
-    for a in range(len(problem.which)):
-        blurred = blurred or mixed[a]
-        for d in range(2):
-            for j in range(len(total)):
-                total[j] += columns[2 * a + d, j] * answer.pushes[a, d]
-                lasting[j] += columns[2 * a + d, j] * answer.steady[a, d]
     steady = share_forces(memory, tape, problem, modes, answer.steady, k, chunk)
-    before = tape.size + scene.joints
+    before, blurred = tape.size + scene.joints, False
     for a in range(len(problem.which)):
-        i = problem.which[a]
+        i, blurred = problem.which[a], blurred or mixed[a]
         for d in range(2):
             force = math.nan if mixed[a] else steady[a, d] / chunk.h
             chunk.solved[k, before + 2 * i + d] = 0.0 if chunk.codes[k, i] == FREE else force
     return blurred
+
+
+@kernel
+def _add_impulses(columns: Array, impulses: Array, rates: Array) -> None:
+    """Add to rates (s,) what impulses (m, 2) of contacts with these columns (2 m, s) do to them."""
+    for a in range(len(impulses)):
+        for d in range(2):
+            for j in range(len(rates)):
+                rates[j] += columns[2 * a + d, j] * impulses[a, d]
 
 
 @kernel
@@ -268,8 +266,8 @@ def _follow(
 
 @kernel
 def keep_leaving(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, factors: Array,
-    order: Ints, middle: Array, state: Array, time: float, k: int, met: ContactRoles, chunk: Chunk,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    instant: StepInstant, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
@@ -277,12 +275,13 @@ def keep_leaving(
     in a step in which it bears a force and its condition rises, or forces of the other contacts
     keep it from falling. The parameters are those of `step_scene` in its step k.
     """
-    n, h, stays = tape.size, chunk.h, False
+    n, h, stays, (time, state, middle) = tape.size, chunk.h, False, instant
+    change = equations.change
     level, closed = memory.level.copy(), memory.closed.copy()
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
     which = indices(met.active)
-    problem = contact_problem(scene, tape, factors, order, which, met)
+    problem = contact_problem(scene, tape, equations, which, met)
     bears = np.zeros(len(which), np.bool_)
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
@@ -350,14 +349,14 @@ def keep_leaving(
 
 @kernel
 def _settle(
-    scene: StepConstants, memory: ContactMemory, time: float, middle: Array, state: Array,
-    tape: TapeValues, factors: Array, order: Ints, k: int, chunk: Chunk,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    instant: StepInstant, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of contacts that settle, under the velocities after the step."""
-    n, there = tape.size, middle.copy()
-    put(state[n : 2 * n], there[n : 2 * n])
-    tape_values(*scene.equations, there, scene.parameters, time, tape.numbers)
-    settle(scene, memory, tape, factors, order, k, chunk)
+    n, there = tape.size, instant.middle.copy()
+    put(instant.state[n : 2 * n], there[n : 2 * n])
+    tape_values(*scene.equations, there, scene.parameters, instant.time, tape.numbers)
+    settle(scene, memory, tape, equations, k, chunk)
 
 
 @kernel
@@ -406,7 +405,7 @@ def step_scene(
             middle[i] += 0.5 * h * state[n + i]
         time = start + (done + k + 0.5) * h
         tape_values(*scene.equations, middle, scene.parameters, time, numbers)
-        regular, change, factors, order = _free_change(scene, memory.light, numbers, n, h)
+        regular, equations = _free_change(scene, memory.light, numbers, n, h)
         if not regular:
             return k, BAD_INERTIA, nothing, none, none
         for i in range(set_at, len(numbers)):
@@ -419,16 +418,16 @@ def step_scene(
         if not switch_contacts(scene, memory, tape, k, met, chunk):
             return k, NOT_FINITE, nothing, none, none
         if met.leaving.any():
-            keep_leaving(
-                scene, memory, tape, change, factors, order, middle, state, time, k, met, chunk
-            )
-        find_active(scene, memory, tape, change, k, met, chunk)
+            instant = StepInstant(time, state, middle)
+            keep_leaving(scene, memory, tape, equations, instant, k, met, chunk)
+        find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
-        which, total, lasting, blurred = indices(met.active), change, change.copy(), False
+        total, lasting = equations.change, equations.change.copy()
+        which, blurred = indices(met.active), False
         chunk.efforts[k, CONTACTS] = len(which)
         clear_contacts(memory.off, forces, k, chunk)
         if len(which) > 0:
-            problem = contact_problem(scene, tape, factors, order, which, met)
+            problem = contact_problem(scene, tape, equations, which, met)
             good, z, basis, pushes, least = solve_impacts(
                 problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
                 problem.cones, problem.rebounds, initial_guess(problem, memory.bases),
@@ -438,10 +437,12 @@ def step_scene(
                 return k, HARD, problem.delassus, least, problem.cones
             answer = split_forces(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
-            blurred = _write_forces(
-                scene, memory, tape, problem, answer, met, state[n : 2 * n], k, total, lasting,
-                chunk,
-            )  # fmt: skip
+            rates = state[n : 2 * n]
+            made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
+            chunk.gained[k] = max(chunk.gained[k], made)
+            _add_impulses(problem.columns, answer.pushes, total)
+            _add_impulses(problem.columns, answer.steady, lasting)
+            blurred = _write_forces(scene, memory, tape, problem, answer, met, k, chunk)
             ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
             chunk.efforts[k, AMBIGUOUS] = ambiguous
         _write_held(scene, n, total, lasting, blurred, k, chunk)
@@ -454,7 +455,7 @@ def step_scene(
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
         if unsettle(memory, k, chunk):
-            _settle(scene, memory, time, middle, state, tape, factors, order, k, chunk)
+            _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)
         _flow_memory(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):

@@ -184,7 +184,6 @@ class SteppedScene(SteppedSystem):
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
-        chunk = chunk._replace(modes=chunk.codes.copy())
         self._kept, self._errors_kept = self._memory.copy(), self._errors.copy()
         memory = self._memory.contacts
         scene = StepConstants(

@@ -28,12 +28,13 @@ from contacts.time_stepping.equations import (
     JOINT,
     LANDED,
     ContactMemory,
+    FactoredEquations,
     StepConstants,
     TapeValues,
     solve_factored,
 )
 from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Bools
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
 
@@ -58,10 +59,10 @@ def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
 
 @kernel
 def _free_accelerations(
-    scene: StepConstants, tape: TapeValues, factors: Array, order: Ints
+    scene: StepConstants, tape: TapeValues, equations: FactoredEquations
 ) -> Array:
     """Return the accelerations of the coordinates without free contacts' forces."""
-    n, numbers, right = tape.size, tape.numbers, np.zeros(len(order))
+    n, numbers, right = tape.size, tape.numbers, np.zeros(len(equations.order))
     for j in range(n):
         right[j] = numbers[n * n + j]
     at = n
@@ -74,7 +75,7 @@ def _free_accelerations(
         if numbers[row + n + 3] == 0.0:
             right[at] = -numbers[row + n + 2]
         at += 1
-    return solve_factored(factors, order, right)
+    return solve_factored(equations.factors, equations.order, right)
 
 
 @kernel
@@ -189,24 +190,15 @@ def mode_of_acceleration(
 
 @kernel
 def settle(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, factors: Array, order: Ints,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
     k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts in step k.
 
-    Parameters
-    ----------
-    memory : ContactMemory
-        Changed in place.
-    tape : TapeValues
-        In the middle of the step, with the velocities after it.
-    factors, order
-        The equations of the step (`contacts.time_stepping.equations.factor_equations`).
-    chunk : Chunk
-        Its step k is changed in place.
+    The tape is that of the middle of the step, with the velocities after it.
     """
     c, n, h = len(scene.cones), tape.size, chunk.h
-    moving = _free_accelerations(scene, tape, factors, order)
+    moving = _free_accelerations(scene, tape, equations)
     free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
     closed, near = np.zeros(c, np.bool_), np.zeros(c, np.bool_)
     for i in range(c):
@@ -219,7 +211,7 @@ def settle(
     m = len(which)
     modes = chunk.modes[k]
     if m > 0:
-        delassus = delassus_of(tape, which, unit_responses(tape, factors, order, which))
+        delassus = delassus_of(tape, which, unit_responses(tape, equations, which))
         slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))

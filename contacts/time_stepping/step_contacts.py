@@ -33,6 +33,7 @@ from contacts.time_stepping.equations import (
     ContactMemory,
     ContactProblem,
     ContactRoles,
+    FactoredEquations,
     StepConstants,
     TapeValues,
     solve_factored,
@@ -255,8 +256,9 @@ def find_active(
                 free[d] += numbers[row + d * n + j] * change[j]
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
+        closing, reached = h * (slow - (free[0] + bias)), BESIDE * h * nearing
         role, level[i], above = arriving(
-            gap, level[i], memory.closed[i], nearing, free[0] + bias, slow, BESIDE, scene.near, h
+            gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.near
         )
         met.active[i], met.hit[i] = role != APART, role == HIT
         if role == LASTING:
@@ -286,16 +288,16 @@ def _alone(groups: Ints, a: int) -> bool:
 
 
 @kernel
-def unit_responses(tape: TapeValues, factors: Array, order: Ints, which: Ints) -> Array:
+def unit_responses(tape: TapeValues, equations: FactoredEquations, which: Ints) -> Array:
     """Return what unit impulses of contacts do to all that moves (2 m, s)."""
-    n = tape.size
-    columns, push = np.zeros((2 * len(which), len(order))), np.zeros(len(order))
+    n, moving = tape.size, len(equations.order)
+    columns, push = np.zeros((2 * len(which), moving)), np.zeros(moving)
     for a in range(len(which)):
         row = tape.first + tape.per * which[a]
         for d in range(2):
             for j in range(n):
                 push[j] = tape.numbers[row + d * n + j]
-            put(solve_factored(factors, order, push), columns[2 * a + d])
+            put(solve_factored(equations.factors, equations.order, push), columns[2 * a + d])
     return columns
 
 
@@ -335,19 +337,12 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 
 @kernel
 def contact_problem(
-    scene: StepConstants,
-    tape: TapeValues,
-    factors: Array,
-    order: Ints,
-    which: Ints,
+    scene: StepConstants, tape: TapeValues, equations: FactoredEquations, which: Ints,
     met: ContactRoles,
-) -> ContactProblem:
-    """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups.
-
-    What moves has the equations of these factors, in this order.
-    """
+) -> ContactProblem:  # fmt: skip
+    """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
     m = len(which)
-    columns = unit_responses(tape, factors, order, which)
+    columns = unit_responses(tape, equations, which)
     delassus = delassus_of(tape, which, columns)
     groups = _groups(scene, tape, which)
     cones, before = np.empty((m, 2)), np.empty((m, 2))

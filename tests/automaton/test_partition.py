@@ -62,8 +62,10 @@ def test_names_that_are_words_of_the_document_are_not_replaced() -> None:
         "bodies": {"mass": {}, "q": {}},
         "contacts": {"one": {"point": {"body": "mass"}}, "two": {"point": {"body": "q"}}},
     }
-    assert split(data, MOVING, REGIONS, lambda: ("mass",)) == []
-    assert len(split(data, MOVING, REGIONS, tuple)) == 2
+    (one, names), (other, _) = split(data, MOVING, REGIONS, lambda: ("mass",))
+    assert names["mass"] == "mass"
+    assert one["bodies"].keys() == {"mass"}
+    assert other["bodies"].keys() != {"q"}
 
 
 def test_parts_are_written_in_neutral_names() -> None:

@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from strategies import examples
 
-from contacts.collision_detection.convex import FOUND, between, place
+from contacts.collision_detection.convex import FOUND, ConvexShape, between, place
 from statechart.automaton.trace import Outcome
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
@@ -239,8 +239,9 @@ def test_contacts_of_two_squares_agree_with_their_corners(x, y, one_angle, other
     found, swapped = np.zeros((16, FOUND)), np.zeros((16, FOUND))
     centre, away = np.zeros(2), np.array([x, y])
     features = np.zeros(16, dtype=np.int64)
-    count = between(one, centre, 0.0, other, away, 0.0, 0.1, found, features)
-    again = between(other, away, 0.0, one, centre, 0.0, 0.1, swapped, features)
+    first, second = ConvexShape(one, centre, 0.0), ConvexShape(other, away, 0.0)
+    count = between(first, second, 0.1, found, features)
+    again = between(second, first, 0.1, swapped, features)
     assert (count > 0) == (again > 0)
     normals = found[:count, :2]
     assert np.hypot(*normals.T) == pytest.approx(np.ones(count))
@@ -261,9 +262,12 @@ def test_the_first_listed_corner_does_not_change_the_motion():
         for first in range(3):
             found = np.zeros((16, FOUND))
             count = between(
-                np.roll(tooth, first, axis=0), middle, 0.0, placed, beside, 0.0, 0.1, found,
+                ConvexShape(np.roll(tooth, first, axis=0), middle, 0.0),
+                ConvexShape(placed, beside, 0.0),
+                0.1,
+                found,
                 np.zeros(16, dtype=np.int64),
-            )  # fmt: skip
+            )
             answers.append(sorted(found[:count].tolist()))
         assert len(answers[0]) == 2
         assert np.ptp(answers, axis=0) == pytest.approx(0.0, abs=1e-12)

@@ -419,3 +419,14 @@ def test_a_disc_on_two_rollers_that_turn_is_spun_up_in_its_place(until):
     spin = -min(0.2 * forces.sum() / (0.5 * 0.15) * until, 20 * 0.1 / 0.15)
     final = Runner(interpret(read_text(ROLLERS))).run({"until": until}).trace.final
     assert final[[0, 1, 3, 4, 5]] == pytest.approx([0, 0.25 * up, 0, 0, spin], abs=1e-10)
+
+
+def test_fast_disc_in_a_bowl_stops_bouncing():
+    """It is pressed by 75 times its weight, which turns it more in a step than it rebounds."""
+    start, grounds = {"disc": f"{at(0.0, 0.051)}, dx: 6"}, {"bowl": "height: x**2"}
+    found, exact = (
+        run(scene(start, grounds, e=0.3, time=0.4, gravity=1, step=h)) for h in (1e-3, 2e-5)
+    )
+    assert len(found.jumps) < 6
+    assert not found.warnings
+    np.testing.assert_allclose(found.final, exact.final, rtol=0, atol=3e-3)
