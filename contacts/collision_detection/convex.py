@@ -31,7 +31,7 @@ FOUND = 5
 # size, so that faces that lie on each other do not take turns.
 _PREFERRED = 1e-3
 # Points this close, relative to the length of the shorter edge, are one.
-_SAME = 1e-3
+_SAME_DIRECTION = 1e-3
 # Difference of their gaps, relative to that distance: far above the round-off of gaps.
 _EVEN = 1e-6
 
@@ -47,7 +47,7 @@ def norm(x: float, y: float) -> float:
 
 
 @kernel
-def write(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
+def write_contact(found: Array, nx: float, ny: float, x: float, y: float, gap: float) -> None:
     """Write a point of contact; see `FOUND`."""
     found[0], found[1], found[2], found[3], found[4] = nx, ny, x, y, gap
 
@@ -105,7 +105,7 @@ def _clipped(
             least, facing = against, k
     m = (facing + 1) % len(other)
     across = norm(other[m, 0] - other[facing, 0], other[m, 1] - other[facing, 1])
-    count, same = 0, _SAME * min(length, across)
+    count, same = 0, _SAME_DIRECTION * min(length, across)
     ax, ay, bx, by = other[facing, 0], other[facing, 1], other[m, 0], other[m, 1]
     sa = ex * (ax - one[edge, 0]) + ey * (ay - one[edge, 1])
     sb = ex * (bx - one[edge, 0]) + ey * (by - one[edge, 1])
@@ -135,7 +135,7 @@ def _clipped(
             count = 0
         if gap <= within:
             sign = -1.0 if flip else 1.0
-            write(found[count], -sign * nx, -sign * ny, x, y, gap)
+            write_contact(found[count], -sign * nx, -sign * ny, x, y, gap)
             features[count] = 6 * (64 * edge + facing) + 2 * which + (1 if flip else 0)
             count += 1
     return count
@@ -153,7 +153,7 @@ def _corner(one: Array, other: Array, within: float, found: Array, features: Int
     if best > within or best == 0.0:
         return 0
     nx, ny = (one[a, 0] - other[b, 0]) / best, (one[a, 1] - other[b, 1]) / best
-    write(found[0], nx, ny, other[b, 0], other[b, 1], best)
+    write_contact(found[0], nx, ny, other[b, 0], other[b, 1], best)
     features[0] = -1 - (64 * a + b)
     return 1
 
@@ -188,7 +188,7 @@ def _disc_and_polygon(
     if gap > within:
         return 0
     sign = -1.0 if flip else 1.0
-    write(found[0], sign * nx, sign * ny, x, y, gap)
+    write_contact(found[0], sign * nx, sign * ny, x, y, gap)
     return 1
 
 
@@ -215,7 +215,7 @@ def between(
         return 0
     nx, ny = (dx / away, dy / away) if away > 0.0 else (0.0, 1.0)
     x, y = other.centre[0] + other.radius * nx, other.centre[1] + other.radius * ny
-    write(found[0], nx, ny, x, y, gap)
+    write_contact(found[0], nx, ny, x, y, gap)
     return 1
 
 

@@ -68,7 +68,7 @@ def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Arra
 
 
 @kernel
-def _moved(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
+def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
     """Return where the point of a surface that now is at x, y is at a detection."""
     u, v = seen_from(frames[1], x, y)
     return carried(frames[mid], u, v)
@@ -97,7 +97,7 @@ def on_surface(
     frames = ground.frames if moves else ground.still
     if moves:
         _swung(ground, s, carrier, mid, h)
-        u, v = _moved(frames, x, y, 2)
+        u, v = _in_frame(frames, x, y, 2)
         within += 2.0 * norm(u - x, v - y)
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
@@ -170,7 +170,7 @@ def carried_along(
     arm = nx * (x - a) + ny * (y - b)
     for mid in (0, 2):
         way, turned = (mid - 1.0) / h, frames[mid, 2] - frames[1, 2]
-        u, v = _moved(frames, a, b, mid)
+        u, v = _in_frame(frames, a, b, mid)
         nearing = way * (nx * (u - a) + ny * (v - b))
         along = way * (ny * (u - a) - nx * (v - b) - turned * arm)
         if mid == 0:

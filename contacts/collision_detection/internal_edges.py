@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
-from contacts.collision_detection.convex import against_faces, norm, write
+from contacts.collision_detection.convex import against_faces, norm, write_contact
 from contacts.collision_detection.ground import Ground, pose_of
 from contacts.collision_detection.joints import held
 from contacts.collision_detection.midpoint import Midpoint
@@ -593,7 +593,7 @@ def drop_internal_edges(
     for i in range(count):
         if how[i] == _OF_FACE or (how[i] == _OF_CORNER and found[i, 4] < barred):
             (nx, ny, x, y, gap), feature = found[i], features[i]
-            write(found[kept], nx, ny, x, y, gap)
+            write_contact(found[kept], nx, ny, x, y, gap)
             features[kept] = feature
             kept += 1
     return kept, barred < 0.0

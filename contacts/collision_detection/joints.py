@@ -25,7 +25,7 @@ from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
 # Round-off of the ends of a joint.
-_ROUNDING = 2.0**-50
+_ANGLE_ROUND_OFF = 2.0**-50
 # A step is shorter than the one before where it is so beyond rounding.
 _SHORTER = 1.0 - 1e-9
 
@@ -81,7 +81,7 @@ def _joint_rows(
             apart += sign * (ux * x + uy * y)
             size += abs(ux * x + uy * y) + abs(rx) + abs(ry)
         # Joints that others imply cannot close what rounding opens.
-        if not abs(apart) > _ROUNDING * size:
+        if not abs(apart) > _ANGLE_ROUND_OFF * size:
             closing[0, d] = 0.0
             continue
         # Between detections arms are open by what they bend, as they are where a step is taken in

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.convex import ConvexShape, between, norm, write
+from contacts.collision_detection.convex import ConvexShape, between, norm, write_contact
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
@@ -22,7 +22,7 @@ around a disc, what is below a function."""
 # Pieces in which the nearest points of a graph are looked for, and steps to each.
 _PIECES, _STEPS = 16, 40
 # A crest this close to the end of an edge, relative to its length, is the corner there.
-_SAME = 1e-3
+_SAME_NORMAL = 1e-3
 
 
 class SurfaceNumbers(NamedTuple):
@@ -185,14 +185,14 @@ def against_surface(
                 nx, ny, away = (a - x) / far, (b - y) / far, c - far
             if away - radius <= within and count < len(found):
                 # The point is on the rim of a disc, or the corner itself.
-                write(found[count], nx, ny, x - radius * nx, y - radius * ny, away - radius)
+                write_contact(found[count], nx, ny, x - radius * nx, y - radius * ny, away - radius)
                 features[count] = i
                 count += 1
     if moved:
         for i in range(count):
             x, y = carried(pose, found[i, 2], found[i, 3])
             nx, ny = carried(pose, found[i, 0], found[i, 1])
-            write(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
+            write_contact(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
     return count
 
 
@@ -284,7 +284,7 @@ def _disc_on_graph(
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (middle[1] - height - slope * (middle[0] - x)) - radius
         if gap <= within:
-            write(found[count], -slope * unit, unit, x, height, gap)
+            write_contact(found[count], -slope * unit, unit, x, height, gap)
             count += 1
     return count
 
@@ -305,7 +305,7 @@ def _polygon_on_graph(
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (corners[i, 1] - numbers[outputs[at], i])
         if gap <= within and count < len(found):
-            write(found[count], -slope * unit, unit, corners[i, 0], corners[i, 1], gap)
+            write_contact(found[count], -slope * unit, unit, corners[i, 0], corners[i, 1], gap)
             features[count] = i
             count += 1
     for i in range(len(corners)):
@@ -346,8 +346,8 @@ def _polygon_on_graph(
             height = numbers[outputs[at], 0]
             gap = nx * (place - x) + ny * (height - y)
             beside = min(place - x, x + ex - place)
-            if gap <= within and beside > _SAME * length:
-                write(found[count], -nx, -ny, place, height, gap)
+            if gap <= within and beside > _SAME_NORMAL * length:
+                write_contact(found[count], -nx, -ny, place, height, gap)
                 features[count] = len(corners) + _PIECES * i + crests
                 count += 1
                 crests += 1

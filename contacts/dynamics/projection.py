@@ -14,7 +14,7 @@ from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
 from contacts.solvers.dependence import well_posed
 from contacts.states import OPEN
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, SingularMode
@@ -30,7 +30,6 @@ _FREE = (0.0,) * 5
 # A step farther off a surface than this part of the scene's length counts as blind. Enclosures
 # as narrow as the gap's tolerance would take 1e5 boxes a step.
 UNSEEN = 1e-4
-_EPS = float(np.finfo(float).eps)
 # A residual that projection cannot reduce is round-off up to so many times a last bit's effect.
 _ROUNDINGS = 64.0
 # That effect is measured by a shift of so small a part of every number.
@@ -127,7 +126,7 @@ class Projection:
             moved[i] += _SHIFT * number
             rows.append(self.tape.at(moved, values, time))
         moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
-        return (_EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
+        return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
     def unseen(self, flow: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen.

@@ -13,13 +13,12 @@ from contacts.dynamics.geometry import surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import ORDINARY
 from contacts.scene.joints import Path
-from statechart.arrays import Array, Ints
+from statechart.arrays import EPS, Array, Ints
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.kernels.jets import tape_ranges
 from statechart.kernels.jit import kernel
 
-_EPS = float(np.finfo(float).eps)
 # Round-off of positions in units in the last place of the largest coordinate, with room for what
 # some steps add up.
 _UNITS = 16.0
@@ -343,7 +342,7 @@ def measure(
         lever = 1.0 if turn < 0 else abs(numbers[begins[LEVERS] + turn])
         push = lever * max(abs(ranges[2 * paths + i, 0]), abs(ranges[2 * paths + i, 1]))
         acceleration = max(acceleration, push) if push < math.inf else acceleration
-    rounding = _UNITS * _EPS * coordinates
+    rounding = _UNITS * EPS * coordinates
     apart = max(largest[GAPS], high[ACROSS] - low[ACROSS], high[UPWARD] - low[UPWARD])
     extent = max(largest[EXTENTS], largest[LEVERS])
     length = extent
@@ -357,7 +356,7 @@ def measure(
         period = 1.0 / math.sqrt(largest[STIFFNESS])
     farthest = max(speed * period, acceleration * (period * period))
     # A start that is off zero by rounding of what the run covers has no length.
-    if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, _EPS * farthest):
+    if extent <= _MIN_SIZE and length <= max(_MIN_SIZE, EPS * farthest):
         length = farthest if farthest > 0.0 else 1.0
     elif acceleration > 0.0:
         length = max(length, min(start * duration, start * start / acceleration))

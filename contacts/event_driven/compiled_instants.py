@@ -132,7 +132,7 @@ def _closed(
 
 
 @kernel
-def _alone(
+def _single_impact(
     scene: SceneWatch, mass: Array, numbers: Array, at: int, place: int, c: int,
     velocity: Array, impulse: Array,
 ) -> int:  # fmt: skip
@@ -213,7 +213,7 @@ def hit(
     impulse[:] = 0.0
     bits = 0
     if count == 1:
-        path = _alone(scene, mass, numbers, at, place, c, after[n:], impulse)
+        path = _single_impact(scene, mass, numbers, at, place, c, after[n:], impulse)
     else:
         path = strike_group(
             rules_of(scene), numbers, scene.restitution, group[:count], after[n:], impulse

@@ -34,7 +34,7 @@ from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.modes import FORCE_MARGINS
 from contacts.states import OFF, OPEN
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.laws import (
@@ -52,7 +52,6 @@ from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
 
-_EPS = float(np.finfo(float).eps)
 # A start may be inside a surface by so much of the scene's length (and is projected out).
 _START_DEPTH = 1e-9
 
@@ -336,7 +335,7 @@ class SceneLaws:
         """
         if flow.sizes is None:
             return moving
-        rounding = _EPS * flow.sizes[len(flow.sizes) // 2 :]
+        rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         return tuple(
             "pin"
             if f"{name}.slip" in fired

@@ -48,7 +48,7 @@ _MAX_PIECES = 8
 RAISES = 1e-9
 """An impact that raises the energy by more than this part of the terms of its work is told of."""
 # Of the terms of a rate: less is no error that an impulse should mend.
-_ROUNDING = 8 * 2.0**-52
+_PATH_ROUND_OFF = 8 * 2.0**-52
 
 
 @kernel
@@ -84,7 +84,7 @@ def _along(
 def _guided(jacobian: Array) -> bool:
     """Whether the point can move along its normal alone: then friction has nothing to hold."""
     for i in range(jacobian.shape[1]):
-        if abs(jacobian[1, i]) > _ROUNDING * abs(jacobian[0, i]):
+        if abs(jacobian[1, i]) > _PATH_ROUND_OFF * abs(jacobian[0, i]):
             return False
     return True
 
@@ -184,7 +184,7 @@ def strike(
         if name == WEDGE:
             # What has one way to move only stops with both velocities zero at once; friction may
             # then keep it from going back.
-            led = u_n < -_ROUNDING * terms
+            led = u_n < -_PATH_ROUND_OFF * terms
             return WEDGED if led else ENDED, normal, tangential, path, u_n, u_t
         to_stop = -u_t / ut if u_t * ut < 0.0 else math.inf
         if braking and u_t != 0.0:
@@ -216,7 +216,7 @@ def strike(
                     terms += abs(jacobian[0, i]) * (abs(velocity[i]) + abs(before[i]))
                     made += jacobian[0, i] * (velocity[i] - before[i])
                 missing = u_n - (approach + made)
-                if abs(missing) > _ROUNDING * terms:
+                if abs(missing) > _PATH_ROUND_OFF * terms:
                     for i in range(size):
                         velocity[i] += change[i] * un * missing
                     normal += pn * un * missing

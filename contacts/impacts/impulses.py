@@ -46,7 +46,7 @@ _EXACT, _TIE, _EDGE = 1e-13, 1e-11, 1e-9
 _RUNAWAY = 1e9
 # Of the terms of a work: less is their rounding.
 _GAIN = 1e-9
-_SAME = 1e-8
+_SAME_IMPULSE = 1e-8
 # Velocities below this part of the largest in their group are not compared with themselves.
 _ROUNDED = 1e-4
 
@@ -472,7 +472,7 @@ def _same_motion(problem: ImpactProblem, one: Impulses, other: Impulses) -> bool
     """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
     after, terms, _ = _motion(problem, one.change)
     beside, sizes, _ = _motion(problem, other.change)
-    return bool((np.abs(after - beside) <= _SAME * (terms + sizes)).all())
+    return bool((np.abs(after - beside) <= _SAME_IMPULSE * (terms + sizes)).all())
 
 
 def _shared_out(

@@ -27,7 +27,7 @@ from statechart.errors import NoConsistentMode
 
 # Of the first approach: what is left of a sequence then is the tail of a geometric one.
 _SPENT = 1e-12
-_ROUNDING = 64 * float(np.finfo(np.float64).eps)
+_ROUND_OFF = 64 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def impacts(
         if min(snapshot.contacts[i].gap_rate for i in group) >= 0.0:
             continue
         if len(group) == 1:
-            done = _alone(snapshot, laws, group[0])
+            done = _single_impact(snapshot, laws, group[0])
         elif choice == "sequential":
             done = _in_sequence(snapshot, laws, group)
         else:
@@ -107,7 +107,7 @@ def groups(snapshot: Snapshot, closed: Sequence[bool]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _alone(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> _Done:
+def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -> _Done:
     """Let one contact be hit, by its own law."""
     law, contact = laws[place], snapshot.contacts[place]
     if law.impact == MOREAU:
@@ -184,7 +184,7 @@ def _shares(
     where they move.
     """
     gain, size = _work(snapshot, group, target)
-    if gain <= _ROUNDING * size:
+    if gain <= _ROUND_OFF * size:
         return 0.0, 1.0
     further = target.change - plastic.change
     curvature = 0.5 * float(further @ snapshot.mass @ further)
@@ -212,7 +212,7 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
     while True:
         moving = [now.contacts[i] for i in group]
         limits = [
-            _ROUNDING * (abs(c.gap_rate) + float(np.abs(c.jacobian[0]) @ terms)) for c in moving
+            _ROUND_OFF * (abs(c.gap_rate) + float(np.abs(c.jacobian[0]) @ terms)) for c in moving
         ]
         hit = [k for k in range(len(group)) if moving[k].gap_rate < (-limits[k] if path else 0.0)]
         if not hit:
@@ -231,11 +231,11 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
             ]
             done = _at_once(now, laws, group, False)._replace(path=["plastic rest"])
         else:
-            done = _alone(now, laws, group[k])
+            done = _single_impact(now, laws, group[k])
         impulses += done.impulses
         path += done.path
         told += [done.warning] if done.warning else []
-        now = _moved(snapshot, now.velocity + done.change)
+        now = _with_velocity(snapshot, now.velocity + done.change)
         if endless:
             break
         terms = np.maximum(terms, np.abs(now.velocity))
@@ -243,7 +243,7 @@ def _in_sequence(snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int
     return _Done(change, impulses, path, warning, 1.0, [False] * len(laws))
 
 
-def _moved(snapshot: Snapshot, velocity: Array) -> Snapshot:
+def _with_velocity(snapshot: Snapshot, velocity: Array) -> Snapshot:
     """Return the numbers at other rates of the coordinates."""
     contacts = []
     for contact in snapshot.contacts:

@@ -51,7 +51,7 @@ _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
 _ZERO = 1e-8
 # Entries so far below the largest of their contact are rounding, such as cos(pi/2) = 6e-17.
 # Units put entries this far apart only where lengths are below 1e-14 or angles are not radians.
-_ROUNDING = 1e-14
+_CONE_ROUND_OFF = 1e-14
 _MOST_MODES = 4096
 
 
@@ -185,7 +185,7 @@ def _scaled(jacobians: Array) -> Array:
     if not jacobians.size:
         return jacobians
     size = np.abs(jacobians)
-    rows = np.where(size <= _ROUNDING * size.max(axis=(1, 2), keepdims=True), 0.0, jacobians)
+    rows = np.where(size <= _CONE_ROUND_OFF * size.max(axis=(1, 2), keepdims=True), 0.0, jacobians)
     rows /= _divisors(np.abs(rows).max(axis=(0, 1)))
     rows /= _divisors(np.abs(rows).max(axis=(1, 2), keepdims=True))
     sizes = np.linalg.norm(rows, axis=2, keepdims=True)

@@ -114,7 +114,7 @@ def share(
         "".join(letters[i] for i in np.nonzero(owners == k)[0].tolist() if i in kept)
         for k in range(len(code))
     )
-    rows, joints = _rows(code, jacobians), np.zeros(0, dtype=np.int64)
+    rows, joints = _row_names(code, jacobians), np.zeros(0, dtype=np.int64)
     if snapshot.held is not None:
         joints = np.nonzero(~snapshot.held.joints.redundant)[0]
         seen, _ = mode_columns(code[shared], cones[shared], snapshot.whole.jacobians[shared], -1)
@@ -154,7 +154,7 @@ def _own(code: Iterable[int]) -> list[tuple[int, int]]:
     return [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
 
 
-def _rows(code: Ints, jacobians: Array) -> tuple[str, ...]:
+def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
     """Return which constraints of each contact the others do not imply."""
     own = _own(code.tolist())
     count, order, _ = independent(np.array([jacobians[k, d] for k, d in own]))

@@ -15,7 +15,7 @@ from statechart.pictures.film import WORLD, Shape, ShapeKind
 
 _ROUND = 180  # points of a circle
 _FINE = 320  # points of a curve, in the width of a picture
-_MOST = 6000
+_MAX_POINTS = 6000
 # What is carried by a body and has no end is shown so far, of the picture's width.
 _CARRIED = 0.06
 
@@ -140,7 +140,7 @@ def _graph(
 ) -> Array:
     formula = parse(text)
     low, high = float(box[0][0]), float(box[1][0])
-    count = int(np.clip(_FINE * (high - low) / unit, _FINE, _MOST))
+    count = int(np.clip(_FINE * (high - low) / unit, _FINE, _MAX_POINTS))
     x = np.linspace(low, high, count)
     points = np.column_stack([x, [formula.value({**known, "x": float(at)}) for at in x]])
     return points[np.isfinite(points).all(axis=1)]

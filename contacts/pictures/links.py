@@ -21,7 +21,7 @@ from statechart.pictures.film import WORLD, Shape, ShapeKind
 SAME = 1e-9
 """A length, relative to the size of its body or scene, that counts as round-off."""
 # Number of configurations at which an identity is tried.
-_TRIED = 5
+_CONFIGURATIONS = 5
 # Step of the numerical derivatives of forces, and the share of a force that counts as a change.
 _MOVED, _FOLLOWS = 1e-4, 1e-6
 
@@ -50,14 +50,14 @@ class Links:
     def tried(self, expressions: Sequence[sp.Expr], states: Array | None = None) -> Array:
         """Return expressions in some states, by default in some that have nothing in common."""
         values = np.fromiter(self._known.values(), float, len(self._known))
-        times = np.linspace(0.1, 1.0, _TRIED)
+        times = np.linspace(0.1, 1.0, _CONFIGURATIONS)
         tape = compiled(self._automaton, expressions)
         return tape.table(self._states() if states is None else states, values, times)
 
     def _states(self) -> Array:
         # No two alike, as no angle in whole radians is a whole turn: what holds at all holds.
         count = len(self._automaton.variables)
-        return np.sin(np.outer(1.0 + np.arange(_TRIED), 1.0 + np.arange(count)))
+        return np.sin(np.outer(1.0 + np.arange(_CONFIGURATIONS), 1.0 + np.arange(count)))
 
     def _pendulums(self) -> list[Shape]:
         """Return links from bodies on circular paths to the centres of these."""
@@ -118,7 +118,7 @@ class Links:
     def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
         """Whether what is at rest is pulled the more the longer the line is."""
         pull, length = _along(self.tried(terms, self._at_rest()))
-        rise, square = np.zeros(_TRIED), np.zeros(_TRIED)
+        rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
             states = self._at_rest()
             states[:, k] += _MOVED

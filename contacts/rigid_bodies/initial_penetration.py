@@ -20,7 +20,7 @@ from statechart.errors import DeclarationProblem
 # run can be the start of another.
 _LEFT = 0.1
 # Depths that are equal but for rounding.
-_SAME = 1e-9
+_SAME_GAP = 1e-9
 # Bodies that are tried, and moves of each.
 _MOVES = 20
 # Number of copies from which the advice is rows.
@@ -181,7 +181,7 @@ def _way_out(
         least[2] /= size
         weights, _ = nnls(least, np.array([0.0, 0.0, 1.0]))
         left = least @ weights - np.array([0.0, 0.0, 1.0])
-        if not -left[2] > _SAME:
+        if not -left[2] > _SAME_GAP:
             break
         move = -size * left[:2] / left[2]
         state = initial.copy()
@@ -207,7 +207,7 @@ def _covered(
 
     def as_deep(numbers: BodyNumbers, state: Array) -> bool:
         gap = detect(numbers, state).gaps[b]
-        return gap <= (1.0 - _SAME) * margin
+        return gap <= (1.0 - _SAME_GAP) * margin
 
     places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]
     apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()

@@ -184,7 +184,7 @@ def push(
 
 # Relative accuracy of impulses: a stack of twelve under a body of 1e8 times their mass misses 1e-6
 # in half of its steps, two bodies do so from 4e9 on, which is the rounding of one product.
-_ROUNDING = 64.0 * 2.0**-52
+_VELOCITY_ROUND_OFF = 64.0 * 2.0**-52
 # Impulses that miss by a tenth of the fastest approach hold nothing apart.
 _HOLDS_NOTHING = 0.1
 
@@ -223,16 +223,16 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     """Return what is said of masses at which a tolerance cannot be met."""
     ratio, light, heavy, missed = worst.tolist()
     # Beside bodies of one mass it is the tolerance that is below rounding.
-    if ratio * _ROUNDING <= allowed or allowed < _ROUNDING:
+    if ratio * _VELOCITY_ROUND_OFF <= allowed or allowed < _VELOCITY_ROUND_OFF:
         return ()
-    reached = max(ratio * _ROUNDING, missed)
+    reached = max(ratio * _VELOCITY_ROUND_OFF, missed)
     looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
         f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "
         f"together, are 1 to {ratio:.2g}: rounding of the heavy one's impulses moves the light one "
         f"by more than the tolerance of impulses, {allowed:g}; they miss the contact laws by "
         f"{missed:.2g} of the fastest approach. Take masses within 1 to "
-        f"{allowed / _ROUNDING:.0e}{looser}",
+        f"{allowed / _VELOCITY_ROUND_OFF:.0e}{looser}",
     )
 
 
@@ -587,7 +587,7 @@ def solve_islands(
             if quiet == size or active.hit[i]:
                 put(chosen[a], active.pushes[i])
         if forces and quiet < size:
-            _forces(numbers, space, members, quiet, allowed, fast)
+            _island_forces(numbers, space, members, quiet, allowed, fast)
         effort[RESIDUAL] = max(effort[RESIDUAL], missed)
         effort[ITERATIONS] += done
         effort[CALMED] = max(effort[CALMED], 1.0 if softened else 0.0)
@@ -595,7 +595,7 @@ def solve_islands(
 
 
 @kernel
-def _forces(
+def _island_forces(
     numbers: BodyNumbers, space: Workspace, members: Ints, quiet: int, allowed: float, fast: float
 ) -> None:
     """Write what is force of an island's impulses: those without what strikes.

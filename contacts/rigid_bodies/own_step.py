@@ -24,7 +24,7 @@ _CROSSED, _FALLEN = 0.1, 0.02
 # Forces are evaluated at so many instants of a run.
 _INSTANTS = 17
 # A circle is inside of an edge but for this part of its polygon.
-_ROUNDING = 1e-9
+_STEP_ROUND_OFF = 1e-9
 
 
 def inner_radii(numbers: BodyNumbers) -> Array:
@@ -54,10 +54,10 @@ def inscribed(corners: Array) -> float:
     bounds = (normals * corners).sum(axis=1)
     three = np.array(list(combinations(range(len(corners)), 3)))
     rows = np.concatenate([normals[three], np.ones((*three.shape, 1))], axis=2)
-    regular = np.abs(np.linalg.det(rows)) > _ROUNDING
+    regular = np.abs(np.linalg.det(rows)) > _STEP_ROUND_OFF
     circles = np.linalg.solve(rows[regular], bounds[three][regular][:, :, None])[:, :, 0]
     outside = circles @ np.column_stack([normals, np.ones(len(normals))]).T - bounds
-    inside = (outside <= _ROUNDING * np.abs(along).max()).all(axis=1)
+    inside = (outside <= _STEP_ROUND_OFF * np.abs(along).max()).all(axis=1)
     return float(circles[inside, 2].max())
 
 

@@ -92,7 +92,7 @@ def integrate(rates: Tape, values: Array, remembered: Array, times: Array) -> Ar
 
 
 # A start that is a whole number of steps but for this part of one is that.
-_SAME = 1e-6
+_SAME_MOTION = 1e-6
 
 
 class PrescribedMotion:
@@ -144,7 +144,7 @@ class PrescribedMotion:
         forces = self.forces.program
         # Counted from the start of the run: instants are the same in chunks of any length.
         number = round(start / h)
-        first = number if abs(start - number * h) <= _SAME * h else start / h
+        first = number if abs(start - number * h) <= _SAME_MOTION * h else start / h
         times: Array = h * (first + 0.5 * np.arange(2 * count + 2, dtype=float))
         flows = self._mechanics.flows_in(self._states)
         memories = integrate(flows, self._values, remembered, times)

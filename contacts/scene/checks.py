@@ -167,11 +167,11 @@ class Limit(NamedTuple):
     shown: tuple[FormulaText, ...] = ()  # Formulas whose values the sentence tells, if not its own
 
 
-_MOST = sys.float_info.max
-_POSITIVE = math.ulp(0.0), _MOST, "must be positive, not {:g}"
+_MAX_NUMBER = sys.float_info.max
+_POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
 # Beyond these masses energies are no floats, or the round-off of forces.
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
-_LIGHT = 1e-280, _MOST, _MASSES, "take smaller units"
+_LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
 _HEAVY = 0.0, 1e300, _MASSES, "take larger units"
 # Beyond it the solid would be above; what is meant are degrees, or a line for a ceiling.
 _RIGHT_ANGLE = math.nextafter(math.pi / 2, math.inf)
@@ -191,7 +191,7 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         yield Limit((*at, "mass"), body.mass, *_LIGHT)
         yield Limit((*at, "mass"), body.mass, *_HEAVY)
         if body.inertia is not None:
-            yield Limit((*at, "inertia"), body.inertia, 0.0, _MOST)
+            yield Limit((*at, "inertia"), body.inertia, 0.0, _MAX_NUMBER)
         for place, shape in enumerate(body.shape):
             if shape.disc is not None:
                 several = (place,) if len(body.shape) > 1 else ()
@@ -210,7 +210,7 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     (*at, "radius"),
                     f"({surface.radius}) - ({contact.radius})",
                     math.ulp(0.0),
-                    _MOST,
+                    _MAX_NUMBER,
                     "a disc of radius {:g} does not roll in a circle of radius {:g}",
                     "the circle has to be the larger one",
                     (contact.radius, surface.radius or 0),
@@ -327,7 +327,7 @@ def check_kinks(scene: SceneFields) -> None:
             advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
             check_smooth(text, variables, loc=loc, lacks=lacks, advice=advice, roots=ground)
             check_derived(parse(text).root, variables, loc)
-    changing, texts = _forces(scene)
+    changing, texts = _force_formulas(scene)
     for loc, text in texts:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
@@ -335,7 +335,7 @@ def check_kinks(scene: SceneFields) -> None:
         check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
 
 
-def _forces(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
+def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
     """Return the names that change as the scene flows, and the formulas of its forces."""
     found: list[tuple[Loc, FormulaText]] = []
     for name, force in scene.forces.items():

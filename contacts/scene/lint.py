@@ -24,7 +24,7 @@ _EQUAL = 1e-12
 # An angle beyond a turn, written as a plain number, was rarely counted in radians.
 _TURN = 2.0 * math.pi
 # A centre that is no farther in, beside how far it is from the line's first point, is on it.
-_ROUNDING = 1e-9
+_GAP_ROUND_OFF = 1e-9
 # Inertias in parts of that of all mass at a body's farthest point. Bodies have at most one, and
 # seldom less than a hundredth; lengths in millimetres beside metres make a million of it, and what
 # never turns is often given 1.
@@ -121,7 +121,7 @@ def _inside_out(scene: SceneFields) -> Iterator[str]:
         x, y = numbers(body.position or free)
         (a, b), (c, d) = map(numbers, surface.line)
         depth = ((x - a) * (d - b) - (y - b) * (c - a)) / math.hypot(c - a, d - b)
-        if depth > _ROUNDING * max(abs(x - a), abs(y - b)):
+        if depth > _GAP_ROUND_OFF * max(abs(x - a), abs(y - b)):
             yield (
                 f"contacts.{name}: {contact.point.body!r} starts {depth:.3g} inside the solid of "
                 f"{contact.surface!r}, which is on the right of the way from its first point to "

@@ -30,7 +30,7 @@ BEST, NOW, CHANGE, ALONG, LEAST, TRIED, KEPT = range(7)
 much they change, and how they went on; what is asked; impulses that are tried, and kept."""
 
 # What a contact's own impulses do to its velocity is known to this part.
-_ROUNDING = 1e-13
+_ROW_ROUND_OFF = 1e-13
 # Of the fastest slip: an approach below this is what rounding leaves of rest, and what impulses are
 # for is friction. Bodies of grams that walls press on fall past these by 1.6e-3 m/s in a step, and
 # approach them at 4e-19: missing a thousandth of that is nothing.
@@ -249,12 +249,12 @@ def residual(
         mu = slope(cones[i])
         if mu < 0.0:
             missed = max(missed, abs(normal), abs(slip) if mu == HELD else 0.0)
-            size = max(size, _ROUNDING * wn * abs(pn), _ROUNDING * wt * abs(pt))
+            size = max(size, _ROW_ROUND_OFF * wn * abs(pn), _ROW_ROUND_OFF * wt * abs(pt))
             continue
         missed = max(missed, abs(wn * pn - max(wn * pn - normal, 0.0)))
         edge = wt * mu * pn
         missed = max(missed, abs(wt * pt - min(max(wt * pt - slip, -edge), edge)))
-        size = max(size, _ROUNDING * wn * pn)
+        size = max(size, _ROW_ROUND_OFF * wn * pn)
     # Below it nothing has digits: bodies beside each other approach at 1e-320 m/s.
     if missed < SMALLEST:
         return 0.0

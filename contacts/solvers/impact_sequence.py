@@ -19,7 +19,7 @@ from statechart.kernels.jit import kernel
 # first, and the order of bodies is to decide nothing.
 _ALIKE = 1e-9
 # What velocities are known to, in parts of the fastest.
-_ROUNDING = 64.0 * 2.0**-52
+_IMPULSE_ROUND_OFF = 64.0 * 2.0**-52
 # Impulses that leave more of an approach than this part stop none.
 _STOPPED = 0.5
 
@@ -145,7 +145,7 @@ def in_turn(
             largest = max(largest, abs(now[i, 0]), abs(now[i, 1]))
         for i in range(count):
             done[i] = slope(contacts.cones[i]) < 0.0 or (
-                -now[i, 0] <= max(slow[i], _ROUNDING * largest)
+                -now[i, 0] <= max(slow[i], _IMPULSE_ROUND_OFF * largest)
             )
             fastest = fastest if done[i] else max(fastest, -now[i, 0])
         if fastest == 0.0:

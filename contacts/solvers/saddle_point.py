@@ -17,7 +17,7 @@ _RESIDUAL = 1e-8
 # Below it numbers lose digits, and the power of two that would bring them to size 1 overflows.
 SMALLEST = 2.0**-1022
 # Of a number: what it is known to.
-_ROUNDING = 2.0**-52
+_UNIT_ROUND_OFF = 2.0**-52
 
 
 @kernel
@@ -104,7 +104,7 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
     size = len(order)
     for i in range(size):
         for k in range(size):
-            errors[i, k] = abs(factors[i, k]) * _ROUNDING
+            errors[i, k] = abs(factors[i, k]) * _UNIT_ROUND_OFF
     for k in range(size):
         best = k
         for i in range(k + 1, size):
@@ -127,7 +127,7 @@ def factorise(factors: Array, order: Ints, errors: Array) -> bool:
                     product = factor * factors[k, c]
                     factors[i, c] -= product
                     errors[i, c] += abs(factor) * errors[k, c] + unsure * abs(factors[k, c])
-                    errors[i, c] += _ROUNDING * abs(product)
+                    errors[i, c] += _UNIT_ROUND_OFF * abs(product)
     return True
 
 

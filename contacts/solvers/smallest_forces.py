@@ -25,7 +25,7 @@ _DAMPING, _BEYOND = 1e-12, 1e9
 _STEPS, _HALVINGS = 200, 120
 # A slope along a step, in parts of that at its start, that counts as none.
 _LEVEL = 1e-3
-_ROUNDING = 64 * 2.0**-52
+_FORCE_ROUND_OFF = 64 * 2.0**-52
 
 
 @kernel
@@ -248,11 +248,11 @@ def springs(
                 for d in range(2):
                     missed = max(missed, abs(own[d] - forces[g, d]))
                     largest = max(largest, abs(w[g, d]))
-            if missed <= _ROUNDING * largest:
+            if missed <= _FORCE_ROUND_OFF * largest:
                 if not _solved(stiffness, zones, cones, scaled, right, w, forces):
                     return False, forces, zones, np.inf
                 violation = _violation(zones, w, cones, sliding)
-                if abs(violation) <= _ROUNDING * largest:
+                if abs(violation) <= _FORCE_ROUND_OFF * largest:
                     violation = 0.0
                 return True, forces, zones, violation
         left = _borne(scaled, cones, sliding, pushed, y, w, forces)

@@ -164,7 +164,7 @@ def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float
 
 
 @kernel
-def _sizes(before: Array, free: Array, impulses: Array) -> float:
+def _velocity_scale(before: Array, free: Array, impulses: Array) -> float:
     """Return the sizes of what the work of impulses is summed from."""
     begin = end = 0.0
     for i in range(len(impulses)):
@@ -216,7 +216,7 @@ def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound
             curvature += impulses[i, d] * moved[i, d]
     curvature *= 0.5
     end = _work_at(before, free, impulses, moved)
-    limit = bound + _WORK_ROUNDING * _sizes(before, free, impulses)
+    limit = bound + _WORK_ROUNDING * _velocity_scale(before, free, impulses)
     return shares(-limit, end - limit, curvature)[1] if end > limit else 1.0
 
 
@@ -246,7 +246,7 @@ def capped(
     """
     begin = _work_at(before, free, plastic, moved_plastic)
     end = _work_at(before, free, elastic, moved_elastic)
-    limit = max(begin, bound) + _WORK_ROUNDING * _sizes(before, free, elastic)
+    limit = max(begin, bound) + _WORK_ROUNDING * _velocity_scale(before, free, elastic)
     if end <= limit:
         return elastic, 1.0
     curvature, chosen = 0.0, np.empty((len(elastic), 2))

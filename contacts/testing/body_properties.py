@@ -214,7 +214,7 @@ def _scene(subject: Subject) -> Scene:
     return subject.model
 
 
-def _numbers(subject: Subject, trace: Trace) -> BodyNumbers:
+def _body_numbers(subject: Subject, trace: Trace) -> BodyNumbers:
     scene = _scene(subject)
     return body_numbers(scene, scene.values(_values(scene, trace)))
 
@@ -227,12 +227,12 @@ def _depths(subject: Subject, trace: Trace) -> None:
     scene = _scene(subject)
     paths, values = Paths(scene), _values(scene, trace)
     assert_depths(
-        _numbers(subject, trace), trace, lambda times, w: paths.at(values, times, w).frames
+        _body_numbers(subject, trace), trace, lambda times, w: paths.at(values, times, w).frames
     )
 
 
 def _energy(subject: Subject, trace: Trace) -> None:
-    numbers = _numbers(subject, trace)
+    numbers = _body_numbers(subject, trace)
     # What moves, or pushes, does work.
     if not (numbers.surfaces.moves.any() or _pushed(subject)):
         assert_energy_of_steps(numbers, subject, trace)
@@ -240,11 +240,11 @@ def _energy(subject: Subject, trace: Trace) -> None:
 
 def _fall(subject: Subject, trace: Trace) -> None:
     if not _pushed(subject):
-        assert_free_fall(_numbers(subject, trace), trace)
+        assert_free_fall(_body_numbers(subject, trace), trace)
 
 
 def _impulses(subject: Subject, trace: Trace) -> None:
-    assert_impulses_of_bodies(_numbers(subject, trace), trace)
+    assert_impulses_of_bodies(_body_numbers(subject, trace), trace)
 
 
 def _pushed(subject: Subject) -> bool:

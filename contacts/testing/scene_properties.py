@@ -71,7 +71,7 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed."""
     cones = cache(partial(cone_edges, scene, trace))
-    for arc, name, state, times, V, H in _forces(scene, subject, trace):
+    for arc, name, state, times, V, H in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
         # A mode of steps that all hold an impulse has no force of its own.
@@ -85,7 +85,7 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that a contact that is free has no force."""
-    for _, name, state, times, V, H in _forces(scene, subject, trace):
+    for _, name, state, times, V, H in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
@@ -257,7 +257,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
     )
 
 
-def _forces(
+def _sampled_forces(
     scene: Scene, subject: Subject, trace: Trace
 ) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
     """Yield every contact in every arc: its name and mode, times, and V and H at them."""

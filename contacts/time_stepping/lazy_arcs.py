@@ -112,10 +112,10 @@ def defined(rows: Array) -> Array:
     return result
 
 
-T = TypeVar("T", bound=NDArray[Any])
+Numbers = TypeVar("Numbers", bound=NDArray[Any])
 
 
-def _own(rows: T) -> T:
+def _own(rows: Numbers) -> Numbers:
     """Return rows that hold no more than twice their memory: chunks often end early."""
     base = rows.base
     return rows.copy() if base is not None and base.nbytes > 2 * rows.nbytes else rows

@@ -279,7 +279,7 @@ def find_active(
 
 
 @kernel
-def _alone(groups: Ints, a: int) -> bool:
+def _is_alone(groups: Ints, a: int) -> bool:
     """Whether a contact is the only one of its group."""
     alone = True
     for b in range(len(groups)):
@@ -351,7 +351,7 @@ def contact_problem(
     for a in range(m):
         i = which[a]
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
-        if scene.plastic and rebounds[a] and not _alone(groups, a):
+        if scene.plastic and rebounds[a] and not _is_alone(groups, a):
             rebounds[a], met.wanted[i, 0] = False, 0.0
         put(scene.cones[i], cones[a])
         put(met.before[i], before[a])
@@ -402,7 +402,7 @@ def split_forces(
                 sudden[a], jammed = True, i + 1
             clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # The impulses of others decide, too, where there are others.
-            off = least[a, 0] > clear and memory.closed[i] and _alone(problem.groups, a)
+            off = least[a, 0] > clear and memory.closed[i] and _is_alone(problem.groups, a)
             several = several or (paradox and off)
     steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
     relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)

@@ -56,7 +56,7 @@ from contacts.time_stepping.step_rejection import (
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
 from statechart import interrupts
-from statechart.arrays import Bools, Ints
+from statechart.arrays import EPS, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.time_stepper import (
     RECORD_ALL,
@@ -122,7 +122,7 @@ _ROOM = 2**23
 # More steps no float can count, and no trace can hold.
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
-_KNOWN = 2**15
+_TIMED_STEPS = 2**15
 
 
 class SteppedRun:
@@ -310,7 +310,7 @@ class SteppedRun:
         """Raise `TooLong` where the steps of a run that nothing else ends cannot all be kept."""
         steps = self.span.until / self.span.step
         most = FAR_TOO_MANY * LARGEST
-        if self.taken >= _KNOWN and not self.stepper.stops.names:
+        if self.taken >= _TIMED_STEPS and not self.stepper.stops.names:
             needed = self.size / self.taken * steps
             if needed > most:
                 raise TooLong(
@@ -408,8 +408,6 @@ class SteppedRun:
             record=record,
         )
 
-
-_EPS = float(np.finfo(float).eps)
 
 RELATIVE = 1e-9
 """Tolerances at the start, relative to the scene."""
@@ -528,7 +526,7 @@ class Stepper(ABC):
         read = forces or bool(self.stops.names) or bool(self.controls)
         inputs = self._begin(overrides, step, allowed, read)
         scales = inputs.setup.scales
-        least = _EPS * scales.length / scales.speed
+        least = EPS * scales.length / scales.speed
         if step < min(least, until):
             raise DeclarationProblem(
                 f"in a step of {step:g} what moves at {scales.speed:.3g} goes less far than the "

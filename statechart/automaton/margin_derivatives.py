@@ -119,10 +119,10 @@ def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> s
     parts = [part for part in expression.args if not part.is_Number]
     if isinstance(expression, sp.Add | sp.Abs | sp.Min | sp.Max):
         return sp.Add(
-            *(rounding_scale(part, sizes) for part in parts), *map(abs, _numbers(expression))
+            *(rounding_scale(part, sizes) for part in parts), *map(abs, _coefficients(expression))
         )
     if expression.is_Mul and len(parts) == 1:
-        slope = abs(sp.Mul(*_numbers(expression)))
+        slope = abs(sp.Mul(*_coefficients(expression)))
         return sp.Add(abs(expression), slope * rounding_scale(parts[0], sizes))
     slots = {part: sp.Dummy(real=True) for part in parts}
     form = expression.func(*(slots.get(part, part) for part in expression.args))
@@ -148,7 +148,7 @@ def time_derivative(
     )
 
 
-def _numbers(expression: sp.Expr) -> list[sp.Expr]:
+def _coefficients(expression: sp.Expr) -> list[sp.Expr]:
     return [part for part in expression.args if part.is_Number]
 
 

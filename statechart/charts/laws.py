@@ -276,7 +276,7 @@ class ChartLaws:
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(flow.roles)
-        rows = watch.at(setup, state, _sizes(flow, state), clock.high)
+        rows = watch.at(setup, state, _state_sizes(flow, state), clock.high)
         if (name := watch.valueless(rows)) is not None:
             raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
@@ -359,7 +359,7 @@ def _summed(flow: Flow, state: Array) -> Array:
     return np.abs(state) if sizes is None else np.maximum(sizes, np.abs(state))
 
 
-def _sizes(flow: Flow, state: Array) -> Array:
+def _state_sizes(flow: Flow, state: Array) -> Array:
     """Return these sizes, or those before the jumps of this instant where they are larger.
 
     What is set to zero leaves it by what the time at hand can resolve.

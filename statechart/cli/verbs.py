@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # verbs that run nothing do without them
     from statechart.running.result import Result
     from statechart.running.runner import Runner
 
-T = TypeVar("T")
+Value = TypeVar("Value")
 
 _SAMPLES = (
     "samples.csv is written from version 0.3 on only where it is asked for: say --samples, or "
@@ -494,9 +494,9 @@ def _runner(file: str, **options: Any) -> Runner:
     return runner
 
 
-def _assigned(option: str, pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
+def _assigned(option: str, pairs: Iterable[tuple[str, Value]]) -> dict[str, Value]:
     """Return pairs of names and values as a dictionary, each name once."""
-    found: dict[str, T] = {}
+    found: dict[str, Value] = {}
     for name, value in pairs:
         if name in found:
             raise DeclarationError(f"{option} {name} is given twice", advice="give it once")

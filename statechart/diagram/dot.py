@@ -45,7 +45,7 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
         if chart.nodes
     ]
     heading = [_heading(diagram)] if diagram.title else []
-    rows = [*heading, *_rows(charts, _WIDTH), *_rows(_tables(below), _WIDE)]
+    rows = [*heading, *_legend_rows(charts, _WIDTH), *_legend_rows(_tables(below), _WIDE)]
     return _source(stacked(rows, _GAP), diagram.title)
 
 
@@ -103,7 +103,7 @@ def _wrapped(words: str) -> str:
     return "\n".join(line for part in lines for line in part)
 
 
-def _rows(blocks: Iterable[Block], wide: float) -> list[Block]:
+def _legend_rows(blocks: Iterable[Block], wide: float) -> list[Block]:
     """Put blocks beside each other, as many as a page is wide; return the rows."""
     rows: list[list[Block]] = []
     for block in blocks:

@@ -33,7 +33,7 @@ def mermaid(diagram: Diagram, guards: Guards = "legend") -> str:
             # Mermaid fails at an arrow to a box in a box that nothing outside is linked to.
             shown = _titled(piece) if len(pieces) > 1 else piece
             lines += _indent(_chart(shown, states, guards))
-    notes = [*diagram.notes, *diagram.routes, *_rows(legend(diagram, guards))]
+    notes = [*diagram.notes, *diagram.routes, *_table_rows(legend(diagram, guards))]
     if notes:
         # A note would stand beside a state and push the others apart.
         name = _fresh("legend", states)
@@ -118,7 +118,7 @@ def _label(links: list[Link], guards: Guards) -> str:
     return f" : {'<br/>'.join(map(_escape, parts))}" if parts else ""
 
 
-def _rows(table: Legend) -> list[str]:
+def _table_rows(table: Legend) -> list[str]:
     lines = []
     for event in table.events:
         head = f"{event.event}, {event.route}:" if event.route else f"{event.event}:"

@@ -164,17 +164,17 @@ def _reset(region: Region, edge: HierarchicalEdge) -> str:
     if len(by_reset) == 1:
         return edge.reset
     return "\n".join(
-        f"to {' or '.join(_joined(region, targets))}: {reset or 'nothing'}"
+        f"to {' or '.join(_state_lines(region, targets))}: {reset or 'nothing'}"
         for reset, targets in by_reset.items()
     )
 
 
-def _joined(region: Region, states: list[str]) -> list[str]:
+def _state_lines(region: Region, states: list[str]) -> list[str]:
     """Return states, those that are all of a superstate by its name."""
     for name in _superstates(region):
         members = region.within(name)
         if len(members) > 1 and set(members) <= set(states):
-            return [name, *_joined(region, [s for s in states if s not in members])]
+            return [name, *_state_lines(region, [s for s in states if s not in members])]
     return states
 
 

@@ -307,7 +307,7 @@ def check_derived(
             advice=f"at most {MAX_NESTED}; nest fewer functions",
             loc=loc,
         )
-    size = _sizes(root, variables)[order]
+    size = _formula_sizes(root, variables)[order]
     if size > MAX_DERIVED:
         which = "second derivative" if order == 2 else "derivative"
         raise DeclarationProblem(
@@ -323,15 +323,15 @@ def _nested(node: Node) -> int:
     return within + isinstance(node, Call)
 
 
-def _sizes(node: Node, variables: Collection[str]) -> tuple[int, int, int]:
+def _formula_sizes(node: Node, variables: Collection[str]) -> tuple[int, int, int]:
     """Return how many operations a formula has, and its first and second derivative."""
     match node:
         case Name():
             return 1, int(node.name in variables), 0
         case Unary():
-            size, first, second = _sizes(node.operand, variables)
+            size, first, second = _formula_sizes(node.operand, variables)
             return size + 1, first + 1 if first else 0, second + 1 if first else 0
-    parts = [_sizes(child, variables) for child in children(node)]
+    parts = [_formula_sizes(child, variables) for child in children(node)]
     size = 1 + sum(part[0] for part in parts)
     moving = [part for part in parts if part[1]]
     if isinstance(node, Binary) and node.operator in "+-":

@@ -19,11 +19,11 @@ from statechart.formulas.tape import Tape
 METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 
 # A thousand roundings: with the factor below, a variable at rest is known to one.
-_ROUNDING = 1e3 * float(np.finfo(float).eps)
+_RATE_ROUND_OFF = 1e3 * float(np.finfo(float).eps)
 # Errors of smaller magnitudes underflow.
 _SMALLEST = 1e-280
 # solve_ivp refuses a relative tolerance below this.
-_LEAST = 100 * float(np.finfo(float).eps)
+_MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 # The slope of dense output is off by less than this times that power of the tolerance: an order
 # lower than the step, of RK45 5 and of DOP853 8. Ten times what the shipped models show.
 _SLOPE, _SLOWER = 50.0, 0.85
@@ -44,7 +44,7 @@ class SciPy(Engine):
     def __init__(
         self, tolerance: float, method: str = "DOP853", max_step: float = math.inf
     ) -> None:
-        self.tolerance = max(tolerance, _LEAST)
+        self.tolerance = max(tolerance, _MIN_TOLERANCE)
         self.method, self.max_step = method, max_step
         self.allowed = _SLOPE * self.tolerance**_SLOWER
 
@@ -127,7 +127,7 @@ class SciPy(Engine):
             # In the model's own units, and as small as the motion now is (late, low bounces), but
             # not below what rounding makes of a state at rest.
             moving = float((magnitude / sizes).max(initial=0.0)) or 1.0
-            least = sizes * max(moving, _ROUNDING / self.tolerance)
+            least = sizes * max(moving, _RATE_ROUND_OFF / self.tolerance)
         self.floor = np.maximum(magnitude, 1e-3 * least)
         options: dict[str, Any] = {"rtol": self.tolerance, "atol": self.tolerance * self.floor}
         if self.max_step < math.inf:

@@ -29,7 +29,7 @@ _SIGNATURE = re.compile(
 )
 # Functions that heyoka's library brings along.
 _HELPERS = re.compile(r"@(heyoka_\w+)")
-_numbers = itertools.count()
+_serial_numbers = itertools.count()
 
 
 class Step:
@@ -52,7 +52,7 @@ class Step:
             place = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
             builder.import_symbol(name, place)
         # The code is freed with what tracks it.
-        self._code = builder.export_symbol("step").link(_linker(), f"step {next(_numbers)}")
+        self._code = builder.export_symbol("step").link(_linker(), f"step {next(_serial_numbers)}")
         self.address = int(self._code["step"])
 
     @classmethod

@@ -19,7 +19,7 @@ from statechart.kernels.enclosed_defect import MOMENTS, enclosed_defect
 # Most pieces of a step.
 _PIECES = 4096
 # Variables are as large as this part of their sizes at least, as where steps are checked.
-_LEAST = 1e-6
+_MIN_SIZE = 1e-6
 # The rounding of rates, bounded operation by operation, is up to so many times what it is: a step
 # may be off by as much more than what the check of steps allows.
 _PROVED = 16.0
@@ -50,7 +50,7 @@ class Certificate:
     """
 
     def __init__(self, trace: Trace, setup: Setup, laws: Laws, engine: Engine) -> None:
-        least = _LEAST * (np.ones(len(trace.variables)) if setup.sizes is None else setup.sizes)
+        least = _MIN_SIZE * (np.ones(len(trace.variables)) if setup.sizes is None else setup.sizes)
         # All that follows is in parts of the variables' sizes, and of the end of the run.
         self._scale, self._end = np.maximum(sizes(trace), least), trace.t_end or 1.0
         self._variables, self._setup, self._laws = trace.variables, setup, laws

@@ -13,7 +13,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Setup
 
 # A few units in the last place: what a run of many steps adds up to.
-_LEAST = 8.0 * float(np.finfo(float).eps)
+_MIN_PERTURBATION = 8.0 * float(np.finfo(float).eps)
 # Errors of what is smaller, in the sizes of the variables, are relative to this.
 _SMALL = 1e-3
 # The first look ahead ends elsewhere, and so do all steps after it: their rounding is another. What
@@ -36,7 +36,7 @@ def nudged(automaton: Automaton) -> Automaton:
 
     def changed(own: Setup, relative: float) -> Setup:
         horizon = _CUT * own.horizon if own.horizon < math.inf else 1.0
-        moved = _moved(own, np.sign(own.initial) * max(relative, _LEAST), gap=_WIDER)
+        moved = _perturbed(own, np.sign(own.initial) * max(relative, _MIN_PERTURBATION), gap=_WIDER)
         return replace(moved, horizon=horizon)
 
     return _with_setup(automaton, changed)
@@ -44,7 +44,7 @@ def nudged(automaton: Automaton) -> Automaton:
 
 def shifted(automaton: Automaton, part: float, signs: Array) -> Automaton:
     """Return the automaton with all initial values moved by a part of them, and `widened`."""
-    return _with_setup(automaton, lambda own, _: _moved(own, signs * part), part)
+    return _with_setup(automaton, lambda own, _: _perturbed(own, signs * part), part)
 
 
 def widened(automaton: Automaton) -> Automaton:
@@ -53,7 +53,7 @@ def widened(automaton: Automaton) -> Automaton:
     A mode is left where a force is below zero by its tolerance, whatever the engine and however
     tight: all runs are late by that, and only one with another tolerance shows by how much.
     """
-    return _with_setup(automaton, lambda own, _: _moved(own, np.zeros(len(own.initial))))
+    return _with_setup(automaton, lambda own, _: _perturbed(own, np.zeros(len(own.initial))))
 
 
 def loosened(automaton: Automaton, relative: float) -> Automaton:
@@ -75,16 +75,16 @@ def _with_setup(
     return replace(automaton, setup=setup)
 
 
-def _moved(own: Setup, parts: Array, gap: float = 1.0) -> Setup:
+def _perturbed(own: Setup, parts: Array, gap: float = 1.0) -> Setup:
     """Return numbers with the initial values moved by parts of their sizes, forces doubled."""
     tolerances = {**own.tolerances}
     for kind, factor in (("force", 2.0), ("gap", gap)):
         if kind in tolerances:
             tolerances[kind] *= factor
-    return replace(own, initial=own.initial + parts * _sizes(own), tolerances=tolerances)
+    return replace(own, initial=own.initial + parts * _variable_sizes(own), tolerances=tolerances)
 
 
-def _sizes(setup: Setup) -> Array:
+def _variable_sizes(setup: Setup) -> Array:
     """Return what errors of initial values are relative to."""
     own = np.abs(setup.initial)
     return own if setup.sizes is None else np.maximum(own, _SMALL * setup.sizes)

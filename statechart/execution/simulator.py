@@ -246,7 +246,7 @@ class Simulator:
             trace = made.get(alike)
             if trace is None or trace.t_end > end:
                 try:
-                    trace = self._alone(component.automaton)._from(own, end, max_jumps)
+                    trace = self._of_component(component.automaton)._from(own, end, max_jumps)
                 except DeclarationProblem:
                     # The whole says so in the names that the model declares.
                     return None
@@ -258,7 +258,7 @@ class Simulator:
         built = sum(simulator.modes_built for simulator in self._of_components.values())
         return merged.trace(self.engine.title, self.engine.tolerance, built)
 
-    def _alone(self, automaton: Automaton) -> Simulator:
+    def _of_component(self, automaton: Automaton) -> Simulator:
         """Return what runs a component."""
         found = self._of_components.get(automaton)
         if found is None:

@@ -202,7 +202,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
 
     def split(tree: Any) -> Any:
         if isinstance(tree, Every | Some):
-            return _joined(type(tree), tuple(split(part) for part in tree.parts))
+            return _flattened(type(tree), tuple(split(part) for part in tree.parts))
         if isinstance(tree, Within):
             return tree
         if tree not in seen:
@@ -228,7 +228,7 @@ def condition_of(tree: Any, source: Source) -> Condition:
     return Condition(tuple(atoms[place] for place in used), replaced(root, used.__getitem__))
 
 
-def _joined(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
+def _flattened(kind: type[Every] | type[Some], parts: tuple[Any, ...]) -> Any:
     """Return parts joined, without those that are always true or false."""
     decisive, neutral = (True, False) if kind is Some else (False, True)
     rest: dict[Any, None] = {}

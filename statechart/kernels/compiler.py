@@ -40,7 +40,7 @@ def part(kernel: jit.Kernel) -> Any:
     return made
 
 
-def whole(kernel: jit.Kernel) -> Any:
+def dispatcher(kernel: jit.Kernel) -> Any:
     """Return what compiles a kernel for calls from Python, or loads it from the disk."""
     made = _njit()(kernel.py_func)
     compile_ = made.compile

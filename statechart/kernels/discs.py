@@ -48,7 +48,7 @@ _WIDER = 2.0**-40
 _UNKNOWN: Disc = (0j, INF)
 _ONE: Disc = (1.0 + 0j, 0.0)
 _I = 1j
-_MOST = 1024.0  # whole exponents beyond have no use
+_MAX_EXPONENT = 1024.0  # whole exponents beyond have no use
 
 
 @kernel
@@ -172,7 +172,7 @@ def _whole_power(a: Disc, n: int) -> Disc:
 @kernel
 def _power(a: Disc, b: Disc) -> Disc:
     n = math.floor(b[0].real + 0.5)
-    if b[1] <= 1e-14 * abs(n) and abs(b[0] - n) <= 1e-14 * abs(n) and abs(n) <= _MOST:
+    if b[1] <= 1e-14 * abs(n) and abs(b[0] - n) <= 1e-14 * abs(n) and abs(n) <= _MAX_EXPONENT:
         return _whole_power(a, int(n))  # a parameter may be a whole number
     return _exp(_mul(b, _log(a)))
 

@@ -72,7 +72,7 @@ from statechart.kernels.tapes import (
 
 Jet = tuple[Interval, Interval, Interval]
 
-_MOST = 1024.0  # whole exponents beyond have no use
+_MAX_EXPONENT = 1024.0  # whole exponents beyond have no use
 
 
 @kernel
@@ -251,7 +251,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     x0, x1, x2 = x
     y0, y1, y2 = y
     k, steady = math.floor(0.5 * (y0[0] + y0[1]) + 0.5), max(-y1[0], y1[1], -y2[0], y2[1])
-    if steady <= 1e-290 and max(k - y0[0], y0[1] - k) <= 1e-14 * abs(k) and abs(k) <= _MOST:
+    if steady <= 1e-290 and max(k - y0[0], y0[1] - k) <= 1e-14 * abs(k) and abs(k) <= _MAX_EXPONENT:
         return _whole_power(x, int(k))
     if order < 0:
         x0 = _defined(POW, x0)

@@ -77,7 +77,7 @@ class Kernel:
         """Numba's dispatcher for calls from Python."""
         from statechart.kernels import compiler
 
-        return compiler.whole(self)
+        return compiler.dispatcher(self)
 
     @cached_property
     def inner(self) -> Any:

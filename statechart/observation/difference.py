@@ -120,7 +120,7 @@ def compare(
         zero = max(nothing, scales.zero_outputs.get(name, 0.0))
         outputs[name] = _worst(
             Compared(f"output {name}", a, b, _relative(a, b, max(abs(a), abs(b), size), zero))
-            for a, b, size in _numbers(one, fine_outputs[name], size, name in endless)
+            for a, b, size in _differences(one, fine_outputs[name], size, name in endless)
         )
     return Difference(
         state.off if same_end else math.inf,
@@ -309,7 +309,7 @@ def _repeats(jump: Jump, end: Jump) -> bool:
     return jump.region == end.region and not _accumulates(jump)
 
 
-def _numbers(
+def _differences(
     one: Output, other: Output, size: Output, endless: bool
 ) -> Iterable[tuple[float, float, float]]:
     """Yield what is compared of an output: numbers of two runs, and their size."""

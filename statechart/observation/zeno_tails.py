@@ -21,7 +21,7 @@ class _Timed(Protocol):
     def skipped(self) -> float: ...
 
 
-T = TypeVar("T", bound=_Timed)
+Jumping = TypeVar("Jumping", bound=_Timed)
 
 # A bounce that a step takes for rest is no faster than two steps of free fall, and lasts four.
 _CAPTURED = 5.0
@@ -54,7 +54,7 @@ def last_resolved(trace: Trace) -> list[Jump]:
     return list(found.values())
 
 
-def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | None:
+def without_summed(runs: Sequence[Sequence[Jumping]]) -> list[list[tuple[Jumping, bool]]] | None:
     """Leave out the jumps that at least one run summed up at the end of a Zeno sequence.
 
     Several regions may bounce in turn, and rounding decides at which of them the sum begins.
@@ -72,8 +72,8 @@ def without_summed(runs: Sequence[Sequence[T]]) -> list[list[tuple[T, bool]]] | 
 
 
 def _left(
-    jumps: Sequence[T], sums: Sequence[T], windows: Sequence[tuple[float, float]]
-) -> list[tuple[T, bool]]:
+    jumps: Sequence[Jumping], sums: Sequence[Jumping], windows: Sequence[tuple[float, float]]
+) -> list[tuple[Jumping, bool]]:
     ends = [(jump.t + jump.skipped, *window) for jump, window in zip(sums, windows, strict=True)]
     found = []
     for jump in jumps:

@@ -190,7 +190,7 @@ def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Sa
 
 def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict[str, Any]]:
     end = float(samples.t[-1])
-    chosen = _rows(samples, end)
+    chosen = _sample_rows(samples, end)
     line = Line.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
 
     def drawn(values: Array) -> str:
@@ -229,7 +229,7 @@ def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[st
     }
 
 
-def _rows(samples: Samples, end: float) -> NDArray[np.intp]:
+def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
     """Return the rows that curves are drawn by: some, and both ends of every flow.
 
     Without these a curve would end short of where it jumps. Of too many flows all rows, of which

@@ -36,7 +36,7 @@ _RATE = 25
 # Seconds that an animation of a speed chosen here takes, at least and at most.
 _SHORT, _LONG = 3.0, 10.0
 # Pictures of one file: of longer ones every second, third, ... is left out.
-_MOST = 600
+_MAX_FRAMES = 600
 # Pixels along a side; a video's are even.
 _NARROWEST, _WIDEST = 120, 1920
 # The last picture stays for so long before all begins anew.
@@ -53,7 +53,7 @@ def pace(end: float, speed: float | None) -> tuple[float, Array]:
     if speed is None:
         speed = 1.0 if _SHORT <= end <= _LONG or end == 0.0 else _round(end)
     _check_speed(speed)
-    count = min(max(2, round(_RATE * end / speed) + 1), _MOST)
+    count = min(max(2, round(_RATE * end / speed) + 1), _MAX_FRAMES)
     return speed, np.linspace(0.0, end, count)
 
 

@@ -101,7 +101,7 @@ def curves(observer: Observer, trace: Trace) -> tuple[Samples, list[Panel]]:
     samples = observer.sample(trace, per_step=_per_step(trace))
     samples = without_round_off(observer.automaton, trace, samples)
     states = _states(observer.automaton, samples)
-    forces = _forces(observer.automaton, trace, samples)
+    forces = _force_panels(observer.automaton, trace, samples)
     panels = [*states, *_gaps(observer.automaton, trace, samples), *forces]
     panels += _impulses(observer.automaton, trace, forces)
     return samples, [*panels, *_controls(observer.automaton, samples)]
@@ -276,7 +276,7 @@ def _gaps(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     return [replace(panel, left_out=(*panel.left_out, *idle))]
 
 
-def _forces(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
+def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[Panel]:
     """Return the forces of contacts with the edges of their cones; at most some."""
     columns, model = samples.columns, automaton.declaration
     struck = {region for jump in trace.jumps for region in jump.impulse}

@@ -158,7 +158,7 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
         rates = zip(automaton.rates, mode.rates, strict=True)
         motion = tuple((rate, _short(e.xreplace(known))) for rate, e in rates)
         return [EquationBlock("motion", motion)]
-    rows = _rows(automaton, automaton.coordinates, key, zeros)
+    rows = _equation_rows(automaton, automaton.coordinates, key, zeros)
     found: list[EquationBlock] = []
     if rows.elimination is not None:
         follows = rows.elimination.positions.items()
@@ -169,7 +169,7 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
     if rows.held:
         held = tuple((_short(place), sp.S.Zero) for place in rows.held)
         found.append(EquationBlock("held", held))
-    forces = _forces(rows, automaton)
+    forces = _force_equations(rows, automaton)
     return [*found, EquationBlock("forces", forces)] if forces else found
 
 
@@ -182,7 +182,7 @@ class _Rows(NamedTuple):
     forces: list[sp.Expr]
 
 
-def _rows(
+def _equation_rows(
     automaton: Automaton, coordinates: Coordinates, key: Key, zeros: frozenset[sp.Symbol]
 ) -> _Rows:
     states = [r.build(role) for r, role in zip(automaton.regions, roles_in(key), strict=True)]
@@ -238,7 +238,7 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
     return sp.Add(*left), _short(-sp.expand_mul(rest - centripetal))
 
 
-def _forces(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
+def _force_equations(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
     """Return the forces that follow from the motion, or from each other."""
     assert automaton.coordinates is not None
     left = [row for row in rows.forces if row != 0]

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_serializer
 
-from statechart.arrays import Array
+from statechart.arrays import EPS, Array
 from statechart.documents.declaration import Declaration
 from statechart.documents.documented import Documented
 from statechart.documents.setting import Setting
@@ -29,7 +29,6 @@ MIN_POINTS = 3
 # An output converges with the step if its error falls with at least this power of it: theory says
 # 1, and a quarter is beyond what chance makes of three points or more.
 _CONVERGING = 0.25
-_EPS = float(np.finfo(float).eps)
 
 
 class Record(BaseModel, metaclass=Documented):
@@ -308,7 +307,7 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
     for name in dict.fromkeys(name for point in points for name in point.errors.named):
         having = [point for point in points if name in point.errors.named]
         # Every step rounds.
-        rounded = _EPS * max(point.steps for point in having)
+        rounded = EPS * max(point.steps for point in having)
         pairs = [(point.setting.fineness, point.errors.named[name]) for point in having]
         if not falls(pairs, max(least, rounded / RESOLVED)):
             found[name] = min(pairs)[1]
@@ -318,7 +317,7 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
 def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
     """Whether errors fall with the step, or cannot be told not to."""
     ordered = sorted(pairs)
-    large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, _EPS)]
+    large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, EPS)]
     if len(large) < MIN_POINTS or large[0] != ordered[0]:
         return True
     x, y = np.log(np.array(large)).T

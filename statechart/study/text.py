@@ -160,7 +160,7 @@ def _foot(study: Measurements) -> str:
         )
     why, listed = reasons(study), _listed(study)
     lines += [
-        f"{family} deviates from the reference even at its finest: see {_numbers(texts, listed)}, "
+        f"{family} deviates from the reference even at its finest: see {_footnote(texts, listed)}, "
         "which the reference does not have"
         for family, texts in why.items()
     ]
@@ -237,7 +237,7 @@ def _listed(study: Measurements) -> list[Note]:
     return found[: max(_MAX_NOTES, sum(note.says_one_of(why) for note in found))]
 
 
-def _numbers(texts: Sequence[str], listed: Sequence[Note]) -> str:
+def _footnote(texts: Sequence[str], listed: Sequence[Note]) -> str:
     places = [str(place) for place, note in enumerate(listed, 1) if note.says_one_of(texts)]
     return f"warning{'s' if len(places) > 1 else ''} {', '.join(places)}"
 

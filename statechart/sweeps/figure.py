@@ -261,7 +261,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
             if name in plan.lists:
                 _points(ax, x.at[chosen], values.reshape(len(x.at), -1)[chosen], colour)
             else:
-                _joined(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
+                _joined_cells(ax, x.at[chosen], values.ravel()[chosen], cells.modes[chosen], colour)
         ax.set_ylabel(plan.entitled(name))
         frame(ax)
     x.put(axes[-1, 0], "x")
@@ -279,7 +279,7 @@ def _lines(plan: Plan, data: xr.Dataset, cells: _Cells) -> Figure:
     return entitle(drawing, plan.model.name)
 
 
-def _joined(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
+def _joined_cells(ax: Axes, x: Array, y: Array, modes: NDArray[np.int32], colour: str) -> None:
     """Join neighbours of the same modes; a cell without such a neighbour is a dot."""
     here = np.isfinite(y)
     joins = (modes[1:] == modes[:-1]) & here[1:] & here[:-1]

@@ -67,7 +67,7 @@ def dense(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
 def assert_margins(subject: Subject, trace: Trace) -> None:
     """Check that no guard's margin is negative between events, on a grid of its own."""
-    moved = _moved(trace)
+    moved = _variation(trace)
     for arc, tau in dense(trace):
         mode = subject.mode(trace, arc)
         if margins := whole_margins(mode.margins):
@@ -80,7 +80,7 @@ def assert_invariants(subject: Subject, trace: Trace) -> None:
     Of a run by steps they hold to what a variable changes by in a step.
     """
     observer = subject.observers[trace.engine.split()[0]]
-    moved = _moved(trace)
+    moved = _variation(trace)
     for arc, tau in dense(trace):
         margins = _invariants(subject, arc)
         if not margins:
@@ -150,7 +150,7 @@ def _assert_margins(
 ) -> Array:
     """Check margins at local times of an arc; return what each may be below zero there.
 
-    `by`: see `_moved`.
+    `by`: see `_variation`.
     """
     expressions = [margin.expression for margin in margins]
     states = arc.states(tau)
@@ -183,7 +183,7 @@ def _assert_margins(
     return found
 
 
-def _moved(trace: Trace) -> Array:
+def _variation(trace: Trace) -> Array:
     """Return by how much variables (n,) may be off: rounding, and what a time step moves."""
     sizes, steps = np.zeros((2, len(trace.variables)))
     for arc in trace.arcs:

@@ -6,7 +6,7 @@ import base64
 
 import numpy as np
 
-from statechart.pages.content import _panels, _rows
+from statechart.pages.content import _panels, _sample_rows
 from statechart.reporting.curves import COLUMNS, curves
 from statechart.running.runner import Runner
 
@@ -18,7 +18,7 @@ def numbers(text: str) -> np.ndarray:
 def test_curves_reach_the_instants_at_which_they_jump() -> None:
     result = Runner("bouncing_ball").run()
     samples, _ = curves(result.observer, result.trace)
-    rows = _rows(samples, result.trace.t_end)
+    rows = _sample_rows(samples, result.trace.t_end)
     assert len(rows) < 0.75 * len(samples.t)
     assert (np.diff(rows) > 0).all()
     height = samples.columns["height"][rows]
@@ -46,6 +46,6 @@ def test_curves_of_many_jumps_have_few_points() -> None:
 def test_a_long_flow_has_as_many_points_for_its_length_as_short_ones() -> None:
     result = Runner("bouncing_ball").run()
     samples, _ = curves(result.observer, result.trace)
-    rows = _rows(samples, 8.77)
+    rows = _sample_rows(samples, 8.77)
     first = rows[samples.j[rows] == 0]
     assert len(first) == np.count_nonzero(samples.j == 0)

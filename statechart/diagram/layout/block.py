@@ -63,7 +63,7 @@ class Block:
         return Block(
             self.size,
             tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
-            tuple(replace(a, course=_moved(a.course, x, y)) for a in self.arrows),
+            tuple(replace(a, course=_translated(a.course, x, y)) for a in self.arrows),
         )
 
 
@@ -76,7 +76,7 @@ def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> Block:
     return Block((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
 
-def _moved(course: str, x: float, y: float) -> str:
+def _translated(course: str, x: float, y: float) -> str:
     return _POINT.sub(lambda m: f"{float(m[1]) + x:.2f},{float(m[2]) + y:.2f}", course)
 
 
@@ -94,7 +94,7 @@ def beside(blocks: Sequence[Block], gap: float) -> Block:
     for block in blocks:
         placed.append(block.moved(x, height - block.size[1]))
         x += block.size[0] + gap
-    return _joined((x - gap, height), placed)
+    return _merged((x - gap, height), placed)
 
 
 def stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Block:
@@ -104,10 +104,10 @@ def stacked(blocks: Sequence[Block], gap: float, *, centred: bool = True) -> Blo
     for block in reversed(blocks):
         placed.append(block.moved((width - block.size[0]) / 2 if centred else 0.0, y))
         y += block.size[1] + gap
-    return _joined((width, y - gap), placed[::-1])
+    return _merged((width, y - gap), placed[::-1])
 
 
-def _joined(size: Point, blocks: Sequence[Block]) -> Block:
+def _merged(size: Point, blocks: Sequence[Block]) -> Block:
     boxes = (box for block in blocks for box in block.boxes)
     return Block(size, (*boxes,), tuple(a for block in blocks for a in block.arrows))
 
