@@ -38,8 +38,10 @@ from statechart.kernels.tapes import tape_values
 # A moment of inertia below this part of mass times arm squared cannot be told from zero: the
 # forces that turn the body are then differences of terms that many times larger.
 POINT_MASS = 1e-12
-# Round-off of positions above this part of the length is worth a warning.
-FAR = 1e-10
+# Round-off of positions above this part of the length is worth a warning: of one contact that
+# bounces, and of several. While one of those strikes, the height of another is a difference of
+# coordinates; which is next, and so how many impacts there are, depends on it.
+FAR, FAR_IN_TURN = 1e-10, 1e-12
 # First horizon of a run, in the scene's own unit of time.
 LOOK_AHEAD = 64.0
 
@@ -57,6 +59,9 @@ class SceneNumbers:
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
         self.gap_offsets = np.array(offsets, np.int64)
         self.scale_tape = ScaleTape(mechanics)
+        laws = [parse(c.restitution or "0") for c in mechanics.scene.contacts.values()]
+        bouncing = sum(bool(law.names) or law.to_sympy({}) != 0 for law in laws)
+        self.far = FAR if bouncing < 2 else FAR_IN_TURN
         self.conditions = Conditions(mechanics)
         self._coefficients: dict[tuple[str, ...], tuple[Ints, Array]] = {}
         self._region_states = {
@@ -146,7 +151,7 @@ class SceneNumbers:
             initial=begins,
             tolerances=tolerances,
             short=SHORT,
-            warnings=(*self.lint, *warnings, *implied, *_far(scales)),
+            warnings=(*self.lint, *warnings, *implied, *_far(scales, self.far)),
             sizes=scales.state(memory),
             precision=gap,
             horizon=LOOK_AHEAD * scales.length / scales.speed,
@@ -240,9 +245,9 @@ class SceneNumbers:
         return self._coefficients[key]
 
 
-def _far(scales: Scales) -> Iterator[str]:
+def _far(scales: Scales, limit: float) -> Iterator[str]:
     """Yield a warning where the scene lies so far from the origin that round-off shows."""
-    if scales.rounding > FAR * scales.length:
+    if scales.rounding > limit * scales.length:
         yield (
             f"the scene is {scales.length:.3g} in size, and so far from the origin that "
             f"round-off of positions is {scales.rounding:.2g}; put the origin nearer"
@@ -289,6 +294,7 @@ class Rules(NamedTuple):
     gravity: int
     paths: int
     forced: Bools  # (s,): Which stop conditions have no value before forces are known
+    far: float  # Round-off of positions that is worth a warning, in parts of the length
 
 
 class Numbers(NamedTuple):
@@ -314,6 +320,7 @@ def rules(numbers: SceneNumbers) -> Rules | None:
         numbers.scale_tape.gravity,
         numbers.scale_tape.paths,
         np.array([name in numbers.of_forces for name in numbers.stops], np.bool_),
+        numbers.far,
     )
 
 
@@ -391,7 +398,7 @@ def run_numbers(
         made.sizes,
     ):  # fmt: skip
         return False
-    if made.scales[4] > FAR * made.scales[0]:
+    if made.scales[4] > rules.far * made.scales[0]:
         return False
     code, constants, outputs, _, _ = tape_of(program, tapes[STOPS])
     bands = made.bands

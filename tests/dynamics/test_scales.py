@@ -122,6 +122,17 @@ def test_far_from_the_origin_a_bounce_is_none_of_its_round_off() -> None:
     assert not near.warnings
 
 
+@pytest.mark.parametrize(("e", "warned"), [(0.5, True), (0, False)])
+def test_bounces_of_two_contacts_far_from_the_origin_warn_of_their_order(e, warned) -> None:
+    second = f"d: {{point: {{body: b, at: [1, 0]}}, surface: s, friction: 0.5, restitution: {e}}}"
+    bar = DROP.replace("restitution: e}", f"restitution: {e}}}, {second}")
+    bar = bar.replace("{mass: M", "{mass: M, inertia: 0.1*M*L**2")
+    near, far = run(bar, y0=10).warnings, run(bar, y0=1e4).warnings
+    assert not any("put the origin nearer" in warning for warning in near)
+    told = any("put the origin nearer" in warning for warning in far)
+    assert told == warned
+
+
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("mass", [1e-150, 1e155, 1e160, 4e299])
 @pytest.mark.parametrize("meaning", ["newton", "poisson", "stronge"])
