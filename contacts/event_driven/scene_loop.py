@@ -70,7 +70,7 @@ from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
 from statechart.execution.flow import LEAST
 from statechart.kernels.accumulation import HIGH, WIDTH
-from statechart.kernels.copies import put
+from statechart.kernels.copies import put, put_counts
 from statechart.kernels.jit import entry, kernel
 
 # Numbers of a contact among the constraints: gap, its rate, slip, point.
@@ -431,7 +431,7 @@ def run_batch(
         ends, now, place = found.ends[row], found.now[row], found.place[row]
         state = found.final[row]
         ends[runs.HOW] = runs.UNUSUAL
-        put(used, before)
+        put_counts(used, before)
         if not rows.known:
             if not rows.until[row] >= 0.0 or not run_numbers(
                 program, scene.tapes[INSTANTS:], scene.rules, rows.code, rows.constants,
@@ -464,7 +464,7 @@ def run_batch(
             if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.alone:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
-            put(before, used)
+            put_counts(before, used)
             return row
         how = runs.HANDED
         if not rows.begun:
@@ -479,7 +479,7 @@ def run_batch(
             # Those of the flow that it has come to.
             put(watch.parameters, found.values[row])
         if how == runs.UNUSUAL:
-            put(before, used)
+            put_counts(before, used)
             continue
         spans = found.spans[row]
         spans[0], spans[1] = before[ARCS], used[ARCS]

@@ -60,6 +60,13 @@ def step_ends(trace: Trace, arc: Arc) -> slice:
     """Return the places among an arc's times that a scheme answers for: all where it is exact.
 
     A time step with an impact is drawn in two halves; the scheme knows its ends alone.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run.
+    arc : Arc
+        One of its arcs.
     """
     if trace.step is None:
         return slice(None)

@@ -43,6 +43,11 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
     What is closed is held at the ends of steps. In between dense output, which may be of a lower
     order than a step, leaves the surface by no more than what its slopes miss of the rates.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
     for arc, tau in dense(trace):
@@ -69,7 +74,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed."""
+    """Check that ``V >= 0`` and ``|H| <= mu V`` wherever a contact is closed.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     cones = cache(partial(cone_edges, scene, trace))
     for arc, name, state, times, V, H in _sampled_forces(scene, subject, trace):
         if state in OPEN:
@@ -84,14 +95,26 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that a contact that is free has no force."""
+    """Check that a contact that is free has no force.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     for _, name, state, times, V, H in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
 
 def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
-    """Check that impulses push, and stay in the cone of friction."""
+    """Check that impulses push, and stay in the cone of friction.
+
+    Parameters
+    ----------
+    scene, subject, trace : Scene, Subject, Trace
+        What was declared, the same compiled, and a run of it.
+    """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
         edges = cone_edges(scene, trace, jump.source)
@@ -228,7 +251,13 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
 
 
 def properties(scene: Scene) -> tuple[Property, ...]:
-    """Return what holds for every scene, besides what holds for every automaton."""
+    """Return what holds for every scene, besides what holds for every automaton.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+    """
     if scene.collisions:
         from contacts.testing.body_properties import body_properties
 

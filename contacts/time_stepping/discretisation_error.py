@@ -146,7 +146,7 @@ class DiscretisationError:
         if stopped > _WAY:
             found.append(
                 f"step {h:g} is too long for the ends of slips: position error up to "
-                f"{stopped:.2g} of the way; use {0.5 * h * math.sqrt(_WAY / stopped):.1g} or "
+                f"{stopped:.2g} of the way; take {0.5 * h * math.sqrt(_WAY / stopped):.1g} or "
                 "less"
             )
         return tuple(found)

@@ -6,19 +6,22 @@ takes it two to three seconds in every process that compiles one.
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
-N = TypeVar("N", Array, Ints)
+
+@kernel
+def put(source: Array, target: Array) -> None:
+    """Copy numbers (n,) to the first n places of a row."""
+    for i in range(len(source)):
+        target[i] = source[i]
 
 
 @kernel
-def put(source: N, target: N) -> None:
-    """Copy numbers (n,) to the first n places of a row."""
+def put_counts(source: Ints, target: Ints) -> None:
+    """Copy counts (n,) to the first n places of a row."""
     for i in range(len(source)):
         target[i] = source[i]
 

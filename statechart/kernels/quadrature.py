@@ -6,6 +6,7 @@ import numpy as np
 
 from statechart.arrays import Array, Bools, Ints32
 from statechart.kernels.boxes import Steps, along_steps, prepare
+from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
 from statechart.kernels.resolution import (
@@ -120,7 +121,9 @@ def integrate_outputs(
                     total += _WEIGHTS[j] * regs[outputs[i], j]
                 result[i] += total * (b - a) * span
             if pieces == ends.shape[0]:
-                ends = np.append(ends, np.empty(pieces))
+                longer = np.empty(2 * pieces)
+                put(ends, longer)
+                ends = longer
             ends[pieces] = high if top == 0 else local_time(times, step, b)
             pieces += 1
     return result, ends[:pieces]

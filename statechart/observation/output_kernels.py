@@ -77,7 +77,8 @@ def _program(tapes: OutputTapes, tape: Ints) -> TapeCode:
 
 @kernel
 def _value(tapes: OutputTapes, tape: Ints, state: Array, parameters: Array, time: float) -> float:
-    result = np.full(1, math.nan)
+    result = np.empty(1)
+    result[0] = math.nan
     if tape[5] > 0:
         code, constants, outputs, _, _ = _program(tapes, tape)
         tape_values(code, constants, outputs, state, parameters, time, result)

@@ -38,7 +38,7 @@ from statechart.execution.compiled_loop import (
     Packed,
 )
 from statechart.execution.simulator import Simulator
-from statechart.kernels.jit import entry, numba_is_imported
+from statechart.kernels.jit import entry, is_ready
 from statechart.observation.observer import FormulaLike, Observer
 from statechart.observation.output_kernels import (
     NORMAL,
@@ -191,7 +191,7 @@ class Outputs:
 
     def compute(self, *arguments: Any) -> None:
         """Call the kernel: its machine code where there is some, see `entry`."""
-        if self._entry is None and numba_is_imported():
+        if self._entry is None and is_ready(compute_outputs):
             self._entry = entry(compute_outputs, *arguments)
         (self._entry or compute_outputs)(*arguments)
 

@@ -66,7 +66,7 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Bloc
             else (f"  {r['name']}", format_count(r["modes_declared"], r["modes_total"]))
             for r in ends(listed["regions"])
         ]
-        words = f"more than {MAX_MODES} modes: the product is not enumerated; regions:"
+        words = f"more than {MAX_MODES} modes: the product is not enumerated; regions:\n"
         parts.append([words, Table(counts)])
     if listed["feasibility"] is not None:
         parts.append(_possible(listed, digits))

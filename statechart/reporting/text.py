@@ -73,7 +73,7 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     ]
     if report["error_estimate"] is not None:
         decides = report["asked"] and report["asked"]["decides"]
-        words = f", that of {decides}" if decides else ""
+        words = f", in {decides}" if decides else ""
         lines.append(f"estimated relative error {float(report['error_estimate']):.2g}{words}")
     if report["asked"] is not None:
         cost = report["asked"]["cost"]

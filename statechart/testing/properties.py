@@ -59,7 +59,13 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares."""
+    """Check that every run comes to an end that the model declares.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -68,7 +74,13 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints."""
+    """Check that runs start in the declared state, but for rounding on constraints.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         moved = projected(trace)
@@ -83,7 +95,13 @@ def assert_start(case: Case) -> None:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states."""
+    """Check that all engines take the same modes at the same times through the same states.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -91,7 +109,13 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing."""
+    """Check that a shorter run is the beginning of the run: the future changes nothing.
+
+    Parameters
+    ----------
+    case : Case
+        A choice of parameters and its runs.
+    """
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -133,7 +157,13 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton."""
+    """Return what holds for every automaton.
+
+    Parameters
+    ----------
+    subject : Subject
+        The model.
+    """
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)

@@ -321,6 +321,11 @@ def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
     Those that the model declares; if it declares none, from half to twice the value of every
     parameter that is a number other than 0 and inf, less far where the model would be wrong
     there (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
     """
     if model.ranges:
         return dict(model.ranges)

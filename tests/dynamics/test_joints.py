@@ -426,7 +426,7 @@ def test_joints_that_come_to_contradict_one_another_end_the_run() -> None:
     simulator = Simulator(automaton(_read(text)), Taylor(1e-12))
     trace = simulator.run(until=1.0, throw=False)
     assert trace.outcome is Outcome.NO_CONSISTENT_MODE
-    assert "cannot all be kept" in trace.message
+    assert "cannot all hold" in trace.message
     with pytest.raises(NoConsistentMode):
         simulator.run(until=1.0)
 

@@ -101,10 +101,10 @@ def test_the_quantity_that_decides_is_named_with_both_values(
     assert main(["run", path, "--accuracy", "1e-6"]) == 1
     said = capsys.readouterr()
     assert "the estimated error is" in said.err
-    assert ", that of output gap (" in said.err
+    assert ", in output gap (" in said.err
     assert said.err.count("output gap (") == 1
     assert "estimated relative error" in said.out
-    assert ", that of output gap (" in said.out
+    assert ", in output gap (" in said.out
 
 
 def test_the_report_names_the_quantity_that_decides() -> None:
