@@ -261,7 +261,7 @@ class Store:
             raise
         except Exception:  # whatever the library raises for what is no store
             raise DeclarationError(
-                f"{path} is no store of a sweep", advice="name another, or remove it"
+                f"{path} is no sweep store", advice="name another, or remove it"
             ) from None
         self._check(group)
         for part in path.rglob(_PARTIAL):  # of a process that was killed while it wrote them
