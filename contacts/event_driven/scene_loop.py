@@ -597,7 +597,8 @@ _KNOWN = BatchInputs(
 def no_rules(numbers: SceneNumbers) -> Rules:
     """Return what stands for the rules where runs are not started by the loop."""
     none, nowhere = np.empty(0), np.empty(0, np.int64)
-    return Rules(nowhere, none, none, nowhere, 0, 0, 0, np.zeros(len(numbers.stops), np.bool_))
+    forced = np.zeros(len(numbers.stops), np.bool_)
+    return Rules(nowhere, none, none, nowhere, 0, 0, 0, forced, numbers.far)
 
 
 def _starts(names: Sequence[str], declared: Mapping[str, str]) -> Bools:
