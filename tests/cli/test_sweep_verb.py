@@ -136,7 +136,7 @@ def test_a_sweep_of_which_nothing_runs_has_failed() -> None:
         (["--over", "mu=1", "-o", "here.nc"], "exists already"),
         (["--over", "mu=1", "-o", "here.nc/a.nc"], "is a file"),
         (["--over", "mu=1", "-o", "here.zarr"], "exists already"),
-        (["--over", "mu=1", "-o", "here.zarr", "--resume"], "no store"),
+        (["--over", "mu=1", "-o", "here.zarr", "--resume"], "no sweep store"),
         (["--over", "mu=1", "--resume"], "-o STORE.zarr"),
         (["--over", "mu=1", "--plot", "a.txt"], "the suffix must be one of"),
         (["--over", "mu=1,2", "--over", "I_G=1,2", "--over", "L=1,2", "--plot", "a.png"], "one or"),
