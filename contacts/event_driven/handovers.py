@@ -41,7 +41,8 @@ class Handovers:
         assert isinstance(setup, SceneSetup)
         if not self._gated:
             return ()
-        tables, near = self._tables(setup, arcs), setup.tolerances["gap"]
+        arcs, near = list(arcs), setup.tolerances["gap"]
+        tables = self._tables(setup, arcs, near)
         shallow = NEARLY_MEETING * setup.scales.length
         found: dict[str, float] = {}
         for place, (contact, name) in enumerate(self._gated.items()):
@@ -53,7 +54,7 @@ class Handovers:
                     found.setdefault(name, depths[0])
                 depths.clear()
 
-            for k, arc in enumerate(arcs):
+            for k, arc in enumerate(arcs) if tables else ():
                 if arc.mode[contact] != OFF:
                     depths.clear()
                     continue
@@ -72,14 +73,18 @@ class Handovers:
             end()
         return tuple(stays_off(self._mechanics.scene, name, d) for name, d in found.items())
 
-    def _tables(self, setup: SceneSetup, arcs: Sequence[Arc]) -> dict[int, Array]:
-        """Return the numbers of `_tape` at samples of the arcs in which a gated contact is off."""
+    def _tables(self, setup: SceneSetup, arcs: Sequence[Arc], near: float) -> dict[int, Array]:
+        """Return the numbers of `_tape` at samples of the arcs in which a gated contact is off.
+
+        None if no point is deeper than `near` in a surface while the conditions hold.
+        """
         count = len(self._mechanics.scene.contacts)
         groups: dict[tuple[Key, int], list[int]] = {}
         for k, arc in enumerate(arcs):
             if any(arc.mode[i] == OFF for i in self._gated):
                 groups.setdefault((arc.mode[count:], arc.coefficients.shape[2]), []).append(k)
         found: dict[int, Array] = {}
+        below = False
         for (states, terms), places in groups.items():
             group = [arcs[k] for k in places]
             steps = np.concatenate([arc.coefficients for arc in group])
@@ -88,9 +93,10 @@ class Handovers:
             rows = self._tape(states).table(
                 sampled.reshape(-1, steps.shape[1]), setup.values, times
             )
+            below = below or bool((~(rows[:, ::2] < 0.0) & (rows[:, 1::2] < -near)).any())
             ends = np.cumsum([len(_PARTS) * len(arc.coefficients) for arc in group])
             found |= zip(places, np.split(rows, ends[:-1]), strict=True)
-        return found
+        return found if below else {}
 
     def _tape(self, states: Key) -> Tape:
         """Return the tape of the margin of its gate and the gap of each contact with conditions."""
