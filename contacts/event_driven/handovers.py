@@ -76,7 +76,7 @@ class Handovers:
     def _tables(self, setup: SceneSetup, arcs: Sequence[Arc], near: float) -> dict[int, Array]:
         """Return the numbers of `_tape` at samples of the arcs in which a gated contact is off.
 
-        None if no point is deeper than `near` in a surface while the conditions hold.
+        Empty if no point is deeper than `near` in a surface while the conditions hold.
         """
         count = len(self._mechanics.scene.contacts)
         groups: dict[tuple[Key, int], list[int]] = {}

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
-from contacts.dynamics.projection import landing
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot
@@ -315,21 +314,6 @@ class ModeRules(NamedTuple):
     # `force`, `acceleration`: The scales
     force: float
     acceleration: float
-
-
-def mode_rules(setup: SceneSetup) -> ModeRules:
-    """Return the rules of a run."""
-    return ModeRules(
-        allowed(tuple([law.states for law in setup.contacts])),
-        cones(setup.contacts),
-        *landing(setup.tolerances),
-        setup.tolerances["gap"],
-        setup.tolerances["speed"],
-        setup.tie,
-        setup.doubtful,
-        setup.scales.force,
-        setup.scales.acceleration,
-    )
 
 
 @lru_cache(maxsize=1024)

@@ -43,7 +43,7 @@ from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
 PLASTIC, CAPPED, SEQUENTIAL = range(3)
-"""What is hit together does, as `contacts.scene.parts.Simultaneous` names it."""
+"""Codes of `contacts.scene.parts.Simultaneous`."""
 
 
 class Island(NamedTuple):
@@ -277,7 +277,7 @@ def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
 
 @kernel
 def _slow(numbers: BodyNumbers, active: ActiveContacts, i: int, h: float) -> float:
-    """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`."""
+    """Return the approach velocity up to which a contact lasts, see `SLOW`."""
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     return SLOW * max(fall, abs(active.free[i, 0] - active.before[i, 0]))
 

@@ -448,4 +448,4 @@ class SceneStepper(Stepper):
             kinds = self._scene.contacts[law.name].kinds
             if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n
-                yield (f"contact {law.name!r}: friction {mu:g} is replaced by {1.0 / STEEPEST:g}")
+                yield f"contact {law.name!r}: friction {mu:g} is replaced by {1.0 / STEEPEST:g}"

@@ -221,9 +221,9 @@ def _slow(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, met: ContactRoles, i: int,
     h: float,
 ) -> float:  # fmt: skip
-    """Return up to which approach a contact lasts: see `contacts.time_stepping.chunk.SLOW`.
+    """Return the approach velocity up to which a contact lasts, see `SLOW`.
 
-    What has just been struck comes back by turning as well: else it would rebound at every step.
+    A contact that has just rebounded comes back by turning as well: else it would at every step.
     """
     change = met.free[i, 0] - met.before[i, 0]
     slow = abs(change)

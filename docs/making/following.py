@@ -131,7 +131,7 @@ def _check(command: str, done: subprocess.CompletedProcess[str], expected: str, 
 
 
 def _agree(expected: list[str], printed: list[str]) -> bool:
-    """Whether all expected lines are printed in order; `...` stands for any lines between."""
+    """Return whether the expected lines are printed in order; `...` stands for any between."""
     reached = {0}  # numbers of printed lines that the expected ones so far may account for
     for line in expected:
         if line.strip() == "...":
@@ -142,7 +142,7 @@ def _agree(expected: list[str], printed: list[str]) -> bool:
 
 
 def _same_line(expected: str, printed: str) -> bool:
-    """Whether the words of two lines are the same and their numbers close."""
+    """Return whether two lines have the same words and nearly the same numbers."""
     numbers = _NUMBER.findall(expected)
     words = re.split(rf"({_NUMBER.pattern}|\.\.\.)", expected.strip())
     special = {"...": ".*"} | dict.fromkeys(numbers, f"({_NUMBER.pattern})")

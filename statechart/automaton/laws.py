@@ -221,7 +221,7 @@ class CompiledLaws(Protocol):
 
     @property
     def has_remarks(self) -> bool:
-        """Whether `Laws.remarks` may have something to say of a run that it has made."""
+        """True if `Laws.remarks` checks the runs that it makes."""
         ...
 
     def compiled(self) -> bool:

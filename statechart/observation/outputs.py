@@ -23,20 +23,8 @@ from statechart.automaton.trace import Arc, Jump, Key, Trace
 from statechart.automaton.trace_store import Kind, TraceBuffer
 from statechart.documents.outputs import Count, Event, Integral, Maximum, Minimum, Moment, Value
 from statechart.engines.compiled_flow import TAPE
-from statechart.execution.compiled_loop import (
-    ARCS,
-    ARCS_END,
-    EVENTS,
-    EVENTS_END,
-    FIRST_MODE,
-    HOW,
-    N_MODE,
-    STOPPED,
-    T_HIGH,
-    Batch,
-    BatchResult,
-    Packed,
-)
+from statechart.execution import compiled_loop as loop
+from statechart.execution.compiled_loop import Batch, BatchResult, Packed
 from statechart.execution.simulator import Simulator
 from statechart.kernels.jit import entry, is_ready
 from statechart.observation.observer import FormulaLike, Observer
@@ -134,7 +122,7 @@ class Outputs:
 
     @cached_property
     def needs_modes(self) -> bool:
-        """Whether formulas use what a mode solves for."""
+        """True if formulas use accelerations or forces, for which a mode solves."""
         programs = self.observer.programs
         formulas: list[FormulaLike] = [output.value for _, output, _ in self.at]
         formulas += [*self.start.values(), *self.end.values()]
@@ -184,7 +172,7 @@ class Outputs:
         values = self.empty_values(len(found.ends), len(marks))
         self.compute(self._tapes[key], block, block.coefficients, found, marks, values)
         totals = [
-            span[EVENTS_END] - span[EVENTS] + (end[HOW] == STOPPED)
+            span[loop.EVENTS_END] - span[loop.EVENTS] + (end[loop.HOW] == loop.STOPPED)
             for span, end in zip(found.spans.tolist(), found.ends.tolist(), strict=True)
         ]
         return self.values_by_run(values, *self.split(values, marks, totals))
@@ -263,22 +251,24 @@ class Outputs:
         verdicts = self._verdicts.setdefault(batch.zeros, {})
         spans, ends = found.spans.tolist(), found.ends.tolist()
         marks: list[tuple[int, ...]] = []
-        first, last = spans[0][EVENTS], spans[-1][EVENTS_END]
+        first, last = spans[0][loop.EVENTS], spans[-1][loop.EVENTS_END]
         events, numbers = block.events[first:last].tolist(), block.numbers[first:last].tolist()
         for row, (span, end) in enumerate(zip(spans, ends, strict=True)):
             flowed = (
-                set(block.arcs[span[ARCS] : span[ARCS_END], 1].tolist()) if self._watched else ()
+                set(block.arcs[span[loop.ARCS] : span[loop.ARCS_END], 1].tolist())
+                if self._watched
+                else ()
             )
-            for j in range(span[EVENTS_END] - span[EVENTS]):
-                place = span[EVENTS] + j - first
+            for j in range(span[loop.EVENTS_END] - span[loop.EVENTS]):
+                place = span[loop.EVENTS] + j - first
                 source, target, _, *codes = events[place]
                 key = (source, target, *codes, any(numbers[place][NORMAL:]))
                 verdict = verdicts.get(key)
                 if verdict is None:
                     verdict = verdicts[key] = self.marks_of(jump_of(row, j))
                 marks.append((*verdict, j + 1 not in flowed))
-            if end[HOW] == STOPPED:
-                kind = int(found.place[row, N_MODE])
+            if end[loop.HOW] == loop.STOPPED:
+                kind = int(found.place[row, loop.N_MODE])
                 verdict = verdicts.get((kind,))
                 if verdict is None:
                     mode, state = batch.kinds[kind][0], found.final[row]
@@ -550,11 +540,11 @@ class OutputAccumulator:
         block.numbers[:, TIME] = points.times[1:-1:2]
         found = BatchResult.empty(1, len(trace.parameters), states.shape[1], 0)
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
-        found.now[0, T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
+        found.now[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
         tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
         # The last kind has no formulas: what was taken before, or is to come, adds nothing.
-        found.ends[0, FIRST_MODE] = len(numbers) if self.begun else kinds[0]
-        found.place[0, N_MODE] = kinds[-1] if ended else len(numbers)
+        found.ends[0, loop.FIRST_MODE] = len(numbers) if self.begun else kinds[0]
+        found.place[0, loop.N_MODE] = kinds[-1] if ended else len(numbers)
         resolved = np.nan_to_num(coefficients) if solved else coefficients
         return tapes, block, resolved, found
 
