@@ -31,7 +31,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import given, memory_rates
+    from contacts.dynamics.controllers import given
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -64,7 +64,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a, *memory_rates(mechanics).values()),
+        rates=(*mechanics.v, *mechanics.a, *mechanics.memory_rates.values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,

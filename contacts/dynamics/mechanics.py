@@ -138,6 +138,34 @@ class Mechanics(Geometry):
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
 
+    @cached_property
+    def memory_rates(self) -> dict[str, sp.Expr]:
+        """Rates of what controllers remember: symbols that states set, or 0."""
+        flowing = self._controls.flowing
+        return {
+            name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+            for name, symbol in self.memory.items()
+        }
+
+    @cached_property
+    def placed(self) -> dict[str, sp.Expr]:
+        """Places and rates of bodies that formulas place, by their names in formulas."""
+        found: dict[str, sp.Expr] = {}
+        known = self.scene.placed_names
+        for name, body in self.scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), angle = self.body_frame(name)
+            for part, place in (("x", x), ("y", y), ("angle", angle)):
+                remembered = (
+                    sp.diff(place, symbol) * self.memory_rates[key]
+                    for key, symbol in self.memory.items()
+                    if symbol in place.free_symbols
+                )
+                found[f"{name}.{part}"] = place
+                found[f"{name}.d{part}"] = sp.Add(self.rate(place), *remembered)
+        return {name: expression for name, expression in found.items() if name in known}
+
     def gradient(self, place: sp.Expr) -> list[sp.Expr]:
         """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
         used = place.free_symbols
@@ -166,8 +194,8 @@ class Mechanics(Geometry):
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
             _, angle = self.body_frame(force.body)
-            components = [self._formula(text) for text in force.force]
-            moment = self._formula(force.moment)
+            components = [self._formula(text, **self.placed) for text in force.force]
+            moment = self._formula(force.moment, **self.placed)
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
@@ -323,7 +351,7 @@ class Mechanics(Geometry):
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """Quantities that outputs and stop conditions may use, name -> expression."""
-        result = dict(self.known)
+        result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
             result |= {

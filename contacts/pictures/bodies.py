@@ -19,6 +19,9 @@ from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
 from statechart.pictures.film import Shape, ShapeKind
 
+# Of more bodies that are fixed or led none has its name in the picture.
+_NAMED = 5
+
 
 class BodyShapes:
     """The shapes of a scene's bodies for values of its parameters.
@@ -51,23 +54,25 @@ class BodyShapes:
         fixed = self._fixed(bare) if bare else {}
         found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
+        many = sum(body.prescribed for body in self._scene.bodies.values()) > _NAMED
         for name, body in self._scene.bodies.items():
             if body.shape:
-                region = regions[name] if self._scene.collisions else -1
-                found += [self._shape(name, part, region) for part in body.shape]
+                region = regions[name] if self._scene.collisions and not body.prescribed else -1
+                shown = "" if many and body.prescribed else name
+                found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
                 found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
         return (*self._links.shapes(), *found, *self._joints())
 
-    def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
+    def _shape(self, name: str, part: declared.Shape, region: int, shown: str) -> Shape:
         frame = self._frames[name]
         if part.disc is not None:
             centre, radius = np.array([self._pair(part.at)]), self._number(part.disc)
-            return Shape("disc", centre, frame, frame, radius, region, name)
+            return Shape("disc", centre, frame, frame, radius, region, shown)
         points = np.array([self._pair(corner) for corner in part.polygon or ()])
-        return Shape("outline", points, frame, frame, region=region, name=name)
+        return Shape("outline", points, frame, frame, region=region, name=shown)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
         scene = self._scene

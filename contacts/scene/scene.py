@@ -16,6 +16,7 @@ from contacts.scene.checks import (
     check_formulas,
     check_kinks,
     check_physical,
+    check_prescribed,
     check_rim,
 )
 from contacts.scene.fields import SceneFields, copies
@@ -56,7 +57,11 @@ class Scene(SceneFields):
         """Return what a run of the scene does without, and why."""
         found = replaced(self, values) if stepped else {}
         for name, body in self.bodies.items():
-            if body.position is None and body.inertia is None:
+            if body.fixed:
+                found[f"coordinates of {name}"] = "it is fixed"
+            elif body.prescribed:
+                found[f"coordinates of {name}"] = "it moves along its path"
+            elif body.position is None and body.inertia is None:
                 found[f"the angle of {name}"] = "it has no inertia declared: a particle"
             elif body.position is not None:
                 found[f"coordinates of {name}"] = "its position follows from those of the scene"
@@ -182,9 +187,10 @@ class Scene(SceneFields):
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
+        check_prescribed(self, found)
         for name, body in self.bodies.items():
             with found:
-                if body.position is not None and nothing_moves:
+                if body.position is not None and nothing_moves and not body.prescribed:
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
@@ -264,7 +270,7 @@ class Scene(SceneFields):
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
-        names |= {"energy", *self.controls}
+        names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
         gates = {c: self.gate(c) for c in self.contacts}
@@ -280,8 +286,8 @@ class Scene(SceneFields):
         } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
-            found |= dict.fromkeys(self.owners(), states_of_bodies)
-            causes |= dict.fromkeys(self.owners(), causes_of_bodies)
+            found |= dict.fromkeys(self.moving(), states_of_bodies)
+            causes |= dict.fromkeys(self.moving(), causes_of_bodies)
         wrong = Findings()
         with wrong:
             self.check_uses(names, found, causes, changing)
