@@ -169,4 +169,6 @@ class StepControl:
         zero = self._setup.rounded * size
         atoms = margin <= np.where(guards.watch.closed, zero, -zero)
         held = guards.watch.hold(atoms, self._active.at(codes, self.states))[0]
-        return {(g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now}
+        return {
+            (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
+        }

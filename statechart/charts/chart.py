@@ -67,6 +67,10 @@ class Region(BaseRegion):
     )
 
 
+# Hints read annotations of fields, which are text as long as they name a later class.
+State.model_rebuild()
+
+
 class Chart(Declaration):
     """A hybrid statechart without mechanics.
 

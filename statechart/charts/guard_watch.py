@@ -147,18 +147,16 @@ class GuardWatch:
         On the boundary, within `relative` to the terms, `<=` and `>=` hold, `<` and `>` do not.
         """
         bounds = np.array([*self.tolerances(rows, relative).values()])
-        atoms = rows[:, 0] <= np.where(self.closed, bounds, -bounds)
+        atoms: list[bool] = (rows[:, 0] <= np.where(self.closed, bounds, -bounds)).tolist()
         return {
             (guard.place, guard.trigger)
             for guard, condition, first in zip(
                 self.guards, self.conditions, self.firsts, strict=True
             )
-            if condition.truth(lambda atom, first=first: bool(atoms[first + atom]), active)
+            if condition.truth(atoms[first : first + len(condition.atoms)].__getitem__, active)
         }
 
-    def early(
-        self, rows: Array, due: Collection[tuple[int, int]], fired: Collection[str]
-    ) -> str:
+    def early(self, rows: Array, due: Collection[tuple[int, int]], fired: Collection[str]) -> str:
         """Say that a transition is taken before its guard is true, and not by rounding.
 
         Two that follow each other within the tolerance are taken at once, with nothing in between.
@@ -463,6 +461,5 @@ class Listening:
             due = frozenset(one for one in guarded if one[0] == place)
             if due:
                 taken = region.answer(state, [trigger for _, trigger in due])
-                left = {**pending, name: ()} if queue else pending
-                return Firing(place, taken, left, due)
+                return Firing(place, taken, {**pending, name: ()} if queue else pending, due)
         return None

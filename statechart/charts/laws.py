@@ -208,9 +208,7 @@ class ChartLaws:
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            judged = Judgement(
-                watch, rows, flow.tolerances, fired, setup.precision, later, active
-            )
+            judged = Judgement(watch, rows, flow.tolerances, fired, setup.precision, later, active)
             firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
             if firing is None:
                 tolerances = judged.watched()
@@ -304,7 +302,9 @@ class ChartLaws:
         """Return the guards of a mode that are judged at events."""
         if mode not in self._at_events:
             regions = enumerate(zip(self._flat.values(), mode, strict=True))
-            found = [g for k, (region, state) in regions for g in guards_at_events(k, region, state)]
+            found = [
+                g for k, (region, state) in regions for g in guards_at_events(k, region, state)
+            ]
             self._at_events[mode] = self._watched(found, {})
         return self._at_events[mode]
 

@@ -116,19 +116,12 @@ class Transition(Part):
     def _one_trigger(self) -> Self:
         triggers = (self.on, self.after, self.every)
         count = sum(trigger is not None for trigger in triggers)
-        if count > 1 or (count == 0 and self.guard is None):
+        alone = self.every is not None or self.on_zeno
+        if count > 1 or (alone if self.guard is not None else count == 0):
             raise DeclarationProblem(
                 f"transition {self.name!r} needs one of guard, on, after, every",
                 advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD; "
-                "a guard may stand beside on or after",
-            )
-        if self.guard is not None and (self.every is not None or self.on_zeno):
-            found = "every" if self.every is not None else "on: zeno"
-            raise DeclarationProblem(
-                f"transition {self.name!r} has a guard beside {found}",
-                advice="put the guard beside on or after, or leave it out",
-                loc=("guard",),
-                key=True,
+                "beside on: region.event and after there may be a guard",
             )
         return self
 
@@ -200,6 +193,8 @@ class BaseState(Part):
 
 class BaseRegion(Part):
     """States of which exactly one is active, and the transitions between them."""
+
+    OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
 
     initial: str = Field(description="State at the start.", examples=["flight"])
     states: Mapping[str, BaseState] = Field(

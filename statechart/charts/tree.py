@@ -335,7 +335,7 @@ def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
     """Check that transitions can be told apart, and that none is always preceded by another."""
     named: set[tuple[str, int, int]] = set()
     timed: set[str] = set()
-    taken: dict[tuple[int | str, ...], str] = {}
+    taken: dict[tuple[int, str, str | None], str] = {}
     for arrow, at in zip(arrows, locs, strict=True):
         declared = arrow.declared
         key = (declared.name, arrow.source, arrow.target)
@@ -358,7 +358,10 @@ def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
         words = [f"on {e.region}.{e.cause}" for e in declared.events] or [declared.trigger]
         # An event is taken whatever the guard of a later transition says.
         guard = declared.guard if declared.events else None
-        first = [taken.get((arrow.source, w)) or taken.get((arrow.source, w, guard)) for w in words]
+        first = [
+            taken.get((arrow.source, word, None)) or taken.get((arrow.source, word, guard))
+            for word in words
+        ]
         if all(first):
             raise DeclarationProblem(
                 f"{declared.name!r} never fires: {first[0]!r}, declared before it, is "
@@ -366,5 +369,5 @@ def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
                 advice="let guards or events of the two differ, or leave one out",
                 loc=(*at, "name"),
             )
-        keys = ((arrow.source, w) if guard is None else (arrow.source, w, guard) for w in words)
+        keys = ((arrow.source, word, guard) for word in words)
         taken = dict.fromkeys(keys, declared.name) | taken
