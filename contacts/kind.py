@@ -44,14 +44,14 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
         return SceneStepper(mechanics, stops, regions)
 
-    mechanics = Mechanics(scene)
+    mechanics = Mechanics(scene.expanded)
     parameters, observables = mechanics.parameters, mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
-    if scene.regions:
+    if mechanics.scene.regions:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)

@@ -6,7 +6,7 @@ simplified.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,9 +16,12 @@ from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
+from contacts.scene.expansion import switched
+from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
+from contacts.states import OFF
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -72,6 +75,12 @@ class Mechanics(Geometry):
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.asked_states)
         }
+        # Joints that can be off: 1 while they are closed.
+        self._closed = {
+            name: sp.Symbol(f"on{i}", real=True)
+            for i, (name, joint) in enumerate(scene.joints.items())
+            if switched(joint)
+        }
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts and the scene's controls.
         self.controls = (
@@ -79,6 +88,7 @@ class Mechanics(Geometry):
             *(s for name in self._coefficients for s in cones[name]),
             *controls.values(),
             *self._asked.values(),
+            *self._closed.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -207,7 +217,7 @@ class Mechanics(Geometry):
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
-        """(n + joints,): each = 0, in the unknown accelerations and forces."""
+        """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
@@ -220,11 +230,8 @@ class Mechanics(Geometry):
                 *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
             )
             result.append(left - right - contact_forces - joint_forces)
-        for row in self.joint_rows:
-            held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
-            # A row that others imply leaves its force undetermined: it is taken as zero.
-            result.append(held + row.redundant * row.force)
-        return tuple(result)
+        lasting = (row for row in self.joint_rows if row.closed is None)
+        return (*result, *(row.equation(self.a) for row in lasting))
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
@@ -232,11 +239,7 @@ class Mechanics(Geometry):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
-            here, there = self.point(joint.point), self.joint_end(joint.to)
-            for component, one, other in zip(("X", "Y"), here, there, strict=True):
-                if component not in joint.components:
-                    continue
-                gap = one - other
+            for component, gap, path in self._held(name, joint):
                 rate = self.rate(gap)
                 rows.append(
                     JointRow(
@@ -245,13 +248,33 @@ class Mechanics(Geometry):
                         gap,
                         rate,
                         self.rate(rate).xreplace(at_rest),
-                        tuple(sp.diff(gap, q) for q in self.q),
+                        tuple(self.gradient(gap)),
                         sp.Symbol(f"{component}{len(rows)}", real=True),
-                        sp.diff(other, self.time),
+                        path,
                         self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
+                        self._closed.get(name),
                     )
                 )
         return tuple(rows)
+
+    def _held(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
+        """Yield the components of a joint: what it holds at zero, and the rate of its path."""
+        (x, y), (x0, y0) = self.point(joint.point), self.joint_end(joint.to)
+        if joint.rod is not None:
+            # Half the distance squared over the length: smooth, and the distance to first order.
+            length = self._formula(joint.rod)
+            apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
+            toward = ((x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)) / length
+            yield "T", -apart, -toward
+            return
+        for component, here, there in (("X", x, x0), ("Y", y, y0)):
+            if component in joint.components:
+                yield component, here - there, sp.diff(there, self.time)
+        if joint.angle is not None:
+            ends = (joint.point, joint.to)
+            turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
+            held = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
+            yield "M", turns[0] - sp.Add(*turns[1:]) - held, sp.S.Zero
 
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
@@ -305,6 +328,8 @@ class Mechanics(Geometry):
         for (asked, name), symbol in self._asked.items():
             if asked == region:
                 found[symbol] = sp.Integer(1 if name in active else -1)
+        if region in self._closed:
+            found[self._closed[region]] = sp.Integer(state != OFF)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:

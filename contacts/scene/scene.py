@@ -18,6 +18,7 @@ from contacts.scene.checks import (
     check_physical,
     check_rim,
 )
+from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
@@ -41,6 +42,15 @@ class Scene(SceneFields):
     force on the body), as in ``tip.V``, of every joint ``X`` and ``Y`` (force on the body of its
     point).
     """
+
+    @property
+    def expanded(self) -> Self:
+        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`)."""
+        added = expansion(self)
+        if not added:
+            return self
+        own = {name: getattr(self, name) for name in type(self).model_fields}
+        return self.model_construct(**{**own, **added})
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
@@ -267,17 +277,18 @@ class Scene(SceneFields):
         names |= {"energy", *self.controls}
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        gates = {c: self.gate(c) for c in self.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
-            name: {*region.named} for name, region in self.controlled.flat.items()
+        whole = self.expanded
+        gates = {c: whole.gate(c) for c in whole.contacts}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
+            name: {*region.named} for name, region in whole.controlled.flat.items()
         }
         causes = {
             c: {
                 edge.cause
-                for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
+                for edge in edges(x, jams=whole.jams(c), bounces=whole.bounces(c), gate=gates[c])
             }
-            for c, x in self.contacts.items()
-        } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
+            for c, x in whole.contacts.items()
+        } | {name: {*region.causes} for name, region in whole.controlled.flat.items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
             found |= dict.fromkeys(self.owners(), states_of_bodies)
@@ -293,6 +304,11 @@ class Scene(SceneFields):
                 with wrong:
                     if transition.guard is not None:
                         check_relation(transition.guard, names, found, changing, *at, "guard")
+        for name, joint in self.joints.items():
+            for place, text in enumerate(joint.enabled):
+                with wrong:
+                    at = ("joints", name, "enabled", place)
+                    check_relation(text, names, found, changing, *at)
         wrong.check()
         return self
 

@@ -18,6 +18,9 @@ import numpy as np
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.starting import check_closing
+from contacts.states import OFF
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
@@ -57,6 +60,8 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        self._mechanics = mechanics
+        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps up to the first after which the controllers are to be asked.
@@ -126,12 +131,21 @@ class StepControl:
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._scene.switch(self._states.named(self.states))
+            if name in self._joints and taken.target != OFF:
+                self._check_closing(name, state, recorder.clock.high, h)
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
         )
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
+
+    def _check_closing(self, joint: str, state: Array, time: float, h: float) -> None:
+        """Raise `NoConsistentMode` if a joint that closes is open by more than a step takes it."""
+        values = self._memory.within(self._setup, state).values
+        tape = SnapshotTape(self._mechanics, self._states.named(self.states))
+        snapshot = tape.at(values, self._memory.parted(state), time)
+        check_closing(self._mechanics, snapshot, joint, self._setup.tolerances["gap"], 2.0 * h)
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""

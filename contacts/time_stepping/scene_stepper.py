@@ -22,7 +22,7 @@ from contacts.states import FREE, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, S
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem, stepped
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
-from contacts.time_stepping.equations import ContactMemory, StepConstants
+from contacts.time_stepping.equations import HOLDING, ContactMemory, StepConstants
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -31,6 +31,7 @@ from contacts.time_stepping.stability import Swings, check_swing, remarks
 from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
@@ -118,7 +119,12 @@ class SteppedScene(SteppedSystem):
     def switch(self, states: Mapping[str, str]) -> None:
         """Go on with controllers in other states."""
         contacts = self._numbers.contacts(self._values, states)
-        self._use(self._tapes.at(tuple(states.values())), contacts)
+        source, before = self._tapes.at(tuple(states.values())), self._source.closed
+        self._use(source, contacts)
+        if source.closed - before:
+            # The next step holds the impulse of a joint that closes.
+            self._memory.contacts.closing[:] = 1
+            self._memory.contacts.fresh[:] = HOLDING
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
@@ -399,6 +405,10 @@ class SceneStepper(Stepper):
         """Check the initial state; return modes at the start, contacts that are off, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
+        initial = setup.initial
+        for region in self._scene.controlled.flat.values():
+            initial = memory.updated(setup, Clock(), region.name, region.begins, initial)
+        setup = replace(setup, initial=initial)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
