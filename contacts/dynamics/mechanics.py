@@ -16,7 +16,7 @@ from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
-from contacts.scene.expansion import switched
+from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
@@ -358,6 +358,10 @@ class Mechanics(Geometry):
                 f"{name}.H": symbols.H,
             }
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
+        for name, joint in self.scene.joints.items():
+            if joint.limits is not None:
+                low, high = (self.forces[stop][0] for stop in stops(name))
+                result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         for name, friction in self._coefficients.items():
             result[f"{name}.friction"] = friction
         result["energy"] = self.energy
@@ -447,8 +451,41 @@ class Mechanics(Geometry):
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
+    def _arm(self, point: Point) -> sp.Expr:
+        """Return the length that makes lengths of angles: the radius of gyration about a point."""
+        mass, inertia = self.inertia(point.body, self.scene.bodies[point.body])
+        x, y = (self._formula(text) for text in point.at)
+        return sp.sqrt(inertia / mass + x**2 + y**2)
+
+    def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
+        """Return the geometry of a limit of an angle: a gap that nothing slips along."""
+        turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
+        if stop.other is not None:
+            turn -= self.body_frame(stop.other)[1]
+        turn *= stop.side
+        gap, (V, H) = self._arm(contact.point) * turn, self.forces[name]
+        rate, zeros = self.rate(gap), (sp.S.Zero,) * len(self.q)
+        jacobian, none = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
+        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
+        bearing = sp.Add(bias, *self._nonzero(jacobian))
+        hold = Hold((turn,), (bearing,), (V,))
+        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
+        symbols = ContactSymbols(
+            name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
+            *self._cones[name], (jacobian, zeros),
+            tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), hold, hold,
+        )  # fmt: skip
+        x, y = self.point(contact.point)
+        return ContactGeometry(
+            (x, y), none, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
+            symbols, jacobian, zeros, bias, sp.S.Zero,
+        )  # fmt: skip
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
+        if isinstance(surface, Stop):
+            return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))
         rim = self._rim(contact)
         around = self._surroundings(surface, rim.radius, centre)

@@ -13,6 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
+from contacts.scene.expansion import Reach, Stop
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
 from contacts.solvers.dependence import implied, least
@@ -85,6 +86,17 @@ def check_start(
     `slow` are the tolerances of gap and speed.
     """
     gap, gap_rate, slip = moves
+    if gap < -depth and isinstance(surface, Reach | Stop):
+        joint = law.name if isinstance(surface, Reach) else law.name.rpartition("_")[0]
+        raise DeclarationProblem(
+            f"the points of rope {joint!r} are {-gap:.6g} farther apart at the start than its length"
+            if isinstance(surface, Reach)
+            else f"joint {joint!r} starts beyond a limit of its angle",
+            advice="change the start, or the length of the rope"
+            if isinstance(surface, Reach)
+            else "change the start, or the limits",
+            loc=("joints", joint),
+        )
     if gap < -depth:
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         raise DeclarationProblem(

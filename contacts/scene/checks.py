@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.joints import Path
-from contacts.scene.parts import Surface
+from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
@@ -151,7 +151,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
     found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
-    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.components}
+    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
@@ -169,6 +169,7 @@ class Limit(NamedTuple):
 
 _MAX_NUMBER = sys.float_info.max
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
+_PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 # Beyond these masses energies are no floats, or the round-off of forces.
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
@@ -220,8 +221,24 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             if law.friction is not None:
                 yield Limit((section, name, "friction"), law.friction, 0.0, math.inf)
             if law.restitution is not None:
-                words = "must be between 0 and 1, not {:g}"
-                yield Limit((section, name, "restitution"), law.restitution, 0.0, 1.0, words)
+                yield Limit((section, name, "restitution"), law.restitution, *_PART)
+    for name, joint in scene.joints.items():
+        for key in ("rod", "rope"):
+            if (text := getattr(joint, key)) is not None:
+                yield Limit(("joints", name, key), text, *_POSITIVE)
+        if joint.restitution is not None:
+            yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
+        if joint.limits is not None:
+            least, greatest = joint.limits
+            yield Limit(
+                ("joints", name, "limits"),
+                f"({greatest}) - ({least})",
+                math.ulp(0.0),
+                _MAX_NUMBER,
+                "the least angle, {:g}, is not below the greatest, {:g}",
+                "write limits: [least, greatest]",
+                (least, greatest),
+            )
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -491,6 +508,20 @@ def _place(corner: _Corner) -> str:
     return f"({x:.6g}, {y:.6g})"
 
 
+def check_turns(scene: SceneFields) -> None:
+    """Check that bodies whose relative angle a joint holds or limits have an angle."""
+    for name, joint in scene.joints.items():
+        key = "angle" if joint.angle is not None else "limits"
+        for end in (joint.point, joint.to) if getattr(joint, key) is not None else ():
+            if isinstance(end, Point) and scene.bodies[end.body].inertia is None:
+                raise DeclarationProblem(
+                    f"{end.body!r} is a particle, which has no angle",
+                    advice=f"give it an inertia, or remove {key}",
+                    loc=("joints", name, key),
+                    key=True,
+                )
+
+
 def check_copies(scene: SceneFields) -> None:
     """Check what copies of bodies need."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
@@ -544,6 +575,15 @@ def check_collisions(scene: SceneFields) -> None:
                 loc=(section,),
                 key=True,
             )
+    for name, joint in scene.joints.items():
+        for key in ("angle", "rod", "rope", "limits", "enabled", "rest"):
+            if getattr(joint, key):
+                raise DeclarationProblem(
+                    f"a joint of bodies that collide has no {key} yet",
+                    advice="let bodies touch by the points of contacts, without collisions",
+                    loc=("joints", name, key),
+                    key=True,
+                )
     _check_memory(scene)
     for name, body in scene.bodies.items():
         if body.coordinates != ("x", "y", "angle"):

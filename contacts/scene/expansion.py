@@ -1,21 +1,23 @@
-"""Expansion of a scene: joints that can be off become regions, ropes become contacts.
+"""Expansion of a scene: joints that can be off become regions, ropes and limits contacts.
 
 A joint with `enabled` is a region with the states closed and off beside the controllers; the place
-that it captures is a variable of the region. A rope is a contact with the inside of a circle.
+that it captures is a variable of the region. A rope is a contact with the inside of a circle, each
+limit of an angle a contact whose gap is the angle that is left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any
 
 from contacts.scene.controls import Controller, ControlState
 from contacts.scene.joints import Joint, Path
-from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.states import CLOSED, OFF
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import TIME
+from statechart.documents.fields import FiniteText, FormulaText
+from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.relation import (
     Comparison,
@@ -56,31 +58,61 @@ def captured(name: str, joint: Joint) -> tuple[str, ...]:
     return tuple(f"{name}.{found}" for c in joint.components if (found := names(c)))
 
 
+class Reach(Surface):
+    """The circle that a rope keeps a point in."""
+
+
+class Stop(Surface):
+    """A limit of the angle of a body, against another or the world."""
+
+    limit: FiniteText
+    side: int  # 1 at the least angle, -1 at the greatest
+    other: str | None
+
+
+def stops(name: str) -> tuple[str, str]:
+    """Return the names of the contacts with the least and the greatest angle of a joint."""
+    return f"{name}_min", f"{name}_max"
+
+
 def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     """Return the sections of a scene that its joints add to, complete; none where none do."""
-    ropes = {name: joint for name, joint in scene.joints.items() if joint.rope is not None}
-    regions = {name: joint for name, joint in scene.joints.items() if switched(joint)}
-    if not ropes and not regions:
-        return {}
-    joints = {n: _as_captured(n, j) for n, j in scene.joints.items() if n not in ropes}
-    surfaces, contacts, controllers = {}, {}, {}
-    for name, joint in ropes.items():
-        surfaces[_reach(name)] = _circle(joint)
-        gate = joint.enabled
-        if _uses_forces(scene, gate):
-            holder = f"{name}_{CLOSED}"
-            controllers[holder] = _region(scene, name, joint, {})
-            gate = (f"in({holder}.{CLOSED})",)
+    surfaces: dict[str, Surface] = {}
+    contacts: dict[str, Contact] = {}
+    controllers: dict[str, Controller] = {}
+    joints: dict[str, Joint] = {}
+
+    def touches(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
+        surfaces[f"{name}.surface"] = surface
         contacts[name] = Contact(
             point=joint.point,
-            surface=_reach(name),
-            modes=(Free(), Slide()),
+            surface=f"{name}.surface",
             friction=0,
             restitution=0 if joint.restitution is None else joint.restitution,
             enabled=gate,
         )
-    for name, joint in regions.items():
-        controllers[name] = _region(scene, name, joint, _captures(scene, name, joint))
+
+    for name, joint in scene.joints.items():
+        gate = joint.enabled
+        if joint.rope is None:
+            joints[name] = _as_captured(name, joint)
+        elif _uses_forces(scene, gate):
+            holder = f"{name}_{CLOSED}"
+            controllers[holder] = _region(scene, name, joint)
+            gate = (f"in({holder}.{CLOSED})",)
+        if switched(joint):
+            controllers[name] = _region(scene, name, joint)
+            gate = (f"in({name}.{CLOSED})",)
+        if joint.rope is not None:
+            touches(name, joint, _circle(joint, joint.rope), gate)
+        if joint.limits is not None:
+            other = joint.to.body if isinstance(joint.to, Point) else None
+            for one, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
+                stop = Stop.model_construct(limit=limit, side=side, other=other)
+                touches(one, joint, stop, gate)
+    if not contacts and not controllers:
+        return {}
+    _check_names(scene, {*contacts, *controllers}.difference(scene.joints))
     return {
         "joints": joints,
         "surfaces": {**scene.surfaces, **surfaces},
@@ -89,19 +121,25 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     }
 
 
-def _reach(rope: str) -> str:
-    return f"{rope}.reach"
+def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
+    for section in ("bodies", "contacts", "joints", "regions"):
+        for name in added & getattr(scene, section).keys():
+            raise DeclarationProblem(
+                f"{name!r} is a region of joint {name.rpartition('_')[0]!r}",
+                advice="choose another name",
+                loc=(section, name),
+                key=True,
+            )
 
 
-def _circle(joint: Joint) -> Surface:
+def _circle(joint: Joint, length: FormulaText) -> Surface:
     """Return the circle that a rope keeps its point in."""
-    assert joint.rope is not None
     if isinstance(joint.to, Point):
-        return Surface(circle=joint.to.at, radius=joint.rope, hollow=True, body=joint.to.body)
+        return Reach(circle=joint.to.at, radius=length, hollow=True, body=joint.to.body)
     x, y = joint.to.x or 0, joint.to.y or 0
     led = TIME in parse(x).names | parse(y).names
     centre, path = ((0, 0), (x, y)) if led else ((x, y), (0, 0))
-    return Surface(circle=centre, radius=joint.rope, hollow=True, displacement=path)
+    return Reach(circle=centre, radius=length, hollow=True, displacement=path)
 
 
 def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
@@ -110,9 +148,9 @@ def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
     return not used <= scene.kinematic_names | {*scene.controls} | kinematic
 
 
-def _region(scene: SceneFields, name: str, joint: Joint, captures: Mapping[str, str]) -> Controller:
-    """Return the region of a joint; `captures` are values of its variables where it closes."""
-    relation = conjunction(joint.enabled)
+def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
+    """Return the region of a joint that can be off."""
+    relation, captures = conjunction(joint.enabled), _captures(scene, name, joint)
     found = parse_relation(relation)
     ways = [Transition(**{"name": DISABLE, "from": CLOSED, "to": OFF, "guard": f"not ({relation})"})]
     # Its forces are zero while it is off: a joint that they have opened would close at once.

@@ -191,6 +191,11 @@ class Joint(Part):
             return ("X", "Y", *turn)
         return ("X" if self.to.y is None else "Y", *turn)
 
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the forces that formulas may use: of components, and the couple of limits."""
+        return (*self.components, *(() if self.limits is None else ("M",)))
+
     @model_validator(mode="after")
     def _one_law(self) -> Self:
         distance = [key for key in ("rod", "rope") if getattr(self, key) is not None]

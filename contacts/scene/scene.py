@@ -17,6 +17,7 @@ from contacts.scene.checks import (
     check_kinks,
     check_physical,
     check_rim,
+    check_turns,
 )
 from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
@@ -264,6 +265,7 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
+        check_turns(self)
         check_kinks(self)
         self.check_values(self.values())
         check_collisions(self)
@@ -273,7 +275,7 @@ class Scene(SceneFields):
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
-        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {"energy", *self.controls}
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
