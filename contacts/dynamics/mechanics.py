@@ -21,7 +21,7 @@ from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.states import OFF
+from contacts.states import CLOSED
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -264,7 +264,9 @@ class Mechanics(Geometry):
             # Half the distance squared over the length: smooth, and the distance to first order.
             length = self._formula(joint.rod)
             apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
-            toward = ((x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)) / length
+            toward = (
+                (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
+            ) / length
             yield "T", -apart, -toward
             return
         for component, here, there in (("X", x, x0), ("Y", y, y0)):
@@ -329,7 +331,7 @@ class Mechanics(Geometry):
             if asked == region:
                 found[symbol] = sp.Integer(1 if name in active else -1)
         if region in self._closed:
-            found[self._closed[region]] = sp.Integer(state != OFF)
+            found[self._closed[region]] = sp.Integer(state == CLOSED)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:

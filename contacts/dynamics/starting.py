@@ -87,14 +87,13 @@ def check_start(
     """
     gap, gap_rate, slip = moves
     if gap < -depth and isinstance(surface, Reach | Stop):
-        joint = law.name if isinstance(surface, Reach) else law.name.rpartition("_")[0]
+        rope = isinstance(surface, Reach)
+        joint = law.name if rope else law.name.rpartition("_")[0]
         raise DeclarationProblem(
-            f"the points of rope {joint!r} are {-gap:.6g} farther apart at the start than its length"
-            if isinstance(surface, Reach)
+            f"rope {joint!r} is {-gap:.6g} too short for the start"
+            if rope
             else f"joint {joint!r} starts beyond a limit of its angle",
-            advice="change the start, or the length of the rope"
-            if isinstance(surface, Reach)
-            else "change the start, or the limits",
+            advice=f"change the start, or {'its length' if rope else 'the limits'}",
             loc=("joints", joint),
         )
     if gap < -depth:
@@ -209,8 +208,8 @@ def check_closing(
     spare = implied(held.joints.jacobian[~held.joints.redundant])
     if spare.any():
         raise NoConsistentMode(
-            f"joint {joint!r} closes while {' and '.join(dict.fromkeys(names[spare]))} follows from "
-            "the other closed joints; hold fewer components, to: {x: ...} for one"
+            f"joint {joint!r} closes, and closed joints imply a component of "
+            f"{' and '.join(dict.fromkeys(names[spare].tolist()))}; hold fewer components"
         )
 
 

@@ -20,7 +20,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.classification import Case, candidates
-from contacts.states import OFF, OPEN
+from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -117,7 +117,7 @@ class ControlledLaws:
         taken = self._controllers[name].transitions[firing.transition]
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
         after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
-        if name in self._joints and taken.target != OFF:
+        if name in self._joints and taken.target == CLOSED:
             return self._closed(at, name, taken.name, states, after)
         energy = laws.snapshot(inner, motion, clock.high).energy
         jump = at.jump(

@@ -7,6 +7,7 @@ limit of an angle a contact whose gap is the angle that is left.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 ENABLE, DISABLE = "enable", "disable"
 """Events of a joint: it closes, and it lets go."""
+BROKEN = "broken"
+"""State of a joint that its own forces have opened, where another part of `enabled` closes it."""
 
 _ORDER = {
     "<": float.__lt__,
@@ -152,14 +155,25 @@ def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
     """Return the region of a joint that can be off."""
     relation, captures = conjunction(joint.enabled), _captures(scene, name, joint)
     found = parse_relation(relation)
-    ways = [Transition(**{"name": DISABLE, "from": CLOSED, "to": OFF, "guard": f"not ({relation})"})]
+    own = re.compile(rf"(?<![\w.]){re.escape(name)}\.\w+")
     # Its forces are zero while it is off: a joint that they have opened would close at once.
-    if not any(used.startswith(f"{name}.") for used in found.names):
-        ways.append(Transition(**{"name": ENABLE, "from": OFF, "to": CLOSED, "guard": relation}))
+    strong = own.sub("0", relation)
+    others = found.members or found.names - {*own.findall(relation), *scene.parameters}
+    lasting = strong if strong != relation and others else relation
+    states = {CLOSED: ControlState(entry=dict(captures)), OFF: ControlState()}
+    ways = [(DISABLE, CLOSED, OFF, f"not ({lasting})")]
+    if lasting != relation:
+        states[BROKEN] = ControlState()
+        ways.append((DISABLE, CLOSED, BROKEN, f"not ({relation})"))
+    if lasting == strong:
+        ways.append((ENABLE, OFF, CLOSED, lasting))
     region = Controller(
         initial=OFF if holds_at_start(scene, found.root) is False else CLOSED,
-        states={CLOSED: ControlState(entry=dict(captures)), OFF: ControlState()},
-        transitions=tuple(ways),
+        states=states,
+        transitions=tuple(
+            Transition(**{"name": event, "from": before, "to": after, "guard": guard})
+            for event, before, after, guard in ways
+        ),
     )
     # Names with a dot, which no declared variable has.
     return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})

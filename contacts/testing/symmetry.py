@@ -176,7 +176,11 @@ class _Change:
             found |= {f"{name}.V": normal, f"{name}.H": tangential}
         for name in old.joints:
             found |= {f"{name}.X": tangential, f"{name}.Y": normal}
-            found |= {f"{name}.x": self.x, f"{name}.y": self.y, f"{name}.turn": self._start("angle")}
+            found |= {
+                f"{name}.x": self.x,
+                f"{name}.y": self.y,
+                f"{name}.turn": self._start("angle"),
+            }
             moment, along = units["force length"][2], units["force"][2]
             found |= {f"{name}.M": moment, f"{name}.T": along}
         return found | dict.fromkeys(old.controlled.clocks, self.time)

@@ -85,9 +85,6 @@ class ContactMemory(NamedTuple):
     missed: Array
     light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
     bases: Bools  # (c, 4): positive unknowns of the last problem.
-    # (1,): of how many steps, this one included, forces of joints hold the impulse of one that
-    # closes.
-    closing: Ints
 
     @classmethod
     def of(cls, off: Bools) -> ContactMemory:
@@ -106,7 +103,6 @@ class ContactMemory(NamedTuple):
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),
-            np.zeros(1, dtype=np.int64),
         )
 
     def copy(self) -> ContactMemory:

@@ -362,7 +362,6 @@ def _settle(
 @kernel
 def _age_contacts(memory: ContactMemory, active: Bools) -> None:
     """Let contacts grow older by a step."""
-    memory.closing[0] = max(memory.closing[0] - 1, 0)
     for i in range(len(active)):
         memory.fresh[i] = max(memory.fresh[i] - 1, 0)
         if not active[i]:
@@ -446,7 +445,7 @@ def step_scene(
             blurred = _write_forces(scene, memory, tape, problem, answer, met, k, chunk)
             ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
             chunk.efforts[k, AMBIGUOUS] = ambiguous
-        _write_held(scene, n, total, lasting, blurred or memory.closing[0] > 0, k, chunk)
+        _write_held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
             chunk.solved[k, i] = lasting[i] / h
             # On average over the step.

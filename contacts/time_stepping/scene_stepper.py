@@ -22,7 +22,7 @@ from contacts.states import FREE, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, S
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem, stepped
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
-from contacts.time_stepping.equations import HOLDING, ContactMemory, StepConstants
+from contacts.time_stepping.equations import ContactMemory, StepConstants
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -119,12 +119,7 @@ class SteppedScene(SteppedSystem):
     def switch(self, states: Mapping[str, str]) -> None:
         """Go on with controllers in other states."""
         contacts = self._numbers.contacts(self._values, states)
-        source, before = self._tapes.at(tuple(states.values())), self._source.closed
-        self._use(source, contacts)
-        if source.closed - before:
-            # The next step holds the impulse of a joint that closes.
-            self._memory.contacts.closing[:] = 1
-            self._memory.contacts.fresh[:] = HOLDING
+        self._use(self._tapes.at(tuple(states.values())), contacts)
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""

@@ -64,8 +64,6 @@ class SteppedTape:
             outputs += [*(on * entry for entry in row.jacobian), row.gap, row.gap_rate, row.bias]
             outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
-        # Names of the joints that can be off and are closed.
-        self.closed = {r.joint for r in rows if known.get(r.closed, sp.S.Zero) != 0}
         self.limits = StepLimits(mechanics, forces)
         # A contact that its condition keeps off passes nothing.
         self.gaps: Tape = mechanics.whole_tape(
