@@ -69,6 +69,14 @@ class JointNumbers(NamedTuple):
     redundant: Bools  # (m,): Rows that those before them imply, and those of joints that are off
     on: Bools  # (m,): Rows of joints that are closed
 
+    def closed(self) -> JointNumbers:
+        """Return the numbers of the joints that are closed."""
+        on = self.on
+        return JointNumbers(
+            self.gaps[on], self.rates[on], self.biases[on], self.jacobian[on],
+            self.redundant[on], on[on],
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class JointGroup:

@@ -184,8 +184,8 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
     near, slow = landing(tolerances)
     if snapshot.held is not None:
         joints = snapshot.held.joints
-        off = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
-        if off[0].max(initial=0.0) > near or off[1].max(initial=0.0) > slow:
+        apart, parting = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
+        if apart.max(initial=0.0) > near or parting.max(initial=0.0) > slow:
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         off = abs(contact.gap) > near or abs(contact.gap_rate) > slow

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.joints import JointNumbers
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
@@ -155,7 +154,7 @@ def check_joints(
     if not joints.on.any():
         return
     names = [name for name, on in zip(names, joints.on.tolist(), strict=True) if on]
-    joints = JointNumbers(*(numbers[joints.on] for numbers in joints))
+    joints = joints.closed()
     apart = _distances(names, joints.gaps)
     worst = max(apart, key=lambda name: apart[name])
     if apart[worst] > max(allowed * scales.length, tolerances["gap"]):
