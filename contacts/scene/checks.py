@@ -16,12 +16,12 @@ from contacts.scene.parts import Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
-    PIECES,
     FormulaText,
     check_derived,
     check_named_infinity,
     check_names,
     check_smooth,
+    switching,
     value_of,
 )
 from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
@@ -332,7 +332,17 @@ def check_kinks(scene: SceneFields) -> None:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
         check_named_infinity(text, *loc)
-        check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+
+
+def has_switches(scene: SceneFields) -> bool:
+    """Return whether forces and flows, or controls in them, switch as the scene moves."""
+    changing, texts = _force_formulas(scene)
+    controls = scene.controlled
+    flows = [text for name in scene.regions for state, _ in controls.states(name) for text in state.flows.values()]
+    used = set[str]().union(*(parse(text).names for text in flows))
+    flows += [text for _, _, control, text, _ in controls.sets() if control in used]
+    flows += [text for control, text in controls.declared.items() if control in used]
+    return any(switching(text, changing | {TIME, *controls.memory}) for _, text in texts) or any(switching(text, changing | {TIME, *controls.memory}) for text in flows)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:

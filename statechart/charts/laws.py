@@ -25,6 +25,7 @@ from statechart.automaton.components import Data, composed, reserved_words, spli
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
+from statechart.automaton.switches import explicit_rates
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
@@ -70,7 +71,8 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
-        components=cache(partial(components, chart, automaton)),
+        switching=chart.switching,
+        components=tuple if chart.switching else cache(partial(components, chart, automaton)),
     )
 
 
@@ -191,12 +193,12 @@ class ChartLaws:
             place = self._regions.index(name)
             index = self._zeno[place][flow.mode[place]]
         else:
-            watch = self._watch(flow.roles)
+            watch = self._watch(setup, flow)
             sizes = _summed(flow, state)
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
-                    setup, flow.roles, margin, state, sizes, clock.high, setup.precision
+                    setup, flow.moving, margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
@@ -275,14 +277,15 @@ class ChartLaws:
         return ()
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
-        watch = self._watch(flow.roles)
+        watch = self._watch(setup, flow)
         rows = watch.at(setup, state, _state_sizes(flow, state), clock.high)
         if (name := watch.valueless(rows)) is not None:
             raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
-    def _watch(self, roles: Roles) -> GuardWatch:
+    def _watch(self, setup: Setup, flow: Flow) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
+        roles = flow.moving
         if roles not in self._watches:
             known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
@@ -292,6 +295,9 @@ class ChartLaws:
                     guards_out, flows = self._leaving(place, state)
                     watched += guards_out
                     rates |= flows
+            if flow.signs and setup.modes is not None:
+                own = explicit_rates(setup.modes(roles))
+                rates = {v: r for v, r in zip(variables.values(), own, strict=True) if v in rates}
             self._watches[roles] = GuardWatch(
                 watched,
                 known,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
@@ -235,13 +235,19 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
         raise problem(error, *loc) from None
 
 
-_KINKED = ("abs", "sign", "min", "max")
+_KINKED = ("abs", "sign", "min", "max", "sat")
 
-PIECES = (
-    "a step does not stop there, and a sign may switch for ever: declare a region with a state for "
-    "each smooth piece, and a transition whose guard is where it switches"
-)
-"""Advice on a kink in time or in the state."""
+
+def switching(text: str | int | float, variables: Collection[str]) -> bool:
+    """Return whether a formula has a kink in any of `variables`."""
+    return any(map(frozenset(variables).intersection, _kinks(text)))
+
+
+def _kinks(text: str | int | float) -> Iterator[set[str]]:
+    """Yield the names in the functions of a formula that have kinks."""
+    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
+        if call.function in _KINKED:
+            yield {name.name for name in names_in(call)}
 
 
 def check_smooth(
