@@ -43,8 +43,11 @@ class Switches:
     # Derivatives of each function in time, up to the first that the signs act on.
     derivatives: tuple[tuple[sp.Expr, ...], ...]
     acts: tuple[bool, ...]  # Whether they act on the last of these.
-    tape: Tape  # Functions and their derivatives, of variables and signs.
-    places: tuple[int, ...]  # of the first derivative of each among the outputs of the tape.
+    # Functions, their derivatives in time, and then their gradients, of variables and signs.
+    tape: Tape
+    # Places of the first derivative of each among the outputs of the tape, and of the gradients.
+    places: tuple[int, ...]
+    gradients: int
     automaton: Automaton
 
     def piece(self, signs: Sequence[int]) -> Mode:
@@ -173,6 +176,8 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     for chain in chains:
         places.append(len(outputs))
         outputs += chain
+    gradients = len(outputs)
+    outputs += [sp.diff(function, v) for function in functions for v in automaton.variables]
     tape = compile_tape(
         outputs,
         variables=(*automaton.variables, *reader.signs),
@@ -183,7 +188,7 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     texts = tuple(reader.text(function) for function in functions)
     return Switches(
         mode, texts, tuple(reader.signs), functions, definitions, rates, chains, acts, tape,
-        tuple(places), automaton,
+        tuple(places), gradients, automaton,
     )  # fmt: skip
 
 
@@ -208,6 +213,9 @@ class _Reader:
 
     def _rewritten(self, node: sp.Expr) -> sp.Expr:
         arguments = [self.read(argument) for argument in node.args]
+        if node.is_Pow and not node.exp.is_Integer and node.base.is_nonnegative:
+            # Stages of a step lie beyond the surface, too.
+            return sp.Abs(arguments[0]) ** arguments[1]
         if not isinstance(node, _KINKS) or not any(map(self._moves, node.args)):
             return node.func(*arguments)
         if isinstance(node, sp.Abs | sp.sign):

@@ -235,6 +235,7 @@ class ChartLaws:
             held=held,
             summed=summed,
             pending=self._listening.heard(pending, jump),
+            signs=(),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 

@@ -86,7 +86,7 @@ class Execution:
             self.accumulation.series = self.begun.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
-        self._switched: tuple[Any, ...] = ()  # roles, time, signs and state of the flow under way
+        self._switched: tuple[Any, ...] = ()  # of the flow under way: see `_switch`
         self._rooms: dict[str, float] = {}  # tolerances of switches in the flow under way
 
     def run(self) -> Trace:
@@ -295,15 +295,16 @@ class Execution:
         if self._filippov is None:
             return
         flow, known = self.flow, self._switched
-        now = flow.roles, self.clock
-        if not fired and known[:2] == now and known[3] is self.state:
-            self.flow = flow._replace(signs=known[2])
+        now = flow.roles, len(self.record.jumps), self.clock
+        if not fired and known[:3] == now and known[4] is self.state:
+            self.flow = flow._replace(signs=known[3])
             return
-        before = known[2][0].share if known and known[0] == flow.roles and known[2] else None
+        before = known[3][0].share if known[:2] == now[:2] and known[3] else None
         self.flow = flow._replace(signs=())
         found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
         self.flow = flow._replace(signs=found.roles)
-        self._rooms, self._switched = found.tolerances, (*now, found.roles, self.state)
+        self.state, self._rooms = found.state, found.tolerances
+        self._switched = (*now, found.roles, self.state)
         for text in found.warnings:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
 

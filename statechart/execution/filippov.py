@@ -27,8 +27,6 @@ from statechart.formulas.series import sizes_at
 
 # Surfaces that a state may lie on together where signs act on them.
 _MOST = 6
-# A slide drifts off its surface by rounding: by less than this part of the terms.
-_DRIFT = 1e-10
 # A combination this near to one side is on its boundary.
 _EDGE = 1e-9
 
@@ -37,6 +35,7 @@ class Resolved(NamedTuple):
     """Signs of the switches of a flow."""
 
     roles: Roles  # The signs as a role; none where there are no switches.
+    state: Array  # (n,): on the surfaces that the flow slides along, or has slid along.
     tolerances: dict[str, float]  # Of the margins of the switches.
     warnings: tuple[str, ...]  # Slides that begin, and choices that are not unique.
 
@@ -54,10 +53,13 @@ class Filippov:
     def resolved(
         self, at: Instant, zeros: frozenset[int], before: Sequence[int] | None
     ) -> Resolved:
-        """Return the signs from an instant on; `before` are those of this mode until there."""
+        """Return the signs from an instant on; `before` are those of the flow that ends there.
+
+        None where a jump has come between.
+        """
         switches = self._modes.switches(at.flow.roles, zeros)
         if switches is None:
-            return Resolved((), {}, ())
+            return Resolved((), at.state, {}, ())
         surface = _Surface(switches, at, before)
         signs, notes = surface.signs, []
         if surface.on:
@@ -73,8 +75,13 @@ class Filippov:
                         f"the flow slides along {switches.texts[i]} = 0, where both sides lead "
                         "back to it (Filippov)"
                     )
+        state = at.state
+        for i in surface.on:
+            if signs[i] == 0 or (before is not None and before[i] == 0):
+                state = surface.onto(i, state)
+        at = at._replace(state=state)
         roles = (Role(SWITCHES, share=tuple(signs)),)
-        return Resolved(roles, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes))
+        return Resolved(roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes))
 
     def _chosen(
         self, surface: _Surface, at: Instant, before: Sequence[int] | None
@@ -158,9 +165,9 @@ class _Surface:
             value, room = self._output(i)
             if math.isnan(value):
                 raise NonFinite(f"{SIGN_OF}{text} has no value")
+            # A slide drifts off its surface by round-off.
             held = before is not None and before[i] == 0
-            near = abs(value) <= (room / at.setup.precision * _DRIFT if held else room)
-            if not near and text not in fired:
+            if not (held or text in fired or abs(value) <= room):
                 self.signs[i] = 1 if value > 0.0 else -1
                 continue
             self.signs[i] = self.signs[i] or 1
@@ -192,6 +199,21 @@ class _Surface:
             np.concatenate([at.state, own]), values, at.clock.high
         ).item(place)
         return found, _room(at, self.switches.tape, place, at.state, own)
+
+    def onto(self, i: int, state: Array) -> Array:
+        """Return a state (n,) moved onto a surface, by its nearest way in sizes of the state."""
+        at, count = self._at, len(state)
+        values = at.setup.values if at.flow.values is None else at.flow.values
+        found = self.switches.tape.values(
+            np.concatenate([state, np.array(self.signs, float)]), values, at.clock.high
+        )
+        first = self.switches.gradients + i * count
+        slope = found[first : first + count]
+        scale = flow_sizes(at.setup, at.flow, state) ** 2
+        weight = float(slope @ (scale * slope))
+        if found[i] == 0.0 or not 0.0 < weight < math.inf:
+            return state
+        return state - found.item(i) / weight * scale * slope
 
     def _corners(self) -> Callable[[Sequence[int]], Array]:
         """Return what changes each function, by the signs at a corner; round-off is zero."""
