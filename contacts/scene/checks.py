@@ -332,17 +332,28 @@ def check_kinks(scene: SceneFields) -> None:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
         check_named_infinity(text, *loc)
+        if scene.collisions and switching(text, changing, ("sign",)):
+            raise DeclarationProblem(
+                "sign is not for forces on bodies with shapes: steps cannot hold what it stops",
+                advice="write sat(v/e, -1, 1) with a small speed e",
+                loc=loc,
+            )
 
 
 def has_switches(scene: SceneFields) -> bool:
-    """Return whether forces and flows, or controls in them, switch as the scene moves."""
+    """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
-    flows = [text for name in scene.regions for state, _ in controls.states(name) for text in state.flows.values()]
-    used = set[str]().union(*(parse(text).names for text in flows))
-    flows += [text for _, _, control, text, _ in controls.sets() if control in used]
-    flows += [text for control, text in controls.declared.items() if control in used]
-    return any(switching(text, changing | {TIME, *controls.memory}) for _, text in texts) or any(switching(text, changing | {TIME, *controls.memory}) for text in flows)
+    changing = {*changing, TIME, *controls.memory}
+    flows = [
+        text
+        for name in scene.regions
+        for state, _ in controls.states(name)
+        for text in state.flows.values()
+    ]
+    values = [text for _, _, _, text, _ in controls.sets()]
+    formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
+    return any(switching(text, changing) for text in formulas)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:

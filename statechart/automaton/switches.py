@@ -22,6 +22,9 @@ from statechart.formulas.writer import compile_tape
 
 SIGN_OF, SLIDE_ON = "sign of ", "slide on "
 """Beginnings of names of margins: of a switching function, and of what holds it at zero."""
+SLIDES, RESTS = 0, 2
+"""Signs of a switch along whose surface the flow slides, and of one whose function stays zero
+whatever the sign is, which then is zero as that of a number."""
 MAX_ORDER = 2
 """A sign acts on its switching function by a derivative of at most this order."""
 
@@ -50,17 +53,21 @@ class Switches:
     gradients: int
     automaton: Automaton
 
-    def piece(self, signs: Sequence[int]) -> Mode:
-        """Return the mode with these signs; those that are 0 slide."""
+    def piece(self, signs: Any) -> Mode:
+        """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
         count = len(self.mode.margins) - len(self.automaton.stop_margins)
-        known = {s: sp.Integer(n) for s, n in zip(self.signs, signs, strict=True) if n != 0}
-        sliding = [i for i, n in enumerate(signs) if n == 0]
+        sliding = [i for i, n in enumerate(signs) if n == SLIDES]
+        known = {
+            s: sp.Integer(n if abs(n) == 1 else 0)
+            for s, n in zip(self.signs, signs, strict=True)
+            if n != SLIDES
+        }
         definitions, held = self._sliding(sliding, known)
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
             own = function.xreplace(known)
-            if sign != 0 and self._moves(own):
+            if abs(sign) == 1 and self._moves(own):
                 margins.append(_margin(SIGN_OF + self.texts[i], sign * own, names))
         for i, share in zip(sliding, held, strict=True):
             margins += [
@@ -222,7 +229,8 @@ class _Reader:
             sign = self._sign(arguments[0])
             return sign * arguments[0] if isinstance(node, sp.Abs) else sign
         # What does not change last: the functions are simpler.
-        found, *others = sorted(arguments, key=lambda e: (not self._moves(e), sp.default_sort_key(e)))
+        ordered = sorted(arguments, key=sp.default_sort_key)
+        found, *others = sorted(ordered, key=self._moves, reverse=True)
         for other in others:
             sign = self._sign(found - other)
             if isinstance(node, sp.Min):

@@ -25,8 +25,8 @@ from statechart.automaton.components import Data, composed, reserved_words, spli
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
-from statechart.automaton.switches import explicit_rates
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
+from statechart.automaton.switches import explicit_rates
 from statechart.automaton.trace import Arc, Jump, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState

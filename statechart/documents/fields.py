@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
@@ -238,16 +238,15 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
 _KINKED = ("abs", "sign", "min", "max", "sat")
 
 
-def switching(text: str | int | float, variables: Collection[str]) -> bool:
-    """Return whether a formula has a kink in any of `variables`."""
-    return any(map(frozenset(variables).intersection, _kinks(text)))
-
-
-def _kinks(text: str | int | float) -> Iterator[set[str]]:
-    """Yield the names in the functions of a formula that have kinks."""
-    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
-        if call.function in _KINKED:
-            yield {name.name for name in names_in(call)}
+def switching(
+    text: str | int | float, variables: Collection[str], functions: Collection[str] = _KINKED
+) -> bool:
+    """Return whether one of these functions of any of `variables` stands in a formula."""
+    calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
+    return any(
+        call.function in functions and any(name.name in variables for name in names_in(call))
+        for call in calls
+    )
 
 
 def check_smooth(

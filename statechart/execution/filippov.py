@@ -1,5 +1,4 @@
-"""Signs of switches where a flow begins (Filippov, Differential Equations with Discontinuous
-Righthand Sides, 1988).
+"""Signs of switches where a flow begins (Filippov 1988).
 
 Off its surface the sign of a switching function sigma is that of its value. On it, its first
 derivative that is not zero decides, on either side: both lead to one side, which the flow enters;
@@ -18,12 +17,20 @@ import numpy as np
 from statechart.arrays import Array
 from statechart.automaton.laws import SWITCHES, Instant
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
-from statechart.automaton.switches import SIGN_OF, SLIDE_ON, Switches, is_of_switch
+from statechart.automaton.switches import (
+    RESTS,
+    SIGN_OF,
+    SLIDE_ON,
+    SLIDES,
+    Switches,
+    is_of_switch,
+)
 from statechart.automaton.trace import Role, Roles
 from statechart.errors import AmbiguousMode, NonFinite
 from statechart.execution.compiled_modes import CompiledModes
 from statechart.execution.standing import flow_sizes
 from statechart.formulas.series import sizes_at
+from statechart.formulas.tape import Tape
 
 # Surfaces that a state may lie on together where signs act on them.
 _MOST = 6
@@ -70,25 +77,27 @@ class Filippov:
             if not unique:
                 notes.append(f"the motion from {names} on is not unique: another leaves it")
             for i, sign in zip(surface.on, chosen, strict=True):
-                if sign == 0 and (before is None or before[i] != 0):
+                if sign == SLIDES and (before is None or before[i] != SLIDES):
                     notes.append(
                         f"the flow slides along {switches.texts[i]} = 0, where both sides lead "
                         "back to it (Filippov)"
                     )
         state = at.state
         for i in surface.on:
-            if signs[i] == 0 or (before is not None and before[i] == 0):
+            if SLIDES in (signs[i], 1 if before is None else before[i]):
                 state = surface.onto(i, state)
         at = at._replace(state=state)
         roles = (Role(SWITCHES, share=tuple(signs)),)
-        return Resolved(roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes))
+        return Resolved(
+            roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes)
+        )
 
     def _chosen(
         self, surface: _Surface, at: Instant, before: Sequence[int] | None
     ) -> tuple[tuple[int, ...], bool]:
         """Return the signs of the switches that the state lies on, and whether others fit, too."""
         fitting: list[tuple[tuple[int, ...], bool]] = []
-        for signs in product((1, -1, 0), repeat=len(surface.on)):
+        for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
             verdict = surface.fits(signs)
             if verdict is None:
                 verdict = False if self._holds(surface.with_(signs), at) else None
@@ -105,10 +114,15 @@ class Filippov:
             )
         strict = [signs for signs, decided in fitting if decided]
         choices = strict or [signs for signs, _ in fitting]
+        if not strict:
+            ways = [{signs[k] for signs in choices} for k in range(len(surface.on))]
+            if any({1, -1} <= way for way in ways):
+                rests = [RESTS if {1, -1} <= way else min(way, key=abs) for way in ways]
+                return tuple(rests), True
         last = None if before is None else tuple(before[i] for i in surface.on)
         if last in choices:
             return last, len(strict) < 2
-        return max(choices, key=lambda signs: signs.count(0)), len(strict) < 2
+        return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
 
     def _holds(self, signs: Sequence[int], at: Instant) -> bool:
         """Return whether no margin of the switches falls at once, by higher derivatives."""
@@ -143,7 +157,7 @@ class Filippov:
         }
 
 
-def _room(at: Instant, tape: object, place: int, state: Array, signs: Array | None = None) -> float:
+def _room(at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None) -> float:
     """Return the round-off of an output of a tape."""
     sizes = flow_sizes(at.setup, at.flow, at.state)
     if signs is not None:
@@ -166,11 +180,11 @@ class _Surface:
             if math.isnan(value):
                 raise NonFinite(f"{SIGN_OF}{text} has no value")
             # A slide drifts off its surface by round-off.
-            held = before is not None and before[i] == 0
+            held = before is not None and before[i] == SLIDES
             if not (held or text in fired or abs(value) <= room):
                 self.signs[i] = 1 if value > 0.0 else -1
                 continue
-            self.signs[i] = self.signs[i] or 1
+            self.signs[i] = self.signs[i] if abs(self.signs[i]) == 1 else 1
             self._place(i)
         self._changes = self._corners()
 
@@ -237,23 +251,21 @@ class _Surface:
 
     def fits(self, signs: Sequence[int]) -> bool | None:
         """Return whether the flow can have these signs; None where higher derivatives decide."""
-        sliding = [k for k, sign in enumerate(signs) if sign == 0]
+        sliding = [k for k, sign in enumerate(signs) if sign == SLIDES]
         middle, shares = self._combined(signs, sliding)
         if middle is None:
             return False
         undecided = bool((np.abs(shares) >= 1.0 - _EDGE).any())
         for sign, slope in zip(signs, middle.tolist(), strict=True):
-            if sign == 0:
+            if sign == SLIDES:
                 continue
             if not sign * slope >= 0.0:
                 return False
             undecided = undecided or slope == 0.0
         return None if undecided else True
 
-    def _combined(
-        self, signs: Sequence[int], sliding: Sequence[int]
-    ) -> tuple[Array | None, Array]:
-        """Return the slopes under signs, and the shares of those that slide; None: no such slide."""
+    def _combined(self, signs: Sequence[int], sliding: Sequence[int]) -> tuple[Array | None, Array]:
+        """Return the slopes under signs, and shares of those that slide; None: no such slide."""
         none = np.zeros(0)
         if not sliding:
             return self._changes(signs), none

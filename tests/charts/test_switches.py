@@ -67,18 +67,14 @@ def test_a_saturated_actuator_is_off_its_limits_in_between(engine: Engine) -> No
     w, t = math.sqrt(0.75), 10.0 - first
     c, s, decay = math.cos(w * t), math.sin(w * t), math.exp(-t / 2.0)
     if len(breaks(trace)) == 1:
-        assert trace.final[0] == pytest.approx(
-            decay * (x * c + (v + x / 2.0) / w * s), abs=1e-12
-        )
+        assert trace.final[0] == pytest.approx(decay * (x * c + (v + x / 2.0) / w * s), abs=1e-12)
     else:
         pytest.fail("it saturates once")
 
 
 @both
 def test_two_blocks_with_friction_come_to_rest_each_at_its_time(engine: Engine) -> None:
-    chart = flow(
-        {"v": 2, "w": 1, "x": 0}, v="-sign(v)", w="-2*sign(w)", x="v + w"
-    )
+    chart = flow({"v": 2, "w": 1, "x": 0}, v="-sign(v)", w="-2*sign(w)", x="v + w")
     trace = run(chart, engine, 3.0)
     assert breaks(trace) == pytest.approx([0.5, 2.0], abs=1e-12)
     assert trace.final == pytest.approx([0.0, 0.0, 2.25], abs=1e-12)
