@@ -245,7 +245,7 @@ class ControlledLaws:
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
-                setup, flow.roles, margin, state, sizes, clock.high, relative
+                setup, flow.moving, margin, state, sizes, clock.high, relative
             )
 
         active = active_in(self._regions, flow.mode)

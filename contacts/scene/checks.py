@@ -16,12 +16,12 @@ from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
-    PIECES,
     FormulaText,
     check_derived,
     check_named_infinity,
     check_names,
     check_smooth,
+    switching,
     value_of,
 )
 from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
@@ -349,7 +349,28 @@ def check_kinks(scene: SceneFields) -> None:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
         check_named_infinity(text, *loc)
-        check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+        if scene.collisions and switching(text, changing, ("sign",)):
+            raise DeclarationProblem(
+                "sign is not for forces on bodies with shapes: steps cannot hold what it stops",
+                advice="write sat(v/e, -1, 1) with a small speed e",
+                loc=loc,
+            )
+
+
+def has_switches(scene: SceneFields) -> bool:
+    """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
+    changing, texts = _force_formulas(scene)
+    controls = scene.controlled
+    changing = {*changing, TIME, *controls.memory}
+    flows = [
+        text
+        for name in scene.regions
+        for state, _ in controls.states(name)
+        for text in state.flows.values()
+    ]
+    values = [text for _, _, _, text, _ in controls.sets()]
+    formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
+    return any(switching(text, changing) for text in formulas)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:

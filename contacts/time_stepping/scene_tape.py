@@ -14,6 +14,8 @@ from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
+from statechart.automaton.margin_derivatives import derivative
+from statechart.errors import Unsupported
 from statechart.formulas.tape import Tape
 
 
@@ -43,8 +45,13 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
+        if any(force.has(sp.sign) for force in forces):
+            raise Unsupported(
+                "steps cannot hold what sign of a velocity brings to rest; use events "
+                "(--engine auto), or sat(v/e, -1, 1) with a small speed e"
+            )
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
-        derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
+        derivatives = [derivative(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
             outputs += derivatives
