@@ -6,6 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.loading.kind import Kind
@@ -44,14 +45,14 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
         return SceneStepper(mechanics, stops, regions)
 
-    mechanics = Mechanics(scene)
+    mechanics, switching = Mechanics(scene.expanded), has_switches(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
-    if scene.regions:
+    if mechanics.scene.regions:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)
@@ -74,7 +75,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         controls=given(mechanics),
         coordinates=coordinates(mechanics),
         stepper=stepper,
-        components=cache(partial(components, scene, _composed)),
+        switching=switching,
+        components=tuple if switching else cache(partial(components, scene, _composed)),
     )
     return made, numbers
 

@@ -15,6 +15,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
+from contacts.states import CLOSED
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -37,11 +38,15 @@ from statechart.formulas.tape import Tape
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
+    joint = [row for row in mechanics.joint_rows if row.joint == name and row.closed is not None]
 
     def build(role: Role) -> State:
+        off = role.state != CLOSED
         return State(
+            tuple(row.force if off else row.equation(mechanics.a) for row in joint),
             margins=guard_margins(flat, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
+            holds=() if off else tuple(row.hold(mechanics.a) for row in joint),
         )
 
     sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}

@@ -16,12 +16,12 @@ from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
-    PIECES,
     FormulaText,
     check_derived,
     check_named_infinity,
     check_names,
     check_smooth,
+    switching,
     value_of,
 )
 from statechart.errors import DeclarationProblem, Findings, Loc, close_matches
@@ -155,7 +155,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
     found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
-    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.components}
+    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
@@ -173,6 +173,7 @@ class Limit(NamedTuple):
 
 _MAX_NUMBER = sys.float_info.max
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
+_PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 # Beyond these masses energies are no floats, or the round-off of forces.
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
@@ -225,8 +226,24 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             if law.friction is not None:
                 yield Limit((section, name, "friction"), law.friction, 0.0, math.inf)
             if law.restitution is not None:
-                words = "must be between 0 and 1, not {:g}"
-                yield Limit((section, name, "restitution"), law.restitution, 0.0, 1.0, words)
+                yield Limit((section, name, "restitution"), law.restitution, *_PART)
+    for name, joint in scene.joints.items():
+        for key in ("rod", "rope"):
+            if (text := getattr(joint, key)) is not None:
+                yield Limit(("joints", name, key), text, *_POSITIVE)
+        if joint.restitution is not None:
+            yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
+        if joint.limits is not None:
+            least, greatest = joint.limits
+            yield Limit(
+                ("joints", name, "limits"),
+                f"({greatest}) - ({least})",
+                math.ulp(0.0),
+                _MAX_NUMBER,
+                "the least angle, {:g}, is not below the greatest, {:g}",
+                "write limits: [least, greatest]",
+                (least, greatest),
+            )
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -338,7 +355,28 @@ def check_kinks(scene: SceneFields) -> None:
         # Guards of controllers are derived along the motion, twice.
         check_derived(parse(text).root, changing, loc, order=1)
         check_named_infinity(text, *loc)
-        check_smooth(text, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
+        if scene.collisions and switching(text, changing, ("sign",)):
+            raise DeclarationProblem(
+                "sign is not for forces on bodies with shapes: steps cannot hold what it stops",
+                advice="write sat(v/e, -1, 1) with a small speed e",
+                loc=loc,
+            )
+
+
+def has_switches(scene: SceneFields) -> bool:
+    """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
+    changing, texts = _force_formulas(scene)
+    controls = scene.controlled
+    changing = {*changing, TIME, *controls.memory}
+    flows = [
+        text
+        for name in scene.regions
+        for state, _ in controls.states(name)
+        for text in state.flows.values()
+    ]
+    values = [text for _, _, _, text, _ in controls.sets()]
+    formulas = [*(text for _, text in texts), *flows, *(values if flows else ())]
+    return any(switching(text, changing) for text in formulas)
 
 
 def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc, FormulaText]]]:
@@ -497,6 +535,20 @@ def _place(corner: _Corner) -> str:
     return f"({x:.6g}, {y:.6g})"
 
 
+def check_turns(scene: SceneFields) -> None:
+    """Check that bodies whose relative angle a joint holds or limits have an angle."""
+    for name, joint in scene.joints.items():
+        key = "angle" if joint.angle is not None else "limits"
+        for end in (joint.point, joint.to) if getattr(joint, key) is not None else ():
+            if isinstance(end, Point) and scene.bodies[end.body].inertia is None:
+                raise DeclarationProblem(
+                    f"{end.body!r} is a particle, which has no angle",
+                    advice=f"give it an inertia, or remove {key}",
+                    loc=("joints", name, key),
+                    key=True,
+                )
+
+
 def check_copies(scene: SceneFields) -> None:
     """Check what copies of bodies need."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
@@ -550,6 +602,15 @@ def check_collisions(scene: SceneFields) -> None:
                 loc=(section,),
                 key=True,
             )
+    for name, joint in scene.joints.items():
+        for key in ("angle", "rod", "rope", "limits", "enabled", "rest"):
+            if getattr(joint, key):
+                raise DeclarationProblem(
+                    f"a joint of bodies that collide has no {key} yet",
+                    advice="let bodies touch by the points of contacts, without collisions",
+                    loc=("joints", name, key),
+                    key=True,
+                )
     _check_memory(scene)
     for name, body in scene.bodies.items():
         if not body.prescribed and body.coordinates != ("x", "y", "angle"):

@@ -43,6 +43,7 @@ _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "a
 _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
+_CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
 _MOST_COPIES = 10_000
 
 
@@ -258,8 +259,10 @@ class SceneFields(Declaration):
         words = f"{part} of {owner}"
         if owner in self.contacts and part in _OF_CONTACTS:
             return Quantity(words, _OF_CONTACTS[part])
-        if owner in self.joints and part in ("X", "Y"):
-            return Quantity(words, "force")
+        if owner in self.joints and part in self.joints[owner].forces:
+            return Quantity(words, "" if part == "M" else "force")
+        if owner in self.joints and part in _CAPTURED:
+            return Quantity(words, _CAPTURED[part])
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:

@@ -398,6 +398,13 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else (value,)
 
 
+Relations = Annotated[
+    tuple[OneRelation, ...],
+    BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
+]
+"""A relation, or several that must all hold."""
+
+
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
@@ -444,10 +451,7 @@ class Contact(Part):
         ),
         examples=["newton"],
     )
-    enabled: Annotated[
-        tuple[OneRelation, ...],
-        BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
-    ] = Field(
+    enabled: Relations = Field(
         default=(),
         description=(
             "Relation, or several that must all hold; while it fails, the contact is off."

@@ -18,7 +18,9 @@ from contacts.scene.checks import (
     check_physical,
     check_prescribed,
     check_rim,
+    check_turns,
 )
+from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
@@ -43,6 +45,15 @@ class Scene(SceneFields):
     force on the body), as in ``tip.V``, of every joint ``X`` and ``Y`` (force on the body of its
     point).
     """
+
+    @property
+    def expanded(self) -> Self:
+        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`)."""
+        added = expansion(self)
+        if not added:
+            return self
+        own = {name: getattr(self, name) for name in type(self).model_fields}
+        return self.model_construct(**{**own, **added})
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
@@ -261,6 +272,7 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
+        check_turns(self)
         check_kinks(self)
         self.check_values(self.values())
         check_collisions(self)
@@ -270,21 +282,22 @@ class Scene(SceneFields):
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
-        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        gates = {c: self.gate(c) for c in self.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
-            name: {*region.named} for name, region in self.controlled.flat.items()
+        whole = self.expanded
+        gates = {c: whole.gate(c) for c in whole.contacts}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
+            name: {*region.named} for name, region in whole.controlled.flat.items()
         }
         causes = {
             c: {
                 edge.cause
-                for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
+                for edge in edges(x, jams=whole.jams(c), bounces=whole.bounces(c), gate=gates[c])
             }
-            for c, x in self.contacts.items()
-        } | {name: {*found} for name, found in causes_of(self.controlled.flat).items()}
+            for c, x in whole.contacts.items()
+        } | {name: {*found} for name, found in causes_of(whole.controlled.flat).items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
             found |= dict.fromkeys(self.moving(), states_of_bodies)
@@ -300,6 +313,11 @@ class Scene(SceneFields):
                 with wrong:
                     if transition.guard is not None:
                         check_relation(transition.guard, names, found, changing, *at, "guard")
+        for name, joint in self.joints.items():
+            for place, text in enumerate(joint.enabled):
+                with wrong:
+                    at = ("joints", name, "enabled", place)
+                    check_relation(text, names, found, changing, *at)
         wrong.check()
         return self
 
