@@ -73,7 +73,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         setup=numbers.at,
         laws=laws,
         controls=given(mechanics),
-        coordinates=coordinates(mechanics),
+        # Rates of what is eliminated would follow from the memory as well.
+        coordinates=None if scene.leading else coordinates(mechanics),
         stepper=stepper,
         switching=switching,
         components=tuple if switching else cache(partial(components, scene, _composed)),

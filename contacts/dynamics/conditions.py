@@ -114,7 +114,9 @@ class Conditions:
         for name, gate in zip(contacts, gates, strict=True):
             gap = sp.S.Zero if gate is None else mechanics.contact(name).symbols.gap
             outputs += [gap, *[sp.S.Zero] * (PER_CONDITION - 1)]
-        self.tape = mechanics.tape(outputs, unknowns=tuple(sizes.values()))
+        self.tape = mechanics.tape(
+            outputs, unknowns=tuple(sizes.values()), definitions=mechanics.controlled(states)
+        )
         self._derivatives = MarginDerivatives(
             (*mechanics.variables, *mechanics.memory.values()),
             mechanics.parameters.ordered,

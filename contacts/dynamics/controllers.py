@@ -224,14 +224,14 @@ class ControllerState:
             return setup
         return replace(setup, values=np.concatenate([state[self._size :], setup.values]))
 
-    def constraints(self, of_motion: Constraints) -> Constraints:
+    def constraints(self, of_motion: Constraints, setup: SceneSetup) -> Constraints:
         """Return constraints of positions and rates as those of the whole state."""
         if not self._names:
             return of_motion
 
         def project(state: Array, time: float) -> Array:
             motion = self.parted(state)
-            projected = of_motion.project(motion, time)
+            projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
         within = of_motion.within

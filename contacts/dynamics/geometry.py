@@ -120,6 +120,8 @@ class Geometry:
         self.a = tuple(sp.Symbol(f"a{i}", real=True) for i in count)
         rates = tuple(map(scene.rate_name, self.names))
         self.variable_names, self.variables = (*self.names, *rates), (*self.q, *self.v)
+        # Variables of controllers that move surfaces, and their rates.
+        self.carried: tuple[tuple[sp.Symbol, sp.Symbol], ...] = ()
         self.known: dict[str, sp.Expr] = {
             TIME: self.time,
             **constants,
@@ -130,7 +132,8 @@ class Geometry:
         """Return the total derivative with respect to time, accelerations included."""
         used = expression.free_symbols
         terms = [sp.diff(expression, self.time)] if self.time in used else []
-        for x, dx in (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True)):
+        pairs = (*zip(self.q, self.v, strict=True), *zip(self.v, self.a, strict=True))
+        for x, dx in (*pairs, *self.carried):
             if x in used:
                 terms.append(sp.diff(expression, x) * dx)
         return sp.Add(*terms)

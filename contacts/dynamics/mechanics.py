@@ -81,14 +81,27 @@ class Mechanics(Geometry):
             for i, (name, joint) in enumerate(scene.joints.items())
             if switched(joint)
         }
+        # Rates and accelerations of what paths of surfaces use of the memory.
+        self._led = {
+            name: (sp.Symbol(f"rate_{self.memory[name]}", real=True),
+                   sp.Symbol(f"acceleration_{self.memory[name]}", real=True))
+            for name in self.memory if name in scene.leading
+        }  # fmt: skip
+        self.carried = tuple(
+            pair
+            for name, (rate, acceleration) in self._led.items()
+            for pair in ((self.memory[name], rate), (rate, acceleration))
+        )
         # Symbols that states of controllers set, each after those that its values use: coefficients
-        # of contacts and the scene's controls.
+        # of contacts, the scene's controls, and how they move surfaces.
         self.controls = (
             *self._coefficients.values(),
             *(s for name in self._coefficients for s in cones[name]),
             *controls.values(),
             *self._asked.values(),
             *self._closed.values(),
+            *(rate for rate, _ in self._led.values()),
+            *(acceleration for _, acceleration in self._led.values()),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -327,7 +340,7 @@ class Mechanics(Geometry):
         """Return the normal and tangential velocity of a contact's surface that moves in time."""
         surface = self.scene.surfaces[self.scene.contacts[name].surface]
         frame = surface_frame(surface, self.known)
-        rates = [sp.diff(expression, self.time) for expression in frame]
+        rates = [self.rate(expression) for expression in frame]
         if rates == [0, 0, 0]:
             return sp.S.Zero, sp.S.Zero
         (n_x, n_y), (t_x, t_y) = self.contact(name).normal, self.contact(name).tangent
@@ -354,6 +367,12 @@ class Mechanics(Geometry):
                     found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             found[self.known[control]] = self._formula(text)
+        flows = self._controls.flows(region, state)
+        own = {*self.scene.regions[region].variables, *self._controls.flat[region].timers}
+        for name in own & self._led.keys():
+            rate, acceleration = self._led[name]
+            found[rate] = self._formula(flows.get(name, 0))
+            found[acceleration] = self.rate(found[rate])
         active = self._controls.flat[region].active(state)
         for (asked, name), symbol in self._asked.items():
             if asked == region:

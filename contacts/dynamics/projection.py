@@ -58,7 +58,7 @@ class Projection:
         self._on = [on is None or states[on] != 0 for on in closed]
         self._snapshots = snapshots
         self._compile = mechanics.tape
-        self.tape = mechanics.tape(outputs)
+        self.tape = mechanics.tape(outputs, definitions=[*states.items()])
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
         self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
         self._within: dict[Key, Tape | None] = {}
@@ -89,9 +89,11 @@ class Projection:
                 if name == "pin":
                     targets[5 * i + 3 : 5 * i + 5] = then[5 * i + 3 : 5 * i + 5]
 
-        def project(state: Array, time: float) -> Array:
+        began = values
+
+        def project(state: Array, time: float, values: Array = values) -> Array:
             snapshot, joints = self._snapshots.whole(values, state, time)
-            pins = self._snapshots.whole(values, anchor, start)[0] if pinned else None
+            pins = self._snapshots.whole(began, anchor, start)[0] if pinned else None
             projected = _brought(flow, snapshot, joints, state, held=pins)
             if joints is None:
                 return projected

@@ -271,3 +271,19 @@ def _listed(names: Sequence[str], values: Array, changes: Array) -> str:
     changed = [k for k in order[:_MOST_NAMED] if abs(changes[k]) > _PART * np.abs(changes).max()]
     more = ", ..." if len(changed) == _MOST_NAMED < len(names) else ""
     return ", ".join(f"{names[k]} = {values[k]:.6g}" for k in changed) + more
+
+
+def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
+    """Return why a run ends where the velocity of a surface jumps under a contact."""
+    return NoConsistentMode(
+        f"the velocity of surface {surface!r} jumps as a controller changes, and {contact!r} would "
+        f"be {state}, which is not among its modes; add it, or let the velocity flow"
+    )
+
+
+def jumped_in(surface: str, contact: str, depth: float) -> NoConsistentMode:
+    """Return why a run ends where a transition displaces a surface into a point."""
+    return NoConsistentMode(
+        f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r} as a controller "
+        "changes; let a variable that flows move it"
+    )

@@ -18,6 +18,7 @@ from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
+from contacts.event_driven.displaced import displaced
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.classification import Case, candidates
 from contacts.states import CLOSED, OPEN
@@ -63,6 +64,7 @@ class ControlledLaws:
             for text in (contact.friction, contact.restitution)
         )
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
+        self._leads = bool(mechanics.scene.leading)
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
         self._listening = Listening(regions, self._controllers)
 
@@ -125,10 +127,16 @@ class ControlledLaws:
         if name in self._joints and taken.target == CLOSED:
             return self._closed(at, name, taken.name, states, after)
         energy = laws.snapshot(inner, motion, clock.high).energy
+        contacts = flow.mode[: self._count]
+        if self._leads:
+            there = self._within(setup, states, after)
+            now = self._at(states).snapshot(there, motion, clock.high)
+            was = laws.snapshot(inner, motion, clock.high)
+            contacts = displaced(self._mechanics.scene, inner, contacts, was, now)
         jump = at.jump(
             name,
             taken.name,
-            (*flow.mode[: self._count], *states),
+            (*contacts, *states),
             after,
             path=() if taken.guard is not None else (taken.trigger,),
             considered=self._considered[name](taken),
@@ -136,6 +144,10 @@ class ControlledLaws:
         )
         flow = flow._replace(pending=self._listening.heard(firing.pending, jump))
         following = self._parted(flow)
+        if contacts != following.mode:
+            roles = zip(following.mode, contacts, following.roles, roles_in(contacts), strict=True)
+            moved = tuple(role if a == b else other for a, b, role, other in roles)
+            following = following._replace(mode=contacts, roles=moved)
         if taken.guard is not None:
             watch = self._states.guards(own).watch
             early = watch.early(rows, firing.due, fired)
@@ -188,10 +200,11 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         inner = self._memory.within(setup, anchor)
         motion = self._memory.parted(anchor)
-        # Which joints hold is a matter of the states.
-        laws = self._at(moving_mode(roles[self._count :])) if self._joints else self._contacts
+        # Which joints hold, and where surfaces go, is a matter of the states.
+        own = self._joints or self._leads
+        laws = self._at(moving_mode(roles[self._count :])) if own else self._contacts
         found = laws.constraints(inner, roles[: self._count], start, motion)
-        return self._memory.constraints(found)
+        return self._memory.constraints(found, setup)
 
     def feasibility(
         self, regions: Sequence[Region], setup: Setup, state: Array, time: float

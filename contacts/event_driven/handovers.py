@@ -108,7 +108,7 @@ class Handovers:
                 gate = self._mechanics.gate(name)
                 assert gate is not None
                 outputs.append(gate.by_steps(known))
-                outputs.append(self._mechanics.contact(name).symbols.gap)
+                outputs.append(self._mechanics.contact(name).symbols.gap.xreplace(known))
             self._tapes[states] = self._mechanics.whole_tape(outputs)
         return self._tapes[states]
 

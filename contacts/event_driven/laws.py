@@ -100,7 +100,8 @@ class SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
         rules = self._rules
         laws = copy.copy(self)
-        if any(row.closed is not None for row in self._mechanics.joint_rows):
+        joints = any(row.closed is not None for row in self._mechanics.joint_rows)
+        if joints or self._mechanics.scene.leading:
             laws._projection = Projection(self._mechanics, tape)
         else:
             laws._projection = self._projection

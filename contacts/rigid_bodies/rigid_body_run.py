@@ -246,9 +246,10 @@ class RigidBodyRun(SteppedSystem):
         seen = seen[:count]
         self._angular = np.flatnonzero(seen)
 
-    def switch(self, states: Mapping[str, str]) -> None:
-        """Go on with controllers in other states."""
+    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+        """Go on with controllers in other states; see `SteppedSystem`."""
         self._around.switch(states)
+        return np.zeros(0, np.int64)
 
     def forget(self) -> None:
         """Take back the last steps."""

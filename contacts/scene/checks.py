@@ -93,9 +93,12 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
         case "surfaces", "height":
             return parameters | {"x"}
         case ("surfaces", "displacement" | "turn") | ("joints", "to") if loc[-1] != "at":
-            # Variables of controllers may move surfaces and joints of bodies with shapes.
-            if section == "surfaces" or loc[-1] in ("x", "y"):
-                return parameters | {TIME, *(scene.controlled.memory if scene.collisions else ())}
+            # Variables of controllers may move surfaces, and joints of bodies with shapes.
+            memory = scene.controlled.memory
+            if section == "surfaces":
+                return parameters | {TIME, *memory, *(() if scene.collisions else scene.controls)}
+            if loc[-1] in ("x", "y"):
+                return parameters | {TIME, *(memory if scene.collisions else ())}
         case "contacts", "friction" | "restitution":
             return parameters | {*scene.controls}
         case "forces", "force" | "moment":
@@ -135,7 +138,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
         )
     if led and name in {*scene.controls, *scene.controlled.memory}:
         return (
-            "controllers move no surface, and no joint, of what touches by points",
+            "controllers move no joint of what touches by points",
             f"write a formula of {TIME}, or give bodies shapes, and collisions",
         )
     if name == INDEX and loc[-2:-1] == ("start",):
@@ -683,6 +686,27 @@ def _check_path(scene: SceneFields, name: str) -> None:
 def _moving_names(scene: SceneFields) -> set[str]:
     """Return the names of what impulses of contacts change."""
     return {*scene.variables, *map(scene.rate_name, scene.variables)}
+
+
+def check_led_surfaces(scene: SceneFields, found: Findings) -> None:
+    """Check that what moves surfaces of points changes within states as time and itself tell."""
+    leading, constant = scene.leading, {*scene.parameters}
+    texts: list[tuple[Loc, FormulaText]] = [(("controls", n), t) for n, t in scene.controls.items()]
+    for region in scene.regions:
+        for state, at in scene.controlled.states(region):
+            texts += [((*at, "sets", name), text) for name, text in state.sets.items()]
+            texts += [((*at, "flows", name), text) for name, text in state.flows.items()]
+    for loc, text in texts:
+        may = constant | ({TIME, *leading} if "flows" in loc else set())
+        used = sorted(parse(text).names - may)
+        with found:
+            if loc[-1] in leading and used:
+                raise DeclarationProblem(
+                    f"{loc[-1]!r} moves a surface, and depends on {used[0]!r}",
+                    advice="set a control that moves a surface to a formula of parameters, and let "
+                    "a variable flow by time, parameters and variables",
+                    loc=loc,
+                )
 
 
 def check_prescribed(scene: SceneFields, found: Findings) -> None:

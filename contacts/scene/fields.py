@@ -191,12 +191,13 @@ class SceneFields(Declaration):
     def owners(self) -> dict[str, str]:
         """Return the names of all bodies, copies one by one, to those that they are declared by.
 
-        Those whose motion is prescribed are the last.
+        Behind those that move by themselves are led ones, and fixed ones behind these.
         """
         single = all(body.copies is None for body in self.bodies.values())
         counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
         result: dict[str, str] = {}
-        for name in sorted(self.bodies, key=lambda name: self.bodies[name].prescribed):
+        groups = {name: body.prescribed + body.fixed for name, body in self.bodies.items()}
+        for name in sorted(self.bodies, key=groups.__getitem__):
             count = counts[name]
             if count is None:
                 result[name] = name
@@ -353,6 +354,24 @@ class SceneFields(Declaration):
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.memory
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
+
+    @property
+    def leading(self) -> frozenset[str]:
+        """Names of controls and variables that move surfaces of points, and of their flows."""
+        if self.collisions:
+            return frozenset()
+        texts = [text for s in self.surfaces.values() for text in (*s.displacement, s.turn)]
+        found, memory = set[str](), {*self.controlled.memory, *self.controls}
+        while fresh := {n for text in texts for n in parse(text).names & memory} - found:
+            found |= fresh
+            texts = [
+                text
+                for region in self.regions
+                for state, _ in self.controlled.states(region)
+                for variable, text in state.flows.items()
+                if variable in fresh
+            ]
+        return frozenset(found)
 
     @property
     def placed_names(self) -> frozenset[str]:

@@ -329,15 +329,18 @@ class Surface(Part):
     )
     displacement: Pair = Field(
         default=(0, 0),
-        description="Displacement of the surface: two formulas of time.",
+        description=(
+            "Displacement of the surface: two formulas of time, and of what controllers remember "
+            "(of points, also of what they set)."
+        ),
         examples=[["v*time", 0]],
         json_schema_extra=unit("length"),
     )
     turn: FiniteText = Field(
         default=0,
         description=(
-            "Angle of rotation, counter-clockwise, as a formula of time; about a "
-            "circle's centre, the point of an incline, else the origin."
+            "Angle of rotation, counter-clockwise, as a formula of what the displacement may use; "
+            "about a circle's centre, the point of an incline, else the origin."
         ),
         examples=["omega*time"],
         json_schema_extra=unit("rad"),

@@ -15,6 +15,7 @@ from contacts.scene.checks import (
     check_finite,
     check_formulas,
     check_kinks,
+    check_led_surfaces,
     check_physical,
     check_prescribed,
     check_rim,
@@ -210,6 +211,7 @@ class Scene(SceneFields):
                         key=True,
                     )
         check_formulas(self, found)
+        check_led_surfaces(self, found)
         for name, contact in self.contacts.items():
             self._check_contact(found, name, contact)
 

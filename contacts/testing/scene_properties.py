@@ -12,6 +12,7 @@ from functools import cache, partial
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
@@ -136,6 +137,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
     """
     energy = mechanics.energy
     rates = {name: mechanics.surface_rate(name) for name in mechanics.scene.contacts}
+    controllers = mechanics.scene.controlled.flat
     led = any(row.path_rate != 0 for row in mechanics.joint_rows)
     points: list[tuple[float, float, str]] = []  # (time, energy less work, where)
     work, size, j = 0.0, 0.0, 0
@@ -150,13 +152,18 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
 
     def jumps(until: int) -> None:
         nonlocal work
-        for jump in trace.jumps[j:until] if trace.step is None else ():
+        for jump in trace.jumps[j:until]:
             states, times = np.array([jump.before, jump.after]), np.full(2, jump.t)
             before = work
             for name, impulse in jump.impulse.items():
                 if rates[name] != (0, 0):
-                    moved = subject.values(trace, rates[name], states[:1], times[:1])[0]
+                    under = jump.source[len(mechanics.scene.contacts) :]
+                    known = values_in(mechanics, dict(zip(controllers, under, strict=True)))
+                    rate = [part.xreplace(known) for part in rates[name]]
+                    moved = subject.values(trace, rate, states[:1], times[:1])[0]
                     work += float(np.dot(impulse, moved))
+            if trace.step is not None:
+                continue
             if led and jump.impulse:
                 work += _work_of_joints(mechanics, subject, trace, jump)
             add(states, times, np.array([before, work]), f"by {jump.region} {jump.cause}")

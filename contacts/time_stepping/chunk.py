@@ -148,8 +148,11 @@ class SteppedSystem(ABC):
         """Take back the last steps."""
 
     @abstractmethod
-    def switch(self, states: Mapping[str, str]) -> None:
-        """Go on with controllers in other states."""
+    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+        """Go on with controllers in other states; `at`: from a state, to another, at a time.
+
+        Return which regions are free from then on, as what they touched was moved away.
+        """
 
     @abstractmethod
     def depth_left(self, state: Array, time: float) -> float:

@@ -133,9 +133,11 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
+            opened = self._scene.switch(
+                self._states.named(self.states), (state, after, recorder.clock.high)
+            )
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
             pending, state = self._listening.heard(firing.pending, jump), after
-            self._scene.switch(self._states.named(self.states))
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
         )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of, undetermined
+from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of, undetermined
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import ArcMaker, Line, Steps, Stretch, Stroke, cut
 from statechart.arrays import Array, Bools, Ints
@@ -166,10 +166,16 @@ class Recorder:
         controls: Key,
         states: tuple[Array, Array],
         fired: tuple[str, ...],
+        opened: Ints,
     ) -> Jump:
-        """Append a jump of a further region, from one state to another; return it."""
+        """Append a jump of a further region, from one state to another; return it.
+
+        The regions `opened` are free after it.
+        """
         self.close()
-        target = (*self.key[: len(self.row)], *controls)
+        self.row = self.row.copy()
+        self.row[opened] = FREE
+        target = (*self._key(self.row)[: len(self.row)], *controls)
         jump = Jump(self.clock.high, self.count, region, cause, self.key, target, *states, fired)
         self._note(jump)
         self.control_jumps.append(

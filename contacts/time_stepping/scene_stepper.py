@@ -14,7 +14,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.dynamics.starting import check_joints, check_start, hovering
+from contacts.dynamics.starting import check_joints, check_start, hovering, jumped_in, torn
 from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.step_impulses import smoothed
@@ -116,10 +116,27 @@ class SteppedScene(SteppedSystem):
         self._use(self._source, setup.contacts)
         return setup
 
-    def switch(self, states: Mapping[str, str]) -> None:
-        """Go on with controllers in other states."""
+    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+        """Go on with controllers in other states; see `SteppedSystem`."""
+        was, (before, after, time) = self._source, at
         contacts = self._numbers.contacts(self._values, states)
         self._use(self._tapes.at(tuple(states.values())), contacts)
+        if not was.scene.leading:
+            return np.zeros(0, np.int64)
+        memory, now = self._memory.contacts, self._source.contacts(self._values, after, time)
+        old = was.contacts(self._values, before, time)
+        near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
+        for i in np.flatnonzero(~memory.off & (deep > near)).tolist():
+            surface = was.scene.contacts[was.names[i]].surface
+            raise jumped_in(surface, was.names[i], -float(now[i, 0]))
+        # What a surface strikes, or leaves, does not last.
+        parts = (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
+        memory.closed[parts] = False
+        opened = parts & (self._memory.codes != FREE) & ~memory.off
+        for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
+            raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[FREE])
+        self._memory.codes[opened] = memory.shown[opened] = FREE
+        return np.flatnonzero(opened)
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""

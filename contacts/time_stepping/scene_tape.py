@@ -60,8 +60,10 @@ class SteppedTape:
         for name in self.names:
             geometry = mechanics.contact(name)
             symbols = geometry.symbols
-            outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
-            outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
+            outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
+            motion = geometry.bias_n, geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip
+            # Rates of what moves surfaces are set by states.
+            outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
             outputs.append(sp.S.One if gate is None else gate.by_steps(known))
         rows = mechanics.joint_rows
@@ -76,7 +78,7 @@ class SteppedTape:
         self.gaps: Tape = mechanics.whole_tape(
             [
                 sp.Max(
-                    mechanics.contact(name).symbols.gap,
+                    mechanics.contact(name).symbols.gap.xreplace(known),
                     *(() if gate is None else (-gate.by_steps(known),)),
                 )
                 for name, gate in zip(self.names, map(mechanics.gate, self.names), strict=True)
@@ -118,9 +120,9 @@ class SteppedTape:
             found[second : second + r * (n + JOINT)].reshape(r, n + JOINT),
         )
 
-    def contacts(self, values: Array, state: Array) -> Array:
-        """Return gap, gap rate, slip and condition (c, 4) at the start."""
-        return self.rows(values, state, 0.0).contacts[:, -4:]
+    def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
+        """Return gap, gap rate, slip and condition (c, 4) in a state, which may be the start."""
+        return self.rows(values, state, time).contacts[:, -4:]
 
 
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:

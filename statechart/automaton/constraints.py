@@ -22,8 +22,8 @@ class Constraints(NamedTuple):
     targets: Array
     weights: Array
     # From a state that is off and the absolute time to the nearest one that is not; the same object
-    # where it cannot be brought nearer.
-    project: Callable[[Array, float], Array]
+    # where it cannot be brought nearer. Of bodies, with other values of the parameters, too.
+    project: Callable[..., Array]
     # Outputs: what falls below minus `room` along a step that did not see something that the flow
     # meets (a narrow bump under a sliding point); None where that cannot be.
     within: Tape | None = None

@@ -378,3 +378,27 @@ def test_a_wheel_that_turns_faster_than_steps_see_is_told() -> None:
     law = "  all: {bodies: [ball, vane], friction: 0, restitution: 1}"
     trace = _run(bodies, law, until=0.05, step=1e-2).trace
     assert any("turn by more than half a turn" in warning for warning in trace.warnings)
+
+
+def test_led_bodies_may_be_declared_behind_fixed_ones() -> None:
+    # A crate that is declared first stays, and the paddle behind it moves.
+    bodies = f"""
+  box: {{{MOVED}, start: {{y: 0.1, dx: -1}}}}
+  crate:
+    fixed: true
+    copies: 6
+    shape: {{polygon: [[-0.5, -0.2], [0.5, -0.2], [0.5, 0], [-0.5, 0]]}}
+    start: {{x: index - 2.5}}
+  paddle:
+    position: [-1.5 + 0.4*time, 0]
+    shape: {{polygon: [[-0.1, 0], [0, 0], [0, 0.2], [-0.1, 0.2]]}}
+"""
+    laws = """  slides: {bodies: [box, crate], friction: 0, restitution: 0}
+  strikes: {bodies: [box, paddle], friction: 0, restitution: 1}
+"""
+    trace = _run(bodies, laws, until=1.5).trace
+    # The gap of 1.3 closes at 1.4.
+    assert [jump.t for jump in trace.jumps if jump.cause == "impact"] == pytest.approx(
+        [1.3 / 1.4], abs=1e-3
+    )
+    assert trace.final[3] == pytest.approx(1.8, rel=1e-12)
