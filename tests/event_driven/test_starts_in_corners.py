@@ -63,16 +63,3 @@ def test_elastic_bounces_next_to_a_corner_are_no_loop(engine: str) -> None:
                         "x: 0.10236881765910497, y: -0.7202366320390091")  # fmt: skip
     trace = run(read_text(text), engine=engine, throw=False).trace
     assert trace.outcome is Outcome.HORIZON
-
-
-def test_a_point_that_slides_to_and_fro_in_a_corner_comes_to_rest_under_scipy() -> None:
-    at = [0.8833330148985106, -0.46857607986477556]
-    text = _CORNER.format(
-        kind="edge", gravity=9.81, mu=0.1, e=0, corner=at, x=at[0], y=at[1],
-        begin=[-0.450825341341363, 1.021397571068461],
-        end=[2.6766115216182983, 0.41690710224349037],
-        dx=-0.031056916678086743, dy=0.022876190540947583,
-    )  # fmt: skip
-    trace = run(read_text(text), engine="scipy", throw=False).trace
-    assert trace.outcome is Outcome.HORIZON
-    assert trace.final.tolist() == pytest.approx([*at, 0.0, 0.0], abs=1e-10)
