@@ -311,7 +311,6 @@ class Advance:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
         self._begin = Begin.MOVED if moved or finished else Begin.ON
 
-
     def _check_stiffness(self, steps: int, took: float) -> None:
         """Raise `Unsupported` where stability, not the motion, keeps explicit steps short.
 
