@@ -58,6 +58,8 @@ class Snapshot(NamedTuple):
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
     biases: Array  # (c, 2): Of all contacts
+    # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
+    limits: Array
     held: Held | None = None  # None where there are no joints
 
     @property
@@ -107,10 +109,10 @@ class SnapshotTape:
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self.size = len(mechanics.q)
-        self.count = len(mechanics.scene.contacts)
+        self.count = len(mechanics.scene.frictional)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
         outputs.append(mechanics.energy)
-        contacts = [mechanics.contact(name) for name in mechanics.scene.contacts]
+        contacts = [mechanics.contact(name) for name in mechanics.scene.frictional]
         # Numbers of a kind stand side by side, so that arrays of them need no copy.
         for geometry in contacts:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
@@ -134,6 +136,10 @@ class SnapshotTape:
             outputs += [row.gap, row.gap_rate, row.bias, row.redundant]
         for row in rows:
             outputs += row.jacobian
+        couplings = mechanics.scene.couplings
+        self._limits = 2 * len(couplings)
+        for name in couplings:
+            outputs += mechanics.limits(name)
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -170,11 +176,12 @@ class SnapshotTape:
             ),
             jacobians,
             numbers[end : end + further].reshape(count, 2),
+            numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
         if not self.joints:
             return whole, None
         gaps, rates, bias, redundant = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
-        rows = numbers[last + 4 * self.joints :].reshape(self.joints, n)
+        rows = numbers[last + 4 * self.joints :][: n * self.joints].reshape(self.joints, n)
         return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
 
 
@@ -198,6 +205,7 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         ),
         jacobians,
         biases,
+        whole.limits,
         Held(whole, joints, basis, allowed.acceleration),
     )
 
