@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
+from statechart.errors import Unsupported
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
@@ -42,6 +43,11 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
+        if scene.couplings:
+            raise Unsupported(
+                f"coupling {next(iter(scene.couplings))!r}: steps have no couplings yet; run with "
+                "--engine taylor or scipy"
+            )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)

@@ -75,8 +75,8 @@ def superstates_of(states: Iterable[str]) -> dict[str, str]:
 
 
 def declared_state(state: str) -> str:
-    """Return a state as a contact lists it: `slide` whatever its direction."""
-    return "slide" if state in SLIDING else state
+    """Return a state as a contact lists it: `slide`, or `slipping`, whatever its direction."""
+    return "slide" if state in SLIDING else "slipping" if state in SLIPPING else state
 
 
 def cause_of(before: str, after: str) -> str:

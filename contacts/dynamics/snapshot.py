@@ -58,9 +58,9 @@ class Snapshot(NamedTuple):
     contacts: tuple[PerContact, ...]  # In the order of the declaration
     jacobians: Array  # (c, 2, n)
     biases: Array  # (c, 2): Of all contacts
-    # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
-    limits: Array
     held: Held | None = None  # None where there are no joints
+    # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
+    limits: Array = np.empty((0, 2))
 
     @property
     def whole(self) -> Snapshot:
@@ -176,7 +176,7 @@ class SnapshotTape:
             ),
             jacobians,
             numbers[end : end + further].reshape(count, 2),
-            numbers[len(numbers) - self._limits :].reshape(-1, 2),
+            limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
         if not self.joints:
             return whole, None
@@ -205,8 +205,8 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         ),
         jacobians,
         biases,
-        whole.limits,
         Held(whole, joints, basis, allowed.acceleration),
+        whole.limits,
     )
 
 

@@ -15,7 +15,13 @@ from contacts.dynamics.projection import Projection, dead_point, in_contact, lan
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
+from contacts.dynamics.starting import (
+    check_joints,
+    check_limits,
+    check_places,
+    check_start,
+    hovering,
+)
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
@@ -134,6 +140,7 @@ class SceneLaws:
         touched = self._mechanics.scene.surface_of
         for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[: self._count]:
             check_start(touched(law.name), law, contact[:3], depth, near, slow)
+        check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [
             shut and abs(c.gap_rate) <= slow
