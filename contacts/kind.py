@@ -138,7 +138,11 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
         coupling_region(name, one, partial(coupling, name), (mechanics.couples[name],))
         for name, one in scene.couplings.items()
     )
-    return (*of_contacts, *of_couplings, *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()))
+    return (
+        *of_contacts,
+        *of_couplings,
+        *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()),
+    )
 
 
 def stage(automaton: Automaton) -> Stage:

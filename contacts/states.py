@@ -57,9 +57,12 @@ COUPLING_STATES = ("locked", *SLIPPING)
 """States of a coupling that is not open."""
 
 
-SUPERSTATES = {"slide+": "slide", "slide-": "slide", "slide": CLOSED, "pin": CLOSED} | {
-    state: "slipping" for state in SLIPPING
-}
+SUPERSTATES = {
+    "slide+": "slide",
+    "slide-": "slide",
+    "slide": CLOSED,
+    "pin": CLOSED,
+} | dict.fromkeys(SLIPPING, "slipping")
 """State -> what it is in: ``free | closed { pin | slide { slide+ | slide- } }`` of a contact,
 ``open | locked | slipping { slip+ | slip- }`` of a coupling."""
 

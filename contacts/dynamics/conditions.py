@@ -314,7 +314,11 @@ class ConditionsAt:
 
 
 def _alike(one: Contact | None, other: Contact | None) -> bool:
-    return one is not None and other is not None and (one.point, one.radius) == (other.point, other.radius)
+    return (
+        one is not None
+        and other is not None
+        and (one.point, one.radius) == (other.point, other.radius)
+    )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:

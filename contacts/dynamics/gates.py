@@ -90,8 +90,7 @@ class Gate:
             limits.insert(0, gap)
         whole = -sp.Min(*limits, evaluate=False)
         return tuple(
-            Margin(name, -margin, relation=self.off, whole=whole)
-            for name, margin in found
+            Margin(name, -margin, relation=self.off, whole=whole) for name, margin in found
         )
 
     def by_steps(self, values: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -120,8 +119,9 @@ def gate_of(
 ) -> Gate:
     """Return the gate of a contact: the conjunction of relations, and of `ends` of an edge.
 
-    `off` is the contact with its state while the gate does not hold, as in ``tip.off``. `known` are the expressions of names; those of `states`, by controller and state, are above 0
-    while the state is active, below 0 else. Ends are words -> an expression that is >= 0.
+    `off` is the contact with its state while the gate does not hold, as in ``tip.off``. `known`
+    are the expressions of names; those of `states`, by controller and state, are above 0 while the
+    state is active, below 0 else. Ends are words -> an expression that is >= 0.
     """
     contact, atoms = off.rpartition(".")[0], list[GateAtom]()
     parts: list[Any] = []

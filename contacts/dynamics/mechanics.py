@@ -381,8 +381,11 @@ class Mechanics(Geometry):
             gated = contact.enabled or ends
             self._gates[name] = (
                 gate_of(
-                    f"{name}.{DISENGAGED if coupling else OFF}", contact.enabled, known,
-                    self._asked, ends,
+                    f"{name}.{DISENGAGED if coupling else OFF}",
+                    contact.enabled,
+                    known,
+                    self._asked,
+                    ends,
                 )
                 if gated
                 else None

@@ -20,8 +20,8 @@ from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
-from contacts.scene.lint import lint
 from contacts.scene.couplings import coupling_states
+from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
 from contacts.states import implied_joints

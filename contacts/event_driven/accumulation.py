@@ -70,7 +70,9 @@ def closed_at_once(
     """
     state = jump.after
     snapshot = hidden(at(state), flow.mode)
-    took_part = [part and now not in INACTIVE for part, now in zip(took_part, flow.mode, strict=True)]
+    took_part = [
+        part and now not in INACTIVE for part, now in zip(took_part, flow.mode, strict=True)
+    ]
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
     if not rates:
         return None

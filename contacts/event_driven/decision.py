@@ -73,7 +73,11 @@ def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]
     """
     close, still = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
     for law, contact, shut in zip(setup.contacts, snapshot.contacts, touching, strict=True):
-        if law.coupling or "free" in law.states or (contact.gap <= close and not shut and contact.gap_rate < 0.0):
+        if (
+            law.coupling
+            or "free" in law.states
+            or (contact.gap <= close and not shut and contact.gap_rate < 0.0)
+        ):
             continue
         if not shut:
             moves, lacks = f"leaves its surface at {contact.gap_rate:.3g}", "free"

@@ -138,7 +138,9 @@ class SceneLaws:
         check_places(self._names, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
-        for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[: self._count]:
+        for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[
+            : self._count
+        ]:
             check_start(touched(law.name), law, contact[:3], depth, near, slow)
         check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]

@@ -85,7 +85,7 @@ def share(
     code: Ints,
     snapshot: Snapshot,
     cones: Array,
-    carriers: Ints,
+    loaded_by: Ints,
     forces: Array,
     inward: float,
 ) -> Share | None:
@@ -94,7 +94,8 @@ def share(
     The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
     their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
     looked for: on the boundary of what can be explained the zones then still determine the forces.
-    Locked couplings bear as contacts inside their cones; `carriers` as in `solve_modes`.
+    Locked couplings bear as contacts inside their cones; `loaded_by` are the carriers of
+    `solve_modes`.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
@@ -122,12 +123,12 @@ def share(
             explained, borne, places, violation = again
     if not explained:
         return None
-    if np.isin(carriers[couplings], shared).any():
+    if np.isin(loaded_by[couplings], shared).any():
         # The couple of a coupling that slips would follow from the share.
         return None
     given, zones = forces.copy(), [OWN] * len(code)
     given[shared] = borne
-    write_limits(given, limits, carriers, code)
+    write_limits(given, limits, loaded_by, code)
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
     alone = ~np.isin(np.arange(len(code)), shared)

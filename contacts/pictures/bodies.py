@@ -10,7 +10,7 @@ import sympy as sp
 import contacts.scene.shapes as declared
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.links import SAME, Links
-from contacts.scene.joints import Path
+from contacts.scene.joints import Joint, Path
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
@@ -59,7 +59,7 @@ class BodyShapes:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
                 found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
-        return (*self._links.shapes(), *found, *self._joints())
+        return (*self._links.shapes(), *found, *self._joints(), *self._couplings())
 
     def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
         frame = self._frames[name]
@@ -182,6 +182,27 @@ class BodyShapes:
             found.append(Shape(kind, points, frame, frame, name=name))
         return found
 
+    def _couplings(self) -> list[Shape]:
+        """Return couplings, at the joint of their bodies where there is one, else between them."""
+        scene, found = self._scene, []
+        for region, name in enumerate(scene.couplings, len(scene.contacts)):
+            bodies = scene.coupled(name)
+            own = scene.couplings[name].joint
+            joint = next(
+                (
+                    one
+                    for key, one in scene.joints.items()
+                    if key == own or (own is None and {*bodies} == _held_by(one))
+                ),
+                None,
+            )
+            first = self._frames[bodies[0] if joint is None else joint.point.body]
+            ends, other = np.zeros((2, 2)), self._frames[bodies[-1]]
+            if joint is not None:
+                ends, other = np.array([self._pair(joint.point.at)] * 2), first
+            found.append(Shape("coupling", ends, first, other, region=region, name=name))
+        return found
+
     def _number(self, text: str | int | float) -> float:
         return parse(text).value(self._known)
 
@@ -201,6 +222,11 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
         if shape.disc is not None and at == tuple(map(number, shape.at)):
             return number(shape.disc)
     return 0.0
+
+
+def _held_by(joint: Joint) -> set[str]:
+    """Return the bodies that a joint holds."""
+    return {joint.point.body} | ({joint.to.body} if isinstance(joint.to, Point) else set())
 
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

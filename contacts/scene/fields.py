@@ -45,6 +45,7 @@ _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
 _OF_COUPLINGS: Mapping[str, Dimension] = {"M": "moment", "slip": "angle/time"}
+_OF_GUIDES: Mapping[str, Dimension] = {"M": "force", "slip": "length/time"}
 _MOST_COPIES = 10_000
 
 
@@ -265,8 +266,8 @@ class SceneFields(Declaration):
         if owner in self.contacts and part in _OF_CONTACTS:
             return Quantity(words, _OF_CONTACTS[part])
         if owner in self.couplings and part in _OF_COUPLINGS:
-            along = {"M": "force", "slip": "length/time"} if self.along_guide(owner) else {}
-            return Quantity(words, along.get(part, _OF_COUPLINGS[part]))
+            known = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+            return Quantity(words, known[part])
         if owner in self.joints and part in ("X", "Y"):
             return Quantity(words, "force")
         if part in _OF_BODIES and owner and owner not in self.contacts:
@@ -384,8 +385,8 @@ class SceneFields(Declaration):
     @cached_property
     def asked_states(self) -> tuple[Member, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
-        gated = (*self.contacts.values(), *self.couplings.values())
-        texts = [text for one in gated for text in one.enabled]
+        texts = [text for contact in self.contacts.values() for text in contact.enabled]
+        texts += [text for coupling in self.couplings.values() for text in coupling.enabled]
         members = [member for text in texts for member in parse_relation(text).members]
         return tuple({(m.region, m.state): m for m in members}.values())
 

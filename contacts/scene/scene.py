@@ -19,10 +19,10 @@ from contacts.scene.checks import (
     check_physical,
     check_rim,
 )
+from contacts.scene.couplings import coupling_edges, coupling_states
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
-from contacts.scene.couplings import coupling_edges, coupling_states
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
@@ -211,7 +211,7 @@ class Scene(SceneFields):
         return self.contacts[contact].surface in self.surfaces
 
     def _check_contact(self, found: Findings, name: str, contact: Contact) -> None:
-        at = ("contacts", name)
+        at: Loc = ("contacts", name)
         with found:
             gated = self._on_a_surface(name) and self.gate(name)
             if gated and "free" not in contact.kinds:
@@ -235,14 +235,14 @@ class Scene(SceneFields):
                 )
         self._check_enabled(found, contact.enabled, *at)
 
-    def _check_enabled(self, found: Findings, relations: Iterable[str], *at: str) -> None:
+    def _check_enabled(self, found: Findings, relations: Iterable[str], *at: str | int) -> None:
         parameters = frozenset(self.parameters)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
         seen |= {f"{coupling}.slip" for coupling in self.couplings}
         for place, text in enumerate(relations):
             with found:
                 known = seen | {*self.controls}
-                here = (*at, "enabled", place)
+                here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
                     if member.region in self.frictional:
                         raise DeclarationProblem(
@@ -323,9 +323,7 @@ class Scene(SceneFields):
         return self
 
     @staticmethod
-    def _member(
-        found: Findings, what: str, name: str, known: object, *loc: str | int
-    ) -> None:
+    def _member(found: Findings, what: str, name: str, known: object, *loc: str | int) -> None:
         assert isinstance(known, dict)
         with found:
             check_member(what, name, known, *loc)

@@ -46,15 +46,15 @@ def dot(a: Array, b: Array) -> float:
 
 @kernel
 def _direction(code: int) -> float:
-    if code == SLIDE_PLUS or code == SLIP_PLUS:
+    if code in (SLIDE_PLUS, SLIP_PLUS):
         return 1.0
-    return -1.0 if code == SLIDE_MINUS or code == SLIP_MINUS else 0.0
+    return -1.0 if code in (SLIDE_MINUS, SLIP_MINUS) else 0.0
 
 
 @kernel
 def is_coupling(code: int) -> bool:
     """Return whether a code is that of a coupling that is not open."""
-    return code == LOCKED or code == SLIP_PLUS or code == SLIP_MINUS
+    return code in (LOCKED, SLIP_PLUS, SLIP_MINUS)
 
 
 @kernel

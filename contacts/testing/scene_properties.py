@@ -112,7 +112,9 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
-        rows = zip(scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False)
+        rows = zip(
+            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+        )
         for name, state, couple, slip, static, kinetic in rows:
             limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
             if state == "locked":

@@ -38,7 +38,8 @@ MASS = 2.0**-20
 # Fields of an image; others (outputs, ranges, invariants, declared modes) say nothing of its runs.
 _KEPT = (
     "name", "parameters", "gravity", "coordinates", "bodies", "surfaces", "contacts", "joints",
-    "couplings", "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop", "settings",
+    "couplings", "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop",
+    "settings",
 )  # fmt: skip
 _RELATIONS = ("guard", "enabled", "conditions")
 # Corners and ends go round the solid the other way in a mirror.
