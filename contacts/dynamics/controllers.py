@@ -6,7 +6,7 @@ see them as they see parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -21,7 +21,14 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
-from statechart.charts.guard_watch import Guard, GuardWatch, guard_claims, guard_margins, guards
+from statechart.charts.guard_watch import (
+    Guard,
+    GuardWatch,
+    guard_claims,
+    guard_margins,
+    guards,
+    guards_at_events,
+)
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition
@@ -33,7 +40,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
 
     def build(role: Role) -> State:
         return State(
-            margins=guard_margins(name, flat, role.state, mechanics.observables),
+            margins=guard_margins(flat, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
         )
 
@@ -58,7 +65,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=partial(guard_claims, name, flat),
+        claims=partial(guard_claims, flat),
     )
 
 
@@ -118,7 +125,7 @@ class Controllers:
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
-        self._guards: dict[Key, ControlGuards] = {}
+        self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
         # The states that they start in.
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
@@ -127,11 +134,13 @@ class Controllers:
         """Return controller -> state."""
         return dict(zip(self.names, states, strict=True))
 
-    def guards(self, states: Key) -> ControlGuards:
-        """Return the guards out of the states."""
-        if states not in self._guards:
-            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
-        return self._guards[states]
+    def guards(self, states: Key, *, at_events: bool = False) -> ControlGuards:
+        """Return the guards out of the states: those that fire, or those judged at events."""
+        key = states, at_events
+        if key not in self._guards:
+            made = guards_at_events if at_events else guards
+            self._guards[key] = ControlGuards(self._mechanics, self.named(states), made)
+        return self._guards[key]
 
 
 class ControlGuards:
@@ -142,12 +151,17 @@ class ControlGuards:
     known, so that a guard on them waits for its margin to fall.
     """
 
-    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        states: Mapping[str, str],
+        made: Callable[[int, FlatRegion, str], list[Guard]],
+    ) -> None:
         known = values_in(mechanics, states)
         memory = memory_rates_in(mechanics, known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
-            watched += guards(place, name, region.transitions, states[name])
+            watched += made(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [row.force for row in mechanics.joint_rows]

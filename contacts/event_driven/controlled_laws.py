@@ -105,15 +105,20 @@ class ControlledLaws:
             flow = flow._replace(pending=self._listening.heard(flow.pending, jump))
             return jump, self._joined(setup, clock, following, own, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
-        guarded = {} if judged is None else judged.due()
-        firing = self._listening.first(self._names, own, flow.pending, guarded)
+        guarded = set() if judged is None else judged.due()
+        firing = self._listening.first(
+            self._controllers,
+            own,
+            flow.pending,
+            guarded,
+            lambda: self._holding(setup, clock, flow, state),
+        )
         if firing is None:
             tolerances = flow.tolerances if judged is None else judged.watched()
             if tolerances == flow.tolerances:
                 return None
             return None, flow._replace(tolerances=tolerances)
-        name = self._names[firing.place]
-        taken = self._controllers[name].transitions[firing.transition]
+        name, taken = self._names[firing.place], firing.taken
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
         energy = laws.snapshot(inner, motion, clock.high).energy
         after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
@@ -123,14 +128,14 @@ class ControlledLaws:
             (*flow.mode[: self._count], *states),
             after,
             path=() if taken.guard is not None else (taken.trigger,),
-            considered=self._considered[name][firing.transition],
+            considered=self._considered[name](taken),
             energy=(energy, energy),
         )
         flow = flow._replace(pending=self._listening.heard(firing.pending, jump))
         following = self._parted(flow)
         if taken.guard is not None:
             watch = self._states.guards(own).watch
-            early = watch.early(rows, firing.place, firing.transition, fired)
+            early = watch.early(rows, firing.due, fired)
             following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, after, flow)
 
@@ -206,19 +211,7 @@ class ControlledLaws:
             guarded.watch.single or not watched.all()
         ):
             return None, rows
-        inner = self._within(setup, own, state)
-        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
-        modes = moving_mode(flow.roles[: self._count])
-        closed = [mode not in OPEN for mode in modes]
-        case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
-        (solved,) = candidates(case, [(mode,) for mode in modes])
-        found = None
-        if not solved.undetermined:
-            accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
-            captured = np.array([role.captured for role in flow.roles[: self._count]])
-            forces = np.where(captured[:, None], 0.0, solved.forces)
-            found = np.concatenate([accelerations, forces.ravel(), joints])
-        rows = guarded.rows(setup, clock.high, state, found)
+        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
         relative = setup.precision
 
         assert setup.sizes is not None
@@ -232,6 +225,30 @@ class ControlledLaws:
         active = active_in(self._regions, flow.mode)
         judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
         return judged, rows
+
+    def _holding(
+        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
+    ) -> set[tuple[int, int]]:
+        """Return the guards at events that hold."""
+        guarded = self._states.guards(flow.mode[self._count :], at_events=True)
+        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
+
+    def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
+        """Return accelerations and forces in the mode; None where it leaves them open."""
+        own = flow.mode[self._count :]
+        inner = self._within(setup, own, state)
+        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
+        modes = moving_mode(flow.roles[: self._count])
+        closed = [mode not in OPEN for mode in modes]
+        case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
+        (solved,) = candidates(case, [(mode,) for mode in modes])
+        if solved.undetermined:
+            return None
+        accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
+        captured = np.array([role.captured for role in flow.roles[: self._count]])
+        forces = np.where(captured[:, None], 0.0, solved.forces)
+        return np.concatenate([accelerations, forces.ravel(), joints])
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""

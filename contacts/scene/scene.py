@@ -25,6 +25,7 @@ from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
+from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
@@ -298,7 +299,7 @@ class Scene(SceneFields):
                 for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
             }
             for c, x in self.contacts.items()
-        } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
+        } | {name: {*found} for name, found in causes_of(self.controlled.flat).items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
             found |= dict.fromkeys(self.owners(), states_of_bodies)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +23,7 @@ from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
 from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop
@@ -85,7 +86,7 @@ class StepControl:
         EventLoop
             If they do not end.
         """
-        pending: dict[str, tuple[Jump, ...]] = {}
+        pending: dict[str, tuple[Raised, ...]] = {}
         for _, together in groupby(jumps, key=lambda jump: jump.t):
             first, *others = together
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
@@ -100,21 +101,19 @@ class StepControl:
                 )
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
-            due = self._due(time, state[None], solved[None], h, recorder.row[None])[0]
-            guarded: dict[int, int] = {}
-            for guard, now in zip(watched, due.tolist(), strict=True):
-                if now:
-                    guarded.setdefault(guard.place, guard.transition)
-            firing = self._listening.first(self._names, self.states, pending, guarded)
+            at_end = time, state[None], solved[None]
+            due = self._due(*at_end, h, recorder.row[None])[0]
+            firing = self._listening.first(
+                self._controllers,
+                self.states,
+                pending,
+                {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now},
+                partial(self._holding, *at_end, recorder.row[None]),
+            )
             if firing is None:
                 return state
-            name = self._names[firing.place]
-            taken = self._controllers[name].transitions[firing.transition]
-            fired = tuple(
-                guard.name
-                for guard in watched
-                if (guard.place, guard.transition) == (firing.place, firing.transition)
-            )
+            name, taken = self._names[firing.place], firing.taken
+            fired = tuple(g.name for g in watched if (g.place, g.trigger) in firing.due)
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
@@ -159,3 +158,17 @@ class StepControl:
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
         atoms: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
         return guards.watch.hold(atoms, self._active.at(codes, self.states))
+
+    def _holding(
+        self, times: Array, states: Array, solved: Array, codes: Ints
+    ) -> set[tuple[int, int]]:
+        """Return the guards at events that hold at the end of a step."""
+        guards = self._states.guards(self.states, at_events=True)
+        rows = guards.table(self._setup, times, states, solved[:, self._order])
+        margin, size = rows[..., 0], rows[..., 3]
+        zero = self._setup.rounded * size
+        atoms = margin <= np.where(guards.watch.closed, zero, -zero)
+        held = guards.watch.hold(atoms, self._active.at(codes, self.states))[0]
+        return {
+            (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
+        }

@@ -12,7 +12,7 @@ import numpy as np
 
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
@@ -100,8 +100,8 @@ class Flow(NamedTuple):
     terms: Array | None = None
     # (n,): how large the terms are that jumps since then have summed each variable from.
     summed: Array | None = None
-    # Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
-    pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
+    # Region -> the events of this instant that it has yet to hear. None outlasts the instant.
+    pending: Mapping[str, tuple[Raised, ...]] = _NOTHING
     # (n,): where to flow on from, where a mode holds but its state is brought back onto its
     # constraints; None where it is the state that the laws were asked about.
     start: Array | None = None

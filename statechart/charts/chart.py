@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.flatten import FlatRegion, flatten, timed
+from statechart.charts.flatten import FlatRegion, causes_of, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
@@ -65,6 +65,10 @@ class Region(BaseRegion):
         description="Name to state.",
         examples=[{"flight": {"flows": {"x": "v", "v": "-g"}}, "rest": {}}],
     )
+
+
+# Hints read annotations of fields, which are text as long as they name a later class.
+State.model_rebuild()
 
 
 class Chart(Declaration):
@@ -147,7 +151,7 @@ class Chart(Declaration):
             for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
                     check_relation(transition.guard, names, states, changing, *at, "guard")
-        causes = {name: region.causes for name, region in self.flat.items()}
+        causes = causes_of(self.flat)
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -26,10 +26,10 @@ from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
-from statechart.automaton.trace import Arc, Jump, Role, Roles
+from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
-from statechart.charts.flatten import FlatRegion, Updates
+from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
     GuardWatch,
@@ -39,6 +39,7 @@ from statechart.charts.guard_watch import (
     guard_claims,
     guard_margins,
     guards,
+    guards_at_events,
 )
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
@@ -116,7 +117,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
                 for variable, flow in flat.flows(state).items()
             ),
-            guard_margins(name, flat, state, symbols.known),
+            guard_margins(flat, state, symbols.known),
             tuple(
                 Invariant(f"{name}.{label}", text, symbols.known)
                 for content in flat.states[state]
@@ -135,7 +136,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         flat.edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=partial(guard_claims, name, flat),
+        claims=partial(guard_claims, flat),
     )
 
 
@@ -151,6 +152,7 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
+        self._at_events: dict[Key, GuardWatch] = {}
         self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
@@ -163,10 +165,10 @@ class ChartLaws:
         self._active = partial(active_in, regions)
 
     @cached_property
-    def _zeno(self) -> tuple[Mapping[str, int], ...]:
-        """Per region: state -> place of its transition on: zeno; the first of several."""
+    def _zeno(self) -> tuple[Mapping[str, FlatTransition], ...]:
+        """Per region: state -> its transition on: zeno; the first of several."""
         return tuple(
-            {t.source: i for i, t in reversed(list(enumerate(region.transitions))) if t.on_zeno}
+            {t.source: t for t in reversed(region.transitions) if t.on_zeno}
             for region in self._flat.values()
         )
 
@@ -189,10 +191,16 @@ class ChartLaws:
         if fired == ("zeno",):
             name = min(flow.held, key=lambda name: between(clock, flow.held[name]))
             place = self._regions.index(name)
-            index = self._zeno[place][flow.mode[place]]
+            taken = self._zeno[place][flow.mode[place]]
         else:
             watch = self._watch(flow.roles)
             sizes = _summed(flow, state)
+            active = self._active(flow.mode)
+
+            def holding() -> Collection[tuple[int, int]]:
+                conditions = self._conditions(flow.mode)
+                found = conditions.at(setup, state, sizes, clock.high)
+                return conditions.holding(found, setup.precision, active)
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
@@ -200,28 +208,24 @@ class ChartLaws:
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            judged = Judgement(
-                watch, rows, flow.tolerances, fired, setup.precision, later, self._active(flow.mode)
-            )
-            firing = self._listening.first(self._regions, flow.mode, pending, judged.due())
+            judged = Judgement(watch, rows, flow.tolerances, fired, setup.precision, later, active)
+            firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
             if firing is None:
                 tolerances = judged.watched()
                 if tolerances == flow.tolerances:
                     return None
                 return None, flow._replace(tolerances=tolerances)
-            place, index, pending = firing.place, firing.transition, firing.pending
+            place, taken, pending, _ = firing
         name = self._regions[place]
-        transitions = self._flat[name].transitions
         sizes = _summed(flow, state)
-        taken = transitions[index]
         after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         if taken.source == taken.target and (after == state).all():
             limit = self._zeno[place].get(taken.source)
             if limit is not None:
-                index, taken = limit, transitions[limit]
+                taken = limit
                 after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
-        considered = self._considered[place][index]
+        considered = self._considered[place](taken)
         jump = at.jump(name, taken.name, target, after, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
@@ -284,7 +288,6 @@ class ChartLaws:
     def _watch(self, roles: Roles) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
         if roles not in self._watches:
-            known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
             for place, state in enumerate(moving_mode(roles)):
@@ -292,28 +295,41 @@ class ChartLaws:
                     guards_out, flows = self._leaving(place, state)
                     watched += guards_out
                     rates |= flows
-            self._watches[roles] = GuardWatch(
-                watched,
-                known,
-                rates,
-                inputs=tuple(variables.values()),
-                parameters=self._symbols.parameters.ordered,
-                time=self._symbols.time,
-                timers=self._symbols.timers,
-            )
+            self._watches[roles] = self._watched(watched, rates)
         return self._watches[roles]
+
+    def _conditions(self, mode: Key) -> GuardWatch:
+        """Return the guards of a mode that are judged at events."""
+        if mode not in self._at_events:
+            regions = enumerate(zip(self._flat.values(), mode, strict=True))
+            found = [
+                g for k, (region, state) in regions for g in guards_at_events(k, region, state)
+            ]
+            self._at_events[mode] = self._watched(found, {})
+        return self._at_events[mode]
+
+    def _watched(self, guards: Sequence[Guard], rates: Mapping[sp.Symbol, sp.Expr]) -> GuardWatch:
+        return GuardWatch(
+            guards,
+            self._symbols.known,
+            rates,
+            inputs=tuple(self._symbols.variables.values()),
+            parameters=self._symbols.parameters.ordered,
+            time=self._symbols.time,
+            timers=self._symbols.timers,
+        )
 
     def _leaving(self, place: int, state: str) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
         """Return the guards out of a state of a region, and the rates of variables in it."""
         found = self._of_states.get((place, state))
         if found is None:
-            name, region = self._regions[place], self._flat[self._regions[place]]
+            region = self._flat[self._regions[place]]
             known, variables = self._symbols.known, self._symbols.variables
             flows = {
                 variables[variable]: parse(text).to_sympy(known)
                 for variable, text in region.flows(state).items()
             }
-            found = guards(place, name, region.transitions, state), flows
+            found = guards(place, region, state), flows
             self._of_states[place, state] = found
         return found
 
