@@ -7,6 +7,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.errors import Unsupported
@@ -34,7 +35,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import given, memory_rates
+    from contacts.dynamics.controllers import given
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -52,14 +53,14 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
         return SceneStepper(mechanics, stops, regions)
 
-    mechanics = Mechanics(scene)
+    mechanics, switching = Mechanics(scene.expanded), has_switches(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
-    if scene.regions:
+    if mechanics.scene.regions:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)
@@ -72,7 +73,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a, *memory_rates(mechanics).values()),
+        rates=(*mechanics.v, *mechanics.a, *mechanics.memory_rates.values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,
@@ -82,7 +83,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         controls=given(mechanics),
         coordinates=coordinates(mechanics),
         stepper=stepper,
-        components=cache(partial(components, scene, _composed)),
+        switching=switching,
+        components=tuple if switching else cache(partial(components, scene, _composed)),
     )
     return made, numbers
 

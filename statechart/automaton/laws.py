@@ -26,6 +26,10 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 HELD = ""
 """In a role: the state of a region that contributes nothing, so that what it moves rests."""
 
+SWITCHES = "switches"
+"""In a role behind those of the regions: its share are the signs of the switches of a flow (see
+`statechart.automaton.switches`)."""
+
 UNBOUNDED = "unbounded"
 """End of a flow that cannot be continued, though no margin fell; the laws may know the jump that
 follows (a force that has grown without bound)."""
@@ -39,6 +43,11 @@ def roles_in(mode: Key) -> Roles:
     return tuple([roles[state] for state in mode])
 
 
+def of_regions(roles: Roles) -> Roles:
+    """Return roles without the signs of switches, which may stand behind them."""
+    return roles[:-1] if roles and roles[-1].state == SWITCHES else roles
+
+
 @lru_cache(maxsize=1024)
 def uncaptured(roles: Roles) -> Roles:
     """Return the roles that move the state as `roles` do, with nothing hidden from others."""
@@ -48,7 +57,7 @@ def uncaptured(roles: Roles) -> Roles:
 @lru_cache(maxsize=1024)
 def moving_mode(roles: Roles) -> Key:
     """Return the states whose equations apply."""
-    return tuple([role.state for role in roles])
+    return tuple([role.state for role in of_regions(roles)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +119,13 @@ class Flow(NamedTuple):
     # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
     # begin.
     doubted: bool = False
+    # The signs of its switches as a role; none where it has no switches. Kept by the executor.
+    signs: Roles = ()
+
+    @property
+    def moving(self) -> Roles:
+        """The roles with the signs of switches: what the equations follow from."""
+        return (*self.roles, *self.signs) if self.signs else self.roles
 
     @property
     def sizes(self) -> Array | None:

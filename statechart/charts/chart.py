@@ -20,7 +20,6 @@ from statechart.charts.transitions import (
 )
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
-    PIECES,
     FiniteText,
     Label,
     NameText,
@@ -28,7 +27,7 @@ from statechart.documents.fields import (
     ValueName,
     check_derived,
     check_relation,
-    check_smooth,
+    switching,
     unit,
     value_of,
 )
@@ -99,6 +98,12 @@ class Chart(Declaration):
         """The regions as the executor knows them."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
 
+    @cached_property
+    def switching(self) -> bool:
+        """Whether flows have abs, sign, min, max or sat of what changes."""
+        changing = {TIME, *self.variables}
+        return any(switching(flow, changing) for _, flow, _ in self._flows())
+
     @property
     def timers(self) -> frozenset[str]:
         """Variables that nobody declared: what transitions wait by."""
@@ -141,7 +146,6 @@ class Chart(Declaration):
         for _, flow, loc in self._flows():
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
-            check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
         states = {name: region.named for name, region in self.flat.items()}
         changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():

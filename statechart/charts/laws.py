@@ -26,6 +26,7 @@ from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
+from statechart.automaton.switches import explicit_rates
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
@@ -71,7 +72,8 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
-        components=cache(partial(components, chart, automaton)),
+        switching=chart.switching,
+        components=tuple if chart.switching else cache(partial(components, chart, automaton)),
     )
 
 
@@ -193,7 +195,7 @@ class ChartLaws:
             place = self._regions.index(name)
             taken = self._zeno[place][flow.mode[place]]
         else:
-            watch = self._watch(flow.roles)
+            watch = self._watch(setup, flow)
             sizes = _summed(flow, state)
             active = self._active(flow.mode)
 
@@ -204,7 +206,7 @@ class ChartLaws:
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
-                    setup, flow.roles, margin, state, sizes, clock.high, setup.precision
+                    setup, flow.moving, margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
@@ -237,6 +239,7 @@ class ChartLaws:
             held=held,
             summed=summed,
             pending=self._listening.heard(pending, jump),
+            signs=(),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 
@@ -279,14 +282,15 @@ class ChartLaws:
         return ()
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
-        watch = self._watch(flow.roles)
+        watch = self._watch(setup, flow)
         rows = watch.at(setup, state, _state_sizes(flow, state), clock.high)
         if (name := watch.valueless(rows)) is not None:
             raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
-    def _watch(self, roles: Roles) -> GuardWatch:
+    def _watch(self, setup: Setup, flow: Flow) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
+        roles = flow.moving
         if roles not in self._watches:
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
@@ -295,6 +299,10 @@ class ChartLaws:
                     guards_out, flows = self._leaving(place, state)
                     watched += guards_out
                     rates |= flows
+            if flow.signs and setup.modes is not None:
+                variables = self._symbols.variables.values()
+                own = zip(variables, explicit_rates(setup.modes(roles)), strict=True)
+                rates = {v: rate for v, rate in own if v in rates}
             self._watches[roles] = self._watched(watched, rates)
         return self._watches[roles]
 
