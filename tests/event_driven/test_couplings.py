@@ -384,3 +384,31 @@ def test_limit_that_falls_below_zero_ends_the_run_with_its_name() -> None:
     text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
     with pytest.raises(statechart.NoConsistentMode, match=r"brake: its limit is -2.*e-12 < 0"):
         run(text)
+
+
+def test_controller_listens_to_a_coupling_and_opens_it() -> None:
+    text = RAMP.replace("forces: {drive: {body: wheel, moment: rate*time}}", "").replace(
+        "phi: {}", "phi: {rate: 3}"
+    )
+    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
+    text += """
+regions:
+  hand:
+    initial: holds
+    states: {holds: {}, rests: {}, away: {}}
+    transitions:
+      - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
+      - {name: see, from: rests, to: away, on: brake.open}
+"""
+    # J w' = -k down to a speed of 2, then no couple.
+    result = run(text)
+    assert [name for name, _ in events(result.trace)] == ["hand let_go", "brake open", "hand see"]
+    assert result.trace.jumps[0].t == pytest.approx(1.0, abs=EXACT)
+    assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
+
+
+def test_coupling_is_open_while_the_joint_that_it_is_in_is_off() -> None:
+    text = ROTOR.replace("to: [0, 0]}", "to: [0, 0], enabled: time <= 1}")
+    result = run(text, start=0.05)
+    assert [name for name, _ in events(result.trace)] == ["pivot disable", "bearing open"]
+    assert result.outputs["couple"] == 0.0
