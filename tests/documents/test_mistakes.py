@@ -188,7 +188,7 @@ MISTAKES = {
     "friction of a joint": (
         "stop:",
         "joints: {j: {point: {body: rod}, to: [0, 1], friction: 0.1}}\nstop:",
-        "write a moment among the forces: {body: arm, moment: -c*arm.dangle}",
+        "write couplings: {bearing: {joint: NAME, limit: M_max}}",
     ),
     "stiffness in a force": (
         "stop:", "forces: {f: {body: rod, stiffness: 3}}\nstop:", "write force: [-k*rod.x, 0]"
