@@ -27,7 +27,7 @@ def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, afte
     for law, state, was, now in laws:
         # Where the surface begins to approach, or to leave, is judged by what it did before.
         parts = abs(now.gap - was.gap) > near or abs(now.gap_rate - was.gap_rate) > slow
-        touches = state not in OPEN
+        touches = state not in OPEN and law.name in scene.contacts
         if state != OFF and now.gap < min(was.gap, 0.0) - near:
             raise jumped_in(scene.contacts[law.name].surface, law.name, -now.gap)
         target = state

@@ -16,7 +16,7 @@ from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.states import OPEN
+from contacts.states import DISENGAGED, OPEN
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -95,6 +95,40 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
         _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
 
 
+def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
+    """Check that couples are within their limits, and oppose slip where there is some.
+
+    Parameters
+    ----------
+    mechanics, subject, trace : Mechanics, Subject, Trace
+        Of what was declared, the same compiled, and a run of it.
+    """
+    scene, known = mechanics.scene, subject.automaton.observables
+    expressions = [
+        expression
+        for name in scene.couplings
+        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.limits(name))
+    ]
+    first = len(scene.contacts)
+    for arc, tau in dense(trace):
+        times = arc.start.high + (arc.start.low + tau)
+        columns = iter(subject.solved(trace, arc, tau, expressions).T)
+        rows = zip(
+            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+        )
+        for name, state, couple, slip, static, kinetic in rows:
+            limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
+            if state == "locked":
+                limit = static
+            allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
+            _no_less(limit - np.abs(couple), -allowed, f"{name}: limit - |M|", times, state)
+            slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
+            if state == "locked":
+                _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
+            elif state != DISENGAGED:
+                _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
+
+
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that a contact that is free has no force.
 
@@ -157,7 +191,7 @@ def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
             before = work
             for name, impulse in jump.impulse.items():
                 if rates[name] != (0, 0):
-                    under = jump.source[len(mechanics.scene.contacts) :]
+                    under = jump.source[len(mechanics.scene.frictional) :]
                     known = values_in(mechanics, dict(zip(controllers, under, strict=True)))
                     rate = [part.xreplace(known) for part in rates[name]]
                     moved = subject.values(trace, rate, states[:1], times[:1])[0]
@@ -276,6 +310,11 @@ def properties(declared: Scene) -> tuple[Property, ...]:
     return (
         Property("no contact is inside its surface", each(partial(assert_gaps, scene)), none),
         Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
+        Property(
+            "couples are within their limits",
+            each(partial(assert_couples, mechanics)),
+            "" if scene.couplings else "the scene has no couplings",
+        ),
         Property(
             "no force without contact",
             each(partial(assert_no_force_when_free, scene)),
