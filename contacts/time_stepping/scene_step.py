@@ -127,8 +127,9 @@ def switch_contacts(
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
         if not off[i] and condition < 0.0:
             speed = math.hypot(numbers[row + 2 * n + 3], numbers[row + 2 * n + 4])
-            reach = _STEPS * h * speed - _LEFT_BEHIND * memory.level[i]
-            if numbers[row + 2 * n + 6] > 0.0 and gap <= reach:
+            reach = _STEPS * h * speed
+            near_kink = numbers[row + 2 * n + 6] > 0.0 and max(gap, -condition) <= reach
+            if near_kink and not memory.closed[i]:
                 # Deep in one side of a valley a point is beyond the end of the other.
                 continue
             inside = memory.closed[i] or memory.level[i] < 0.0

@@ -117,5 +117,6 @@ contacts:
 stop: {{time: 1.2}}
 """
     final = statechart.run(interpret(read_text(text)), engine="impulse", step=h).trace.final
-    assert np.abs(final[:2]).max() < 4 * h
+    # It lies as deep as its way in two steps.
+    assert np.abs(final[:2]).max() < 8 * h
     assert final[2:] == pytest.approx([0, 0], abs=1e-9)
