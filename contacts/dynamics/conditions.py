@@ -328,7 +328,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     for i, state in enumerate(mode):
         if state == OFF:
             jacobians[i] = biases[i] = 0.0
-            zeros = dict.fromkeys(PerContact._fields[1:-1], 0.0)
+            zeros = dict.fromkeys(PerContact._fields[1:-2], 0.0)
             contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)
     held = snapshot.held
     if held is not None:

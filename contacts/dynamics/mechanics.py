@@ -15,7 +15,13 @@ import sympy as sp
 from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
-from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
+from contacts.dynamics.parameters import (
+    GAP_OFFSET,
+    friction_cones,
+    friction_symbols,
+    kinetic_friction,
+    scene_parameters,
+)
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
@@ -56,17 +62,24 @@ class Mechanics(Geometry):
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
         super().__init__(scene, {**symbols, **controls, **self.memory})
         self.parameters = given
-        cones = friction_cones(scene, symbols)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
-        self._cones = cones
         self._controls = controlled
-        self._coefficients = {
-            name: sp.Symbol(f"mu{i}", real=True)
-            for i, (name, contact) in enumerate(scene.contacts.items())
-            if self._controls.region_of(contact.friction) is not None
+        self._coefficients = friction_symbols(scene, symbols)
+        # Contacts whose coefficients states of a region set.
+        self._switched = {
+            name: region
+            for name in self._coefficients
+            if (law := scene.friction_of(name)) is not None
+            and (region := controlled.region_of(law.both)) is not None
+        }
+        # Those that are in use, where contacts have a static and a kinetic one.
+        self.used_friction = {
+            name: sp.Symbol(f"{name}.friction", real=True)
+            for name, coefficients in self._coefficients.items()
+            if "static" in coefficients
         }
         self._asked = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
@@ -75,10 +88,10 @@ class Mechanics(Geometry):
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts and the scene's controls.
         self.controls = (
-            *self._coefficients.values(),
-            *(s for name in self._coefficients for s in cones[name]),
+            *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
             *self._asked.values(),
+            *self.used_friction.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -292,12 +305,23 @@ class Mechanics(Geometry):
             self._contacts[name] = self._geometry(name, self.scene.contacts[name])
         return self._contacts[name]
 
+    def sliding_edges(self, contact: ContactSymbols) -> tuple[sp.Expr, ...]:
+        """Return the unit edges of a contact's cone in slide+ and slide-, at the slip's size."""
+        law = self.scene.friction_of(contact.name)
+        if law is None or not law.varies:
+            return (*contact.friction.edges[1], *contact.friction.edges[-1])
+        found: list[sp.Expr] = []
+        for direction in (1, -1):
+            mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
+            found += [1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)]
+        return tuple(found)
+
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
         found: dict[sp.Symbol, sp.Expr] = {}
-        for name, friction in self._coefficients.items():
-            if self._controls.region_of(self.scene.contacts[name].friction) == region:
-                for key, symbol in zip(COEFFICIENTS, (friction, *self._cones[name]), strict=True):
+        for name, setting in self._switched.items():
+            if setting == region:
+                for key, symbol in self._coefficients[name].items():
                     found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             found[self.known[control]] = self._formula(text)
@@ -315,7 +339,9 @@ class Mechanics(Geometry):
         states : mapping, optional
             Controller -> its state; those at the start by default.
         """
-        found: dict[sp.Symbol, sp.Expr] = {}
+        found = {
+            used: self._coefficients[name]["static"] for name, used in self.used_friction.items()
+        }
         for region, state in (states or self._controls.initial).items():
             found |= self.sets(region, state)
         return [(symbol, found[symbol]) for symbol in self.controls]
@@ -333,8 +359,9 @@ class Mechanics(Geometry):
                 f"{name}.H": symbols.H,
             }
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
-        for name, friction in self._coefficients.items():
-            result[f"{name}.friction"] = friction
+        result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
+        for name in self._switched.keys() - self.used_friction.keys():
+            result[f"{name}.friction"] = self._coefficients[name]["friction"]
         result["energy"] = self.energy
         return result
 
@@ -455,7 +482,8 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
-            *self._cones[name], (jacobian_n, jacobian_t),
+            friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
+            (jacobian_n, jacobian_t),
             tuple(row.jacobian for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
             # Not its distance: of the height of a ground y follows with a factor of 1.

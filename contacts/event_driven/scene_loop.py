@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.setup import FORCE_BAND, SHORT, TIE, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup import (
+    FORCE_BAND,
+    HOLD_PART,
+    SHORT,
+    TIE,
+    SceneSetup,
+    doubtful,
+    tolerated,
+)
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
     Numbers,
@@ -43,6 +51,7 @@ from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBu
 from statechart.engines.compiled_flow import (
     FORCE,
     GAP,
+    HOLD,
     IN_VAIN,
     KINDS,
     LAWS_AT,
@@ -386,6 +395,7 @@ def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
     """Write the tolerance of each kind of margin."""
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
+    kinds[HOLD] = HOLD_PART * kinds[FORCE]
 
 
 @kernel

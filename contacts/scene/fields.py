@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
+from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
@@ -263,6 +264,8 @@ class SceneFields(Declaration):
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
         if name in rates:
             return Quantity(f"rate of {rates[name]}")
+        if name == SLIP:
+            return Quantity("slip velocity", "length/time")
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
     def facts(self) -> Iterator[Fact]:
@@ -335,6 +338,11 @@ class SceneFields(Declaration):
     def controlled(self) -> Controls:
         """The controls and the regions that set them."""
         return Controls(self.controls, self.regions)
+
+    def friction_of(self, contact: str) -> FrictionLaw | None:
+        """Return the coefficients of a contact; None where none is declared."""
+        declared = self.contacts[contact].friction
+        return friction_law(declared, contact, {*self.parameters, *self.controls})
 
     @property
     def kinematic_names(self) -> frozenset[str]:

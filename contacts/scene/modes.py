@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from statechart.automaton.regions import Hold, Loads, Margin, State
+from statechart.automaton.regions import Hold, Loads, Margin, MarginKind, State
 from statechart.documents.fields import Part
 
 if TYPE_CHECKING:
@@ -15,6 +17,16 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
+
+
+class FrictionSymbols(NamedTuple):
+    """Friction of a contact by direction: 0 at rest, 1 and -1 in motion."""
+
+    # The cone's unit edges (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values. Plain
+    # numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide
+    edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
+    # The coefficient that a mode uses, and its values; empty where all are one
+    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +47,7 @@ class ContactSymbols:
     # `V`, `H`: Normal and tangential force on the body
     V: sp.Symbol
     H: sp.Symbol
-    # `cone_n`, `cone_t`: The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are
-    # ordinary values. Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1)
-    # without slide
-    cone_n: sp.Expr
-    cone_t: sp.Expr
+    friction: FrictionSymbols
     # (tuple of Expr, tuple of Expr): d(normal, tangential velocity)/d(rates): what the forces do to
     # each coordinate
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
@@ -61,7 +69,8 @@ class Free(Part):
         from statechart.formulas.writer import Difference
 
         gap = Difference(contact.gap, contact.gap_offset)
-        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", gap, "gap"),))
+        margins = (Margin(f"{contact.name}.gap", gap, "gap"),)
+        return State((contact.V, contact.H), margins, values=contact.friction.used.get(0, {}))
 
 
 class Slide(Part):
@@ -75,12 +84,14 @@ class Slide(Part):
         The force is ``edge (cone_n n - direction cone_t t)``; the margin `V` is that edge, so
         that it still has a sign where V itself is zero (mu = inf, equation 13).
         """
-        name, n, t = contact.name, contact.cone_n, direction * contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[direction]
+        t = direction * t
         margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
         equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
-        return State(equations, tuple(margins), holds=(contact.closing,))
+        values = contact.friction.used.get(direction, {})
+        return State(equations, tuple(margins), values=values, holds=(contact.closing,))
 
 
 class Pin(Part):
@@ -90,18 +101,20 @@ class Pin(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        name, n, t = contact.name, contact.cone_n, contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[0]
         margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
-            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, "force"))
-            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, "force"))
+            kind: MarginKind = "hold" if contact.friction.used else "force"
+            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, kind))
+            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, kind))
         equations = (contact.normal_acceleration, contact.tangential_acceleration)
-        return State(equations, tuple(margins), holds=(contact.sticking,))
+        values = contact.friction.used.get(0, {})
+        return State(equations, tuple(margins), values=values, holds=(contact.sticking,))
 
 
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come `back`."""
-    return State((contact.V, contact.H), back)
+    return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
 class Bearing(NamedTuple):
@@ -136,8 +149,8 @@ def shared(
     kept = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
-        return State((*kept, *rest), own.margins)
-    n, t = contact.cone_n, contact.cone_t
+        return State((*kept, *rest), own.margins, values=own.values)
+    n, t = contact.friction.edges[0 if isinstance(mode, Pin) else direction]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     pinned = isinstance(mode, Pin)
@@ -168,7 +181,7 @@ def shared(
             # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
             balances[y[i]] += row[i] * (reaction + parted)
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
-    return State(kept, margins, loads=loads)
+    return State(kept, margins, values=own.values, loads=loads)
 
 
 def _on_cone(

@@ -41,6 +41,14 @@ def _direction(code: int) -> float:
 
 
 @kernel
+def choose_edges(cones: Array, code: Ints, edges: Array) -> None:
+    """Write the unit edge (c, 2) of each contact's cone in its mode, of `cones` (c, 6)."""
+    for c in range(len(code)):
+        at = 2 if code[c] == SLIDE_PLUS else 4 if code[c] == SLIDE_MINUS else 0
+        edges[c, 0], edges[c, 1] = cones[c, at], cones[c, at + 1]
+
+
+@kernel
 def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
@@ -138,8 +146,8 @@ def solve_modes(
     jacobians : (c, 2, n)
         Rows: normal, tangential.
     biases : (c, 2)
-    cones : (c, 2)
-        cone_n, cone_t.
+    cones : (c, 6)
+        Unit edges of the cones at rest, in slide+ and in slide-.
     codes : (k, c) of int
         FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS.
     closed, still : (c,) of bool
@@ -170,10 +178,11 @@ def solve_modes(
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
     constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
     owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
-    size = n + 2 * contacts
+    size, edges = n + 2 * contacts, np.empty((contacts, 2))
     matrix, b, x, memory = np.empty((size, size)), np.empty(size), np.empty(size), room(size)
     for k in range(count):
         code, verdict, force = codes[k], verdicts[k], forces[k]
+        choose_edges(cones, code, edges)
         verdict[0], verdict[1], verdict[2], verdict[3] = -math.inf, 0.0, 0.0, 0.0
         for i in range(n):
             accelerations[k, i] = 0.0
@@ -185,8 +194,8 @@ def solve_modes(
                 if code[c] == PIN:
                     directions[m, 0], directions[m, 1] = 1 - d, d
                 else:
-                    directions[m, 0] = 1.0 if code[c] == SLIDE else cones[c, 0]
-                    directions[m, 1] = -_direction(code[c]) * cones[c, 1]
+                    directions[m, 0] = 1.0 if code[c] == SLIDE else edges[c, 0]
+                    directions[m, 1] = -_direction(code[c]) * edges[c, 1]
                 for i in range(n):
                     rows[m, i] = jacobians[c, d, i]
                     columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
@@ -224,7 +233,7 @@ def solve_modes(
             verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
         )
         if rank == m:
-            judge_forces(verdict, force, cones, code, force_scale)
+            judge_forces(verdict, force, edges, code, force_scale)
         else:
             status[k] = REDUNDANT
             redundant += 1

@@ -29,12 +29,18 @@ class Rows(NamedTuple):
     @property
     def gaps(self) -> Array:
         """Gaps (c,)."""
-        return self.contacts[:, -4]
+        return self.contacts[:, 2 * len(self.mass) + 2]
 
     @property
     def velocities(self) -> Array:
         """Rates of gaps, and slips (c, 2)."""
-        return self.contacts[:, -3:-1]
+        return self.contacts[:, 2 * len(self.mass) + 3 : 2 * len(self.mass) + 5]
+
+    def cones(self, at_rest: Array) -> Array:
+        """Return unit edges (c, 2) of cones by the slips' directions; `at_rest` without slip."""
+        plus, minus = self.contacts[:, -4:-2], self.contacts[:, -2:]
+        slips = self.velocities[:, 1:]
+        return np.where(slips > 0.0, plus, np.where(slips < 0.0, minus, at_rest))
 
 
 class SteppedTape:
@@ -57,6 +63,7 @@ class SteppedTape:
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
             gate = mechanics.gate(name)
             outputs.append(sp.S.One if gate is None else gate.by_steps(known))
+            outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
         rows = mechanics.joint_rows
         for row in rows:
             outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
@@ -74,6 +81,10 @@ class SteppedTape:
         )
         outputs += [known[symbol] for symbol in given(mechanics)]
         self.given = len(given(mechanics))
+        used = mechanics.used_friction
+        self.used = np.array(
+            [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
+        )
         self.tape: Tape = mechanics.whole_tape(outputs)
         flows = [known.get(rate, rate) for rate in memory_rates(mechanics).values()]
         self.flows: Tape = mechanics.whole_tape(flows)
@@ -110,7 +121,8 @@ class SteppedTape:
 
     def contacts(self, values: Array, state: Array) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) at the start."""
-        return self.rows(values, state, 0.0).contacts[:, -4:]
+        first = 2 * self.size + 2
+        return self.rows(values, state, 0.0).contacts[:, first : first + 4]
 
 
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:

@@ -235,7 +235,8 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
         raise problem(error, *loc) from None
 
 
-_KINKED = ("abs", "sign", "min", "max")
+KINKED = ("abs", "sign", "min", "max")
+"""Functions without a derivative where they switch."""
 
 PIECES = (
     "a step does not stop there, and a sign may switch for ever: declare a region with a state for "
@@ -261,7 +262,7 @@ def check_smooth(
     """
     for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
         switched = {name.name for name in names_in(call)}.intersection(variables)
-        if call.function in _KINKED and switched:
+        if call.function in KINKED and switched:
             raise DeclarationProblem(
                 f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
                 "switches",
