@@ -6,6 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.loading.kind import Kind
@@ -31,7 +32,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import given, memory_rates
+    from contacts.dynamics.controllers import given
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -44,14 +45,14 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
         return SceneStepper(mechanics, stops, regions)
 
-    mechanics = Mechanics(scene)
+    mechanics, switching = Mechanics(scene.expanded), has_switches(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
-    if scene.regions:
+    if mechanics.scene.regions:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)
@@ -64,7 +65,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a, *memory_rates(mechanics).values()),
+        rates=(*mechanics.v, *mechanics.a, *mechanics.memory_rates.values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,
@@ -74,7 +75,8 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         controls=given(mechanics),
         coordinates=coordinates(mechanics),
         stepper=stepper,
-        components=cache(partial(components, scene, _composed)),
+        switching=switching,
+        components=tuple if switching else cache(partial(components, scene, _composed)),
     )
     return made, numbers
 

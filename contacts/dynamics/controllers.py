@@ -6,7 +6,7 @@ see them as they see parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -15,13 +15,21 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
+from contacts.states import CLOSED
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.regions import Edge, Region, State
 from statechart.automaton.trace import Key, Role
 from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
-from statechart.charts.guard_watch import Guard, GuardWatch, guard_claims, guard_margins, guards
+from statechart.charts.guard_watch import (
+    Guard,
+    GuardWatch,
+    guard_claims,
+    guard_margins,
+    guards,
+    guards_at_events,
+)
 from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition
@@ -30,11 +38,15 @@ from statechart.formulas.tape import Tape
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
+    joint = [row for row in mechanics.joint_rows if row.joint == name and row.closed is not None]
 
     def build(role: Role) -> State:
+        off = role.state != CLOSED
         return State(
-            margins=guard_margins(name, flat, role.state, mechanics.observables),
+            tuple(row.force if off else row.equation(mechanics.a) for row in joint),
+            margins=guard_margins(flat, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
+            holds=() if off else tuple(row.hold(mechanics.a) for row in joint),
         )
 
     sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}
@@ -58,22 +70,13 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
         edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=partial(guard_claims, name, flat),
+        claims=partial(guard_claims, flat),
     )
-
-
-def memory_rates(mechanics: Mechanics) -> dict[str, sp.Expr]:
-    """Return the rates of what controllers remember: symbols that states set, or 0."""
-    flowing = mechanics.scene.controlled.flowing
-    return {
-        name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
-        for name, symbol in mechanics.memory.items()
-    }
 
 
 def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
     """Return what a state of a controller sets rates of its variables to."""
-    rates = memory_rates(mechanics)
+    rates = mechanics.memory_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
@@ -83,17 +86,17 @@ def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
     found: dict[sp.Symbol, sp.Expr] = {}
     for name, state in states.items():
         found |= _flows(mechanics, name, state)
-    return [found.get(rate, sp.S.Zero) for rate in memory_rates(mechanics).values()]
+    return [found.get(rate, sp.S.Zero) for rate in mechanics.memory_rates.values()]
 
 
 def given(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
     """Return what states of controllers give values: controls, and rates of what is remembered."""
-    return (*mechanics.controls, *(rate for rate in memory_rates(mechanics).values() if rate != 0))
+    return (*mechanics.controls, *(rate for rate in mechanics.memory_rates.values() if rate != 0))
 
 
 def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
     """Return the values of what is `given` in these states, each after those that it uses."""
-    flows = zip(memory_rates(mechanics).values(), flows_in(mechanics, states), strict=True)
+    flows = zip(mechanics.memory_rates.values(), flows_in(mechanics, states), strict=True)
     return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
 
 
@@ -109,7 +112,7 @@ def memory_rates_in(
     mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> dict[sp.Symbol, sp.Expr]:
     """Return the rates of what controllers remember, with the values of `values_in`."""
-    rates = memory_rates(mechanics)
+    rates = mechanics.memory_rates
     return {mechanics.memory[name]: rate.xreplace(known) for name, rate in rates.items()}
 
 
@@ -118,7 +121,7 @@ class Controllers:
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
-        self._guards: dict[Key, ControlGuards] = {}
+        self._guards: dict[tuple[Key, bool], ControlGuards] = {}
         self.names = tuple(mechanics.scene.regions)
         # The states that they start in.
         self.initial: Key = tuple(mechanics.scene.controlled.initial.values())
@@ -127,11 +130,13 @@ class Controllers:
         """Return controller -> state."""
         return dict(zip(self.names, states, strict=True))
 
-    def guards(self, states: Key) -> ControlGuards:
-        """Return the guards out of the states."""
-        if states not in self._guards:
-            self._guards[states] = ControlGuards(self._mechanics, self.named(states))
-        return self._guards[states]
+    def guards(self, states: Key, *, at_events: bool = False) -> ControlGuards:
+        """Return the guards out of the states: those that fire, or those judged at events."""
+        key = states, at_events
+        if key not in self._guards:
+            made = guards_at_events if at_events else guards
+            self._guards[key] = ControlGuards(self._mechanics, self.named(states), made)
+        return self._guards[key]
 
 
 class ControlGuards:
@@ -142,12 +147,17 @@ class ControlGuards:
     known, so that a guard on them waits for its margin to fall.
     """
 
-    def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        states: Mapping[str, str],
+        made: Callable[[int, FlatRegion, str], list[Guard]],
+    ) -> None:
         known = values_in(mechanics, states)
         memory = memory_rates_in(mechanics, known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
-            watched += guards(place, name, region.transitions, states[name])
+            watched += made(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
         forces += [row.force for row in mechanics.joint_rows]

@@ -6,7 +6,7 @@ simplified.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,9 +22,12 @@ from contacts.dynamics.parameters import (
     kinetic_friction,
     scene_parameters,
 )
+from contacts.scene.expansion import Stop, stops, switched
+from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
+from contacts.states import CLOSED
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -85,6 +88,12 @@ class Mechanics(Geometry):
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.asked_states)
         }
+        # Joints that can be off: 1 while they are closed.
+        self._closed = {
+            name: sp.Symbol(f"on{i}", real=True)
+            for i, (name, joint) in enumerate(scene.joints.items())
+            if switched(joint)
+        }
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts and the scene's controls.
         self.controls = (
@@ -92,6 +101,7 @@ class Mechanics(Geometry):
             *controls.values(),
             *self._asked.values(),
             *self.used_friction.values(),
+            *self._closed.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -151,6 +161,34 @@ class Mechanics(Geometry):
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
 
+    @cached_property
+    def memory_rates(self) -> dict[str, sp.Expr]:
+        """Rates of what controllers remember: symbols that states set, or 0."""
+        flowing = self._controls.flowing
+        return {
+            name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+            for name, symbol in self.memory.items()
+        }
+
+    @cached_property
+    def placed(self) -> dict[str, sp.Expr]:
+        """Places and rates of bodies that formulas place, by their names in formulas."""
+        found: dict[str, sp.Expr] = {}
+        known = self.scene.placed_names
+        for name, body in self.scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), angle = self.body_frame(name)
+            for part, place in (("x", x), ("y", y), ("angle", angle)):
+                remembered = (
+                    sp.diff(place, symbol) * self.memory_rates[key]
+                    for key, symbol in self.memory.items()
+                    if symbol in place.free_symbols
+                )
+                found[f"{name}.{part}"] = place
+                found[f"{name}.d{part}"] = sp.Add(self.rate(place), *remembered)
+        return {name: expression for name, expression in found.items() if name in known}
+
     def gradient(self, place: sp.Expr) -> list[sp.Expr]:
         """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
         used = place.free_symbols
@@ -179,8 +217,8 @@ class Mechanics(Geometry):
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
             _, angle = self.body_frame(force.body)
-            components = [self._formula(text) for text in force.force]
-            moment = self._formula(force.moment)
+            components = [self._formula(text, **self.placed) for text in force.force]
+            moment = self._formula(force.moment, **self.placed)
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
@@ -220,7 +258,7 @@ class Mechanics(Geometry):
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
-        """(n + joints,): each = 0, in the unknown accelerations and forces."""
+        """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
         geometry = [self.contact(name) for name in self.scene.contacts]
         result = []
         for i, right in enumerate(self.generalised_forces):
@@ -233,11 +271,8 @@ class Mechanics(Geometry):
                 *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
             )
             result.append(left - right - contact_forces - joint_forces)
-        for row in self.joint_rows:
-            held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
-            # A row that others imply leaves its force undetermined: it is taken as zero.
-            result.append(held + row.redundant * row.force)
-        return tuple(result)
+        lasting = (row for row in self.joint_rows if row.closed is None)
+        return (*result, *(row.equation(self.a) for row in lasting))
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
@@ -245,11 +280,7 @@ class Mechanics(Geometry):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
-            here, there = self.point(joint.point), self.joint_end(joint.to)
-            for component, one, other in zip(("X", "Y"), here, there, strict=True):
-                if component not in joint.components:
-                    continue
-                gap = one - other
+            for component, gap, path in self._held(name, joint):
                 rate = self.rate(gap)
                 rows.append(
                     JointRow(
@@ -258,13 +289,35 @@ class Mechanics(Geometry):
                         gap,
                         rate,
                         self.rate(rate).xreplace(at_rest),
-                        tuple(sp.diff(gap, q) for q in self.q),
+                        tuple(self.gradient(gap)),
                         sp.Symbol(f"{component}{len(rows)}", real=True),
-                        sp.diff(other, self.time),
+                        path,
                         self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
+                        self._closed.get(name),
                     )
                 )
         return tuple(rows)
+
+    def _held(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
+        """Yield the components of a joint: what it holds at zero, and the rate of its path."""
+        (x, y), (x0, y0) = self.point(joint.point), self.joint_end(joint.to)
+        if joint.rod is not None:
+            # Half the distance squared over the length: smooth, and the distance to first order.
+            length = self._formula(joint.rod)
+            apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
+            toward = (
+                (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
+            ) / length
+            yield "T", -apart, -toward
+            return
+        for component, here, there in (("X", x, x0), ("Y", y, y0)):
+            if component in joint.components:
+                yield component, here - there, sp.diff(there, self.time)
+        if joint.angle is not None:
+            ends = (joint.point, joint.to)
+            turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
+            held = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
+            yield "M", turns[0] - sp.Add(*turns[1:]) - held, sp.S.Zero
 
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
@@ -329,6 +382,8 @@ class Mechanics(Geometry):
         for (asked, name), symbol in self._asked.items():
             if asked == region:
                 found[symbol] = sp.Integer(1 if name in active else -1)
+        if region in self._closed:
+            found[self._closed[region]] = sp.Integer(state == CLOSED)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
@@ -349,7 +404,7 @@ class Mechanics(Geometry):
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """Quantities that outputs and stop conditions may use, name -> expression."""
-        result = dict(self.known)
+        result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
             result |= {
@@ -362,6 +417,10 @@ class Mechanics(Geometry):
         result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
         for name in self._switched.keys() - self.used_friction.keys():
             result[f"{name}.friction"] = self._coefficients[name]["friction"]
+        for name, joint in self.scene.joints.items():
+            if joint.limits is not None:
+                low, high = (self.forces[stop][0] for stop in stops(name))
+                result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         result["energy"] = self.energy
         return result
 
@@ -449,8 +508,41 @@ class Mechanics(Geometry):
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
+    def _arm(self, point: Point) -> sp.Expr:
+        """Return the length that makes lengths of angles: the radius of gyration about a point."""
+        mass, inertia = self.inertia(point.body, self.scene.bodies[point.body])
+        x, y = (self._formula(text) for text in point.at)
+        return sp.sqrt(inertia / mass + x**2 + y**2)
+
+    def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
+        """Return the geometry of a limit of an angle: a gap that nothing slips along."""
+        turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
+        if stop.other is not None:
+            turn -= self.body_frame(stop.other)[1]
+        turn *= stop.side
+        gap, (V, H) = self._arm(contact.point) * turn, self.forces[name]
+        rate, zeros = self.rate(gap), (sp.S.Zero,) * len(self.q)
+        jacobian, none = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
+        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
+        bearing = sp.Add(bias, *self._nonzero(jacobian))
+        hold = Hold((turn,), (bearing,), (V,))
+        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
+        symbols = ContactSymbols(
+            name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
+            friction_cones(self.scene, name, None, self.known, sp.S.Zero), (jacobian, zeros),
+            tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), hold, hold,
+        )  # fmt: skip
+        x, y = self.point(contact.point)
+        return ContactGeometry(
+            (x, y), none, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
+            symbols, jacobian, zeros, bias, sp.S.Zero,
+        )  # fmt: skip
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
+        if isinstance(surface, Stop):
+            return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))
         rim = self._rim(contact)
         around = self._surroundings(surface, rim.radius, centre)

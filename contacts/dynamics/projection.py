@@ -52,6 +52,10 @@ class Projection:
         for row in mechanics.joint_rows:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
+        # Controls that say which joints are closed -> 1 or 0.
+        states = dict(mechanics.controlled(snapshots.states))
+        closed = [row.closed for row in mechanics.joint_rows]
+        self._on = [on is None or states[on] != 0 for on in closed]
         self._snapshots = snapshots
         self._compile = mechanics.tape
         self.tape = mechanics.tape(outputs)
@@ -111,7 +115,8 @@ class Projection:
                     if why:
                         raise SingularMode(why)
                     rows = self.tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
-                    raise self._broken(np.abs(rows), near, slow, time)
+                    rows = np.where(joints.on[:, None], np.abs(rows), 0.0)
+                    raise self._broken(rows, near, slow, time)
             return projected
 
         room = unseen_room(tolerances, scales)
@@ -149,7 +154,8 @@ class Projection:
                 listed += (near, slow, slow, near, near)
             else:
                 listed += (near, slow, 0.0, 0.0, 0.0)
-        listed += (near, slow) * len(self._joints)
+        for on in self._on:
+            listed += (near, slow) if on else (0.0, 0.0)
         return np.array(listed)
 
     def _broken(self, rows: Array, near: float, slow: float, time: float) -> NoConsistentMode:
@@ -178,7 +184,8 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
     near, slow = landing(tolerances)
     if snapshot.held is not None:
         joints = snapshot.held.joints
-        if np.abs(joints.gaps).max() > near or np.abs(joints.rates).max() > slow:
+        apart, parting = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
+        if apart.max(initial=0.0) > near or parting.max(initial=0.0) > slow:
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         off = abs(contact.gap) > near or abs(contact.gap_rate) > slow

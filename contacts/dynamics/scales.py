@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -14,6 +15,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import ORDINARY
 from contacts.scene.joints import Path
 from statechart.arrays import EPS, Array, Ints
+from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.kernels.jets import tape_ranges
@@ -133,7 +135,7 @@ class ScaleTape:
         ]
         pushes = [push for push, _ in accelerations]
         extents = _extents(mechanics)
-        springs = [] if extents else [sp.diff(push, q) for push, q in accelerations]
+        springs = [] if extents else [derivative(push, q) for push, q in accelerations]
         end = scene.stop.time
         duration = parse(end).to_sympy(mechanics.known) if end is not None else sp.S.One
         points = [mechanics.body_frame(name)[0] for name in scene.bodies]
@@ -168,7 +170,7 @@ class ScaleTape:
             driven = []
         self.paths = len(moved)
         self.motions = mechanics.tape(
-            [sp.diff(motion, mechanics.time, k) for k in range(3) for motion in moved] + driven,
+            [motion for k in range(3) for motion in _derived(moved, mechanics.time, k)] + driven,
             definitions=mechanics.controlled(),
         )
 
@@ -225,13 +227,20 @@ def _positions(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr]]:
     return across, upward
 
 
+def _derived(expressions: Iterable[sp.Expr], symbol: sp.Symbol, order: int) -> list[sp.Expr]:
+    found = list(expressions)
+    for _ in range(order):
+        found = [derivative(expression, symbol) for expression in found]
+    return found
+
+
 def _extents(mechanics: Mechanics) -> list[sp.Expr]:
     """Return radii of discs and circular surfaces, and coordinates of points in their bodies."""
     scene = mechanics.scene
     texts = [contact.radius for contact in scene.contacts.values()]
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
     texts += [text for contact in scene.contacts.values() for text in contact.point.at]
-    texts += [text for joint in scene.joints.values() for text in joint.point.at]
+    texts += [t for joint in scene.joints.values() for t in (*joint.point.at, joint.rod)]
     found = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
     return [extent for extent in found if extent != 0]
 

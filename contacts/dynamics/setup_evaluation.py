@@ -82,7 +82,7 @@ class SceneNumbers:
             [margin.expression for margin in margins],
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
-        rows = mechanics.joint_rows
+        rows = [row for row in mechanics.joint_rows if row.closed is None]
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
         self._joint_tape = mechanics.tape(

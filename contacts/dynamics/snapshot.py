@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.joints import JointGroup, JointNumbers, joint_groups, motions
+from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
@@ -110,6 +110,7 @@ class SnapshotTape:
     """Evaluates snapshots."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
+        self.states = states  # Of the controllers; those at the start where None
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.contacts)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
@@ -136,7 +137,7 @@ class SnapshotTape:
             )
         )
         for row in rows:
-            outputs += [row.gap, row.gap_rate, row.bias, row.redundant]
+            outputs += [row.gap, row.gap_rate, row.bias, row.status]
         for row in rows:
             outputs += row.jacobian
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
@@ -180,9 +181,9 @@ class SnapshotTape:
         )
         if not self.joints:
             return whole, None
-        gaps, rates, bias, redundant = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
+        gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
         rows = numbers[last + 4 * self.joints :].reshape(self.joints, n)
-        return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
+        return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
 
 
 def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:

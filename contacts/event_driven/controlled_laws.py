@@ -20,7 +20,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.classification import Case, candidates
-from contacts.states import OPEN
+from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -63,6 +63,7 @@ class ControlledLaws:
             for law in (scene.friction_of(name),)
             for text in (law and law.both, contact.restitution)
         )
+        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
         self._listening = Listening(regions, self._controllers)
 
@@ -106,34 +107,62 @@ class ControlledLaws:
             flow = flow._replace(pending=self._listening.heard(flow.pending, jump))
             return jump, self._joined(setup, clock, following, own, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
-        guarded = {} if judged is None else judged.due()
-        firing = self._listening.first(self._names, own, flow.pending, guarded)
+        guarded = set() if judged is None else judged.due()
+        firing = self._listening.first(
+            self._controllers,
+            own,
+            flow.pending,
+            guarded,
+            lambda: self._holding(setup, clock, flow, state),
+        )
         if firing is None:
             tolerances = flow.tolerances if judged is None else judged.watched()
             if tolerances == flow.tolerances:
                 return None
             return None, flow._replace(tolerances=tolerances)
-        name = self._names[firing.place]
-        taken = self._controllers[name].transitions[firing.transition]
+        name, taken = self._names[firing.place], firing.taken
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
-        energy = laws.snapshot(inner, motion, clock.high).energy
         after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
+        if name in self._joints and taken.target == CLOSED:
+            return self._closed(at, name, taken.name, states, after)
+        energy = laws.snapshot(inner, motion, clock.high).energy
         jump = at.jump(
             name,
             taken.name,
             (*flow.mode[: self._count], *states),
             after,
             path=() if taken.guard is not None else (taken.trigger,),
-            considered=self._considered[name][firing.transition],
+            considered=self._considered[name](taken),
             energy=(energy, energy),
         )
         flow = flow._replace(pending=self._listening.heard(firing.pending, jump))
         following = self._parted(flow)
         if taken.guard is not None:
             watch = self._states.guards(own).watch
-            early = watch.early(rows, firing.place, firing.transition, fired)
+            early = watch.early(rows, firing.due, fired)
             following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, after, flow)
+
+    def _closed(
+        self, at: Instant, joint: str, cause: str, states: Key, state: Array
+    ) -> tuple[Jump, Flow]:
+        """Close a joint that is on in `states`; `state` is what it has captured."""
+        assert isinstance(at.setup, SceneSetup)
+        inner = self._within(at.setup, states, state)
+        motion = self._memory.parted(state)
+        parted = at._replace(setup=inner, flow=self._parted(at.flow), state=motion)
+        jump, flow = self._at(states).close(parted, joint, cause)
+        after = self._memory.joined(jump.after, state)
+        jump = replace(
+            jump,
+            source=at.flow.mode,
+            target=(*jump.target, *states),
+            before=at.state,
+            after=after,
+        )
+        pending = self._listening.heard(at.flow.pending, jump)
+        before = at.flow._replace(pending=pending)
+        return jump, self._joined(at.setup, at.clock, flow, states, after, before)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -160,7 +189,9 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         inner = self._memory.within(setup, anchor)
         motion = self._memory.parted(anchor)
-        found = self._contacts.constraints(inner, roles[: self._count], start, motion)
+        # Which joints hold is a matter of the states.
+        laws = self._at(moving_mode(roles[self._count :])) if self._joints else self._contacts
+        found = laws.constraints(inner, roles[: self._count], start, motion)
         return self._memory.constraints(found)
 
     def feasibility(
@@ -207,19 +238,7 @@ class ControlledLaws:
             guarded.watch.single or not watched.all()
         ):
             return None, rows
-        inner = self._within(setup, own, state)
-        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
-        modes = moving_mode(flow.roles[: self._count])
-        closed = [mode not in OPEN for mode in modes]
-        case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
-        (solved,) = candidates(case, [(mode,) for mode in modes])
-        found = None
-        if not solved.undetermined:
-            accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
-            captured = np.array([role.captured for role in flow.roles[: self._count]])
-            forces = np.where(captured[:, None], 0.0, solved.forces)
-            found = np.concatenate([accelerations, forces.ravel(), joints])
-        rows = guarded.rows(setup, clock.high, state, found)
+        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
         relative = setup.precision
 
         assert setup.sizes is not None
@@ -227,12 +246,36 @@ class ControlledLaws:
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
-                setup, flow.roles, margin, state, sizes, clock.high, relative
+                setup, flow.moving, margin, state, sizes, clock.high, relative
             )
 
         active = active_in(self._regions, flow.mode)
         judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
         return judged, rows
+
+    def _holding(
+        self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array
+    ) -> set[tuple[int, int]]:
+        """Return the guards at events that hold."""
+        guarded = self._states.guards(flow.mode[self._count :], at_events=True)
+        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        return guarded.watch.holding(rows, setup.precision, active_in(self._regions, flow.mode))
+
+    def _solved(self, setup: SceneSetup, clock: Clock, flow: Flow, state: Array) -> Array | None:
+        """Return accelerations and forces in the mode; None where it leaves them open."""
+        own = flow.mode[self._count :]
+        inner = self._within(setup, own, state)
+        snapshot = self._at(own).snapshot(inner, self._memory.parted(state), clock.high)
+        modes = moving_mode(flow.roles[: self._count])
+        closed = [mode not in OPEN for mode in modes]
+        case = Case(snapshot, inner.contacts, closed, closed, setup.scales)
+        (solved,) = candidates(case, [(mode,) for mode in modes])
+        if solved.undetermined:
+            return None
+        accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
+        captured = np.array([role.captured for role in flow.roles[: self._count]])
+        forces = np.where(captured[:, None], 0.0, solved.forces)
+        return np.concatenate([accelerations, forces.ravel(), joints])
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""

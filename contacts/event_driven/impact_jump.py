@@ -132,9 +132,12 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules, here: Landing, hitting: list[int], jam: Jam | None = None
+    rules: Rules, here: Landing, event: tuple[str, str], jam: Jam | None = None
 ) -> tuple[Jump, Flow, Snapshot]:
-    """Return the jump of an impact, the flow after it, and the numbers there."""
+    """Return the jump of an impact, the flow after it, and the numbers there.
+
+    `event` is the region and the cause of the jump.
+    """
     at, setup, closed, slow = here.at, here.setup, here.closed, here.slow
     struck = _struck(rules, here, jam)
     laws, contacts, rests = struck.laws, struck.snapshot.contacts, struck.rests
@@ -146,8 +149,7 @@ def impact_jump(
     left = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     rest = max(rests.values(), default=None)
     jump = at.jump(
-        laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
-        "touchdown" if jam is None else "jam",
+        *event,
         target,
         entered.state,
         impulse={

@@ -15,7 +15,13 @@ from contacts.dynamics.projection import Projection, dead_point, in_contact, lan
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
+from contacts.dynamics.starting import (
+    check_closing,
+    check_joints,
+    check_places,
+    check_start,
+    hovering,
+)
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
@@ -92,9 +98,12 @@ class SceneLaws:
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
-        rules, projection = self._rules, self._projection
+        rules = self._rules
         laws = copy.copy(self)
-        laws._projection = projection
+        if any(row.closed is not None for row in self._mechanics.joint_rows):
+            laws._projection = Projection(self._mechanics, tape)
+        else:
+            laws._projection = self._projection
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = rules._replace(tape=tape)
@@ -238,6 +247,32 @@ class SceneLaws:
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
 
+    def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
+        """Close a joint: its points stop, and so do contacts that are closed, without rebound.
+
+        Raises `NoConsistentMode` if the points of the joint are apart.
+        """
+        setup = at.setup
+        assert isinstance(setup, SceneSetup)
+        snapshot = hidden(self._tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
+        near = setup.tolerances["gap"]
+        apart = max(_START_DEPTH * setup.scales.length, near)
+        check_closing(self._mechanics, snapshot, joint, apart)
+        state = on_constraints(("free",) * len(self._names), snapshot, at.state)
+        after = hidden(self._tape.at(setup.values, state, at.clock.high), at.flow.mode)
+        plastic = tuple(law._replace(restitution=0.0) for law in setup.contacts)
+        here = Landing(
+            at._replace(state=state),
+            dataclasses.replace(setup, contacts=plastic),
+            after,
+            moving_mode(at.flow.roles),
+            [c.gap <= near for c in after.contacts],
+        )
+        jump, flow, _ = impact_jump(self._rules, here, (joint, cause))
+        _, left = jump.energy or (0.0, 0.0)
+        energy = snapshot.energy, left
+        return dataclasses.replace(jump, before=at.state, energy=energy), flow
+
     def _strike(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, mode: Key
     ) -> tuple[Array, Snapshot] | None:
@@ -246,7 +281,7 @@ class SceneLaws:
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self._rules, here, here.hitting, None)[0].after
+        after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
         return after, self._tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
@@ -401,10 +436,14 @@ class SceneLaws:
         failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
+    def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
+        """Return the region and the cause of an impact: whichever gap fell a rounding earlier."""
+        return self._names[hitting[0]], "touchdown" if jam is None else "jam"
+
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self._rules, here, hitting, jam)
+        jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
         setup, closed, (before, left) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and left >= before
         if idle and opens_in_vain(setup, following, closed):

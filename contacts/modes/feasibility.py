@@ -358,7 +358,8 @@ def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> t
         elif contact.gap < -near:
             found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
     if snapshot.held is not None:
-        apart = float(np.abs(snapshot.held.joints.gaps).max(initial=0.0))
+        joints = snapshot.held.joints
+        apart = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
         if apart > near:
             found.append(f"joints are apart by up to {apart:.6g}")
     return tuple(found)

@@ -64,6 +64,10 @@ class ControlRegion(BaseRegion):
     )
 
 
+# Hints read annotations of fields, which are text as long as they name a later class.
+ControlState.model_rebuild()
+
+
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 

@@ -44,6 +44,7 @@ _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "a
 _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
+_CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
 _MOST_COPIES = 10_000
 
 
@@ -189,16 +190,24 @@ class SceneFields(Declaration):
         return (*self.coordinates, *own)
 
     def owners(self) -> dict[str, str]:
-        """Return the names of all bodies, copies one by one, to those that they are declared by."""
-        if all(body.copies is None for body in self.bodies.values()):
-            return {name: name for name in self.bodies}
+        """Return the names of all bodies, copies one by one, to those that they are declared by.
+
+        Those whose motion is prescribed are the last.
+        """
+        single = all(body.copies is None for body in self.bodies.values())
+        counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
         result: dict[str, str] = {}
-        for name, count in copies(self, self.values()).items():
+        for name in sorted(self.bodies, key=lambda name: self.bodies[name].prescribed):
+            count = counts[name]
             if count is None:
                 result[name] = name
             else:
                 result |= {f"{name}{index}": name for index in range(count)}
         return result
+
+    def moving(self) -> list[str]:
+        """Return the names of the bodies that forces and impulses move, copies one by one."""
+        return [name for name, owner in self.owners().items() if not self.bodies[owner].prescribed]
 
     def single_bodies(self) -> dict[str, Body]:
         """Return the bodies, copies one by one; all alike but for the index in their start."""
@@ -251,8 +260,10 @@ class SceneFields(Declaration):
         words = f"{part} of {owner}"
         if owner in self.contacts and part in _OF_CONTACTS:
             return Quantity(words, _OF_CONTACTS[part])
-        if owner in self.joints and part in ("X", "Y"):
-            return Quantity(words, "force")
+        if owner in self.joints and part in self.joints[owner].forces:
+            return Quantity(words, "" if part == "M" else "force")
+        if owner in self.joints and part in _CAPTURED:
+            return Quantity(words, _CAPTURED[part])
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
@@ -350,6 +361,29 @@ class SceneFields(Declaration):
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.memory
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
+
+    @property
+    def placed_names(self) -> frozenset[str]:
+        """Names of the places and rates of bodies that formulas place, or that are fixed."""
+        found: set[str] = set()
+        for name, owner in self.owners().items():
+            body = self.bodies[owner]
+            if body.position is None and not body.fixed:
+                continue
+            turns = body.prescribed or body.angle is not None
+            places = ["x", "y", "angle"] if turns else ["x", "y"]
+            found |= {f"{name}.{place}" for place in places}
+            texts = (*(body.position or ()), body.angle or 0)
+            used = frozenset[str]().union(*(parse(text).names for text in texts))
+            # How a control changes within a state is not known.
+            varying = {
+                control
+                for control in used.intersection(self.controls)
+                for text in self.controlled.texts(control)
+                if parse(text).names - self.parameters.keys()
+            }
+            found |= set() if varying else {f"{name}.d{place}" for place in places}
+        return frozenset(found)
 
     @cached_property
     def asked_states(self) -> tuple[Member, ...]:

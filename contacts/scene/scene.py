@@ -16,13 +16,17 @@ from contacts.scene.checks import (
     check_formulas,
     check_kinks,
     check_physical,
+    check_prescribed,
     check_rim,
+    check_turns,
 )
+from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
 from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
+from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
@@ -42,6 +46,15 @@ class Scene(SceneFields):
     point).
     """
 
+    @property
+    def expanded(self) -> Self:
+        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`)."""
+        added = expansion(self)
+        if not added:
+            return self
+        own = {name: getattr(self, name) for name in type(self).model_fields}
+        return self.model_construct(**{**own, **added})
+
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
         if len(self.contacts) < 2 and not self.collisions:
@@ -56,7 +69,11 @@ class Scene(SceneFields):
         """Return what a run of the scene does without, and why."""
         found = replaced(self, values) if stepped else {}
         for name, body in self.bodies.items():
-            if body.position is None and body.inertia is None:
+            if body.fixed:
+                found[f"coordinates of {name}"] = "it is fixed"
+            elif body.prescribed:
+                found[f"coordinates of {name}"] = "it moves along its path"
+            elif body.position is None and body.inertia is None:
                 found[f"the angle of {name}"] = "it has no inertia declared: a particle"
             elif body.position is not None:
                 found[f"coordinates of {name}"] = "its position follows from those of the scene"
@@ -182,9 +199,10 @@ class Scene(SceneFields):
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
+        check_prescribed(self, found)
         for name, body in self.bodies.items():
             with found:
-                if body.position is not None and nothing_moves:
+                if body.position is not None and nothing_moves and not body.prescribed:
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
@@ -254,6 +272,7 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
+        check_turns(self)
         check_kinks(self)
         self.check_values(self.values())
         check_collisions(self)
@@ -263,25 +282,26 @@ class Scene(SceneFields):
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
-        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
-        names |= {"energy", *self.controls}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
+        names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        gates = {c: self.gate(c) for c in self.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
-            name: {*region.named} for name, region in self.controlled.flat.items()
+        whole = self.expanded
+        gates = {c: whole.gate(c) for c in whole.contacts}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
+            name: {*region.named} for name, region in whole.controlled.flat.items()
         }
         causes = {
             c: {
                 edge.cause
-                for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
+                for edge in edges(x, jams=whole.jams(c), bounces=whole.bounces(c), gate=gates[c])
             }
-            for c, x in self.contacts.items()
-        } | {name: {*region.causes} for name, region in self.controlled.flat.items()}
+            for c, x in whole.contacts.items()
+        } | {name: {*found} for name, found in causes_of(whole.controlled.flat).items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
-            found |= dict.fromkeys(self.owners(), states_of_bodies)
-            causes |= dict.fromkeys(self.owners(), causes_of_bodies)
+            found |= dict.fromkeys(self.moving(), states_of_bodies)
+            causes |= dict.fromkeys(self.moving(), causes_of_bodies)
         wrong = Findings()
         with wrong:
             self.check_uses(names, found, causes, changing)
@@ -293,6 +313,11 @@ class Scene(SceneFields):
                 with wrong:
                     if transition.guard is not None:
                         check_relation(transition.guard, names, found, changing, *at, "guard")
+        for name, joint in self.joints.items():
+            for place, text in enumerate(joint.enabled):
+                with wrong:
+                    at = ("joints", name, "enabled", place)
+                    check_relation(text, names, found, changing, *at)
         wrong.check()
         return self
 

@@ -265,18 +265,19 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     return trace.step * largest / 8.0
 
 
-def properties(scene: Scene) -> tuple[Property, ...]:
+def properties(declared: Scene) -> tuple[Property, ...]:
     """Return what holds for every scene, besides what holds for every automaton.
 
     Parameters
     ----------
-    scene : Scene
+    declared : Scene
         What was declared.
     """
-    if scene.collisions:
+    if declared.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(), *image_properties(scene))
+        return (*body_properties(), *image_properties(declared))
+    scene = declared.expanded
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
@@ -297,7 +298,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
             "energy never grows",
             each(partial(assert_energy, mechanics)),
         ),
-        *image_properties(scene),
+        *image_properties(declared),
     )
 
 

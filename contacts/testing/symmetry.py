@@ -115,7 +115,8 @@ class _Change:
     def reading(self, states: Mapping[str, str]) -> Reading:
         """Return how to read the runs of the changed scene."""
         scene = self.declared
-        names = (*scene.variables, *map(scene.rate_name, scene.variables), *scene.controlled.memory)
+        names = (*scene.variables, *map(scene.rate_name, scene.variables))
+        names = (*names, *scene.expanded.controlled.memory)
         factors = np.array([1.0 / self._factors.get(name, 1.0) for name in names])
         return Reading(factors, 1.0 / self.time, states)
 
@@ -145,6 +146,8 @@ class _Change:
                 return {key: self._item(name, key, one, unit) for key, one in value.items()}
             case tuple() if name in _RELATIONS:
                 return tuple(map(self._relation, value))
+            case (least, greatest) if name == "limits" and along < 0.0:
+                return self._formula(greatest, along), self._formula(least, along)
             case (str() | int() | float(), str() | int() | float()) if unit:
                 return self._formula(value[0], along), self._formula(value[1], up)
             case tuple():
@@ -171,11 +174,18 @@ class _Change:
         for name in (*old.single_bodies(), *old.bodies):
             found |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
             found |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
-        for name in old.contacts:
+        for name in old.expanded.contacts:
             found |= {f"{name}.gap": self.y, f"{name}.slip": slip}
             found |= {f"{name}.V": normal, f"{name}.H": tangential}
         for name in old.joints:
             found |= {f"{name}.X": tangential, f"{name}.Y": normal}
+            found |= {
+                f"{name}.x": self.x,
+                f"{name}.y": self.y,
+                f"{name}.turn": self._start("angle"),
+            }
+            moment, along = units["force length"][2], units["force"][2]
+            found |= {f"{name}.M": moment, f"{name}.T": along}
         return found | dict.fromkeys(old.controlled.clocks, self.time)
 
     def _start(self, key: str) -> float:

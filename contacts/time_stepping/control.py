@@ -11,18 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 
 import numpy as np
 
+from contacts.dynamics.contact_law import cones
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.starting import check_closing
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.lcp import solve_lcp
+from contacts.states import CLOSED, OPEN, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
 from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop
@@ -57,6 +65,8 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        self._mechanics = mechanics
+        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps up to the first after which the controllers are to be asked.
@@ -85,7 +95,7 @@ class StepControl:
         EventLoop
             If they do not end.
         """
-        pending: dict[str, tuple[Jump, ...]] = {}
+        pending: dict[str, tuple[Raised, ...]] = {}
         for _, together in groupby(jumps, key=lambda jump: jump.t):
             first, *others = together
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
@@ -100,21 +110,19 @@ class StepControl:
                 )
         for _ in range(_MOST_TURNS):
             watched = self._states.guards(self.states).watch.guards
-            due = self._due(time, state[None], solved[None], h, recorder.row[None])[0]
-            guarded: dict[int, int] = {}
-            for guard, now in zip(watched, due.tolist(), strict=True):
-                if now:
-                    guarded.setdefault(guard.place, guard.transition)
-            firing = self._listening.first(self._names, self.states, pending, guarded)
+            at_end = time, state[None], solved[None]
+            due = self._due(*at_end, h, recorder.row[None])[0]
+            firing = self._listening.first(
+                self._controllers,
+                self.states,
+                pending,
+                {(g.place, g.trigger) for g, now in zip(watched, due, strict=True) if now},
+                partial(self._holding, *at_end, recorder.row[None]),
+            )
             if firing is None:
                 return state
-            name = self._names[firing.place]
-            taken = self._controllers[name].transitions[firing.transition]
-            fired = tuple(
-                guard.name
-                for guard in watched
-                if (guard.place, guard.transition) == (firing.place, firing.transition)
-            )
+            name, taken = self._names[firing.place], firing.taken
+            fired = tuple(g.name for g in watched if (g.place, g.trigger) in firing.due)
             self.states = (
                 *self.states[: firing.place],
                 taken.target,
@@ -123,6 +131,8 @@ class StepControl:
             after = self._memory.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
+            if name in self._joints and taken.target == CLOSED:
+                after = self._closed(name, after, recorder, h)
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._scene.switch(self._states.named(self.states))
@@ -132,6 +142,32 @@ class StepControl:
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
+
+    def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
+        """Return the state after a joint closes and stops, without rebound, what is in contact.
+
+        Raises `NoConsistentMode` if its points are apart by more than a step moves them.
+        """
+        setup, time = self._memory.within(self._setup, state), recorder.clock.high
+        motion, named = self._memory.parted(state), self._states.named(self.states)
+        tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
+        snapshot = tape.at(setup.values, motion, time)
+        check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
+        motion = on_constraints(("free",) * len(contacts), snapshot, motion)
+        snapshot = tape.at(setup.values, motion, time)
+        touching = [
+            i
+            for i, code in enumerate(recorder.row[: len(contacts)].tolist())
+            if STATES[code] not in OPEN
+        ]
+        if touching and len(snapshot.velocity):
+            edges, jacobians = cones(contacts)[touching], snapshot.jacobians[touching]
+            matrix, _ = delassus(snapshot.mass, jacobians, snapshot.forces)
+            solution = solve_lcp(*contact_problem(matrix, jacobians @ snapshot.velocity, edges))
+            impulses = np.einsum("ckn,ck->n", jacobians, contact_impulses(solution.z, edges))
+            change = np.linalg.lstsq(snapshot.mass, impulses)[0]
+            motion = snapshot.moved(motion, snapshot.velocity + change)
+        return self._memory.joined(motion, state)
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""
@@ -159,3 +195,17 @@ class StepControl:
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
         atoms: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
         return guards.watch.hold(atoms, self._active.at(codes, self.states))
+
+    def _holding(
+        self, times: Array, states: Array, solved: Array, codes: Ints
+    ) -> set[tuple[int, int]]:
+        """Return the guards at events that hold at the end of a step."""
+        guards = self._states.guards(self.states, at_events=True)
+        rows = guards.table(self._setup, times, states, solved[:, self._order])
+        margin, size = rows[..., 0], rows[..., 3]
+        zero = self._setup.rounded * size
+        atoms = margin <= np.where(guards.watch.closed, zero, -zero)
+        held = guards.watch.hold(atoms, self._active.at(codes, self.states))[0]
+        return {
+            (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
+        }

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, memory_rates, values_in
+from contacts.dynamics.controllers import given, values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
+from statechart.automaton.margin_derivatives import derivative
+from statechart.errors import Unsupported
 from statechart.formulas.tape import Tape
 
 
@@ -49,8 +51,13 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
+        if any(force.has(sp.sign) for force in forces):
+            raise Unsupported(
+                "steps cannot hold what sign of a velocity brings to rest; use events "
+                "(--engine auto), or sat(v/e, -1, 1) with a small speed e"
+            )
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
-        derivatives = [sp.diff(force, rate) for force in forces for rate in mechanics.v]
+        derivatives = [derivative(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
         if self.damped:
             outputs += derivatives
@@ -66,7 +73,10 @@ class SteppedTape:
             outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
         rows = mechanics.joint_rows
         for row in rows:
-            outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
+            # The row of a joint that is off couples nothing.
+            on = known.get(row.closed, sp.S.One)
+            outputs += [*(on * entry for entry in row.jacobian), row.gap, row.gap_rate, row.bias]
+            outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
         # A contact that its condition keeps off passes nothing.
@@ -86,7 +96,7 @@ class SteppedTape:
             [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
         )
         self.tape: Tape = mechanics.whole_tape(outputs)
-        flows = [known.get(rate, rate) for rate in memory_rates(mechanics).values()]
+        flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(

@@ -17,6 +17,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.time_stepping.force_quadrature_error import force_quadrature_error
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
 from statechart.kernels.boxes import Steps
@@ -76,7 +77,7 @@ class StepLimits:
 
     def __init__(self, mechanics: Mechanics, forces: Sequence[sp.Expr]) -> None:
         self._size = len(mechanics.q)
-        stiffness = [-sp.diff(force, place) for force in forces for place in mechanics.q]
+        stiffness = [-derivative(force, place) for force in forces for place in mechanics.q]
         self._stiffness = (
             mechanics.whole_tape([*mechanics.mass_matrix, *stiffness])
             if any(entry != 0 for entry in stiffness)

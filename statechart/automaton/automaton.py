@@ -73,6 +73,8 @@ class Automaton:
     laws: Laws | None  # Initial mode, jumps, projection; None where only steps can run the model.
     # True where an unknown that no state sets is zero (a chart's variable without a flow).
     idle: bool = False
+    # True where formulas along a flow switch (abs, sign, min, max, sat).
+    switching: bool = False
     # Controls set by states of regions (`State.values`), in an order in which each value uses only
     # those before it. In every mode exactly one state sets each.
     controls: tuple[sp.Symbol, ...] = ()

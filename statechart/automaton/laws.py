@@ -12,7 +12,7 @@ import numpy as np
 
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
-from statechart.automaton.regions import Region
+from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 
 if TYPE_CHECKING:
@@ -25,6 +25,10 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
 """In a role: the state of a region that contributes nothing, so that what it moves rests."""
+
+SWITCHES = "switches"
+"""In a role behind those of the regions: its share are the signs of the switches of a flow (see
+`statechart.automaton.switches`)."""
 
 UNBOUNDED = "unbounded"
 """End of a flow that cannot be continued, though no margin fell; the laws may know the jump that
@@ -39,6 +43,11 @@ def roles_in(mode: Key) -> Roles:
     return tuple([roles[state] for state in mode])
 
 
+def of_regions(roles: Roles) -> Roles:
+    """Return roles without the signs of switches, which may stand behind them."""
+    return roles[:-1] if roles and roles[-1].state == SWITCHES else roles
+
+
 @lru_cache(maxsize=1024)
 def uncaptured(roles: Roles) -> Roles:
     """Return the roles that move the state as `roles` do, with nothing hidden from others."""
@@ -48,7 +57,7 @@ def uncaptured(roles: Roles) -> Roles:
 @lru_cache(maxsize=1024)
 def moving_mode(roles: Roles) -> Key:
     """Return the states whose equations apply."""
-    return tuple([role.state for role in roles])
+    return tuple([role.state for role in of_regions(roles)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +109,8 @@ class Flow(NamedTuple):
     terms: Array | None = None
     # (n,): how large the terms are that jumps since then have summed each variable from.
     summed: Array | None = None
-    # Region -> the jumps of this instant that it has yet to hear of. None outlasts the instant.
-    pending: Mapping[str, tuple[Jump, ...]] = _NOTHING
+    # Region -> the events of this instant that it has yet to hear. None outlasts the instant.
+    pending: Mapping[str, tuple[Raised, ...]] = _NOTHING
     # (n,): where to flow on from, where a mode holds but its state is brought back onto its
     # constraints; None where it is the state that the laws were asked about.
     start: Array | None = None
@@ -110,6 +119,13 @@ class Flow(NamedTuple):
     # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
     # begin.
     doubted: bool = False
+    # The signs of its switches as a role; none where it has no switches. Kept by the executor.
+    signs: Roles = ()
+
+    @property
+    def moving(self) -> Roles:
+        """The roles with the signs of switches: what the equations follow from."""
+        return (*self.roles, *self.signs) if self.signs else self.roles
 
     @property
     def sizes(self) -> Array | None:

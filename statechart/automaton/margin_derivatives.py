@@ -128,7 +128,7 @@ def rounding_scale(expression: sp.Expr, sizes: Mapping[sp.Symbol, sp.Expr]) -> s
     form = expression.func(*(slots.get(part, part) for part in expression.args))
     whole = {slot: part for part, slot in slots.items()}
     changes = (
-        abs(_slope(form, slot).xreplace(whole)) * rounding_scale(part, sizes)
+        abs(derivative(form, slot).xreplace(whole)) * rounding_scale(part, sizes)
         for part, slot in slots.items()
     )
     return sp.Add(abs(expression), *changes)
@@ -139,9 +139,9 @@ def time_derivative(
 ) -> sp.Expr:
     """Return the total derivative of an expression in time."""
     return sp.Add(
-        _slope(expression, time),
+        derivative(expression, time),
         *(
-            _slope(expression, v) * rate
+            derivative(expression, v) * rate
             for v, rate in rates.items()
             if v in expression.free_symbols
         ),
@@ -152,7 +152,7 @@ def _coefficients(expression: sp.Expr) -> list[sp.Expr]:
     return [part for part in expression.args if part.is_Number]
 
 
-def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
+def derivative(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
     """Differentiate; at the kinks of abs, sign, min and max by one side or their mean.
 
     SymPy does so only where it can prove that what is inside is real, which a root is not.
@@ -170,13 +170,13 @@ def _slope(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
         found = sp.diff(form, symbol)
         for dummy, node in inner.items():
             if dummy in form.free_symbols:
-                found += sp.diff(form, dummy) * _slope(node, symbol)
+                found += sp.diff(form, dummy) * derivative(node, symbol)
         return found.xreplace(inner)
     if isinstance(expression, sp.sign):
         return sp.S.Zero
     first, *others = expression.args
     if isinstance(expression, sp.Abs):
-        return sp.sign(first) * _slope(first, symbol)
+        return sp.sign(first) * derivative(first, symbol)
     rest = expression.func(*others)
     way = sp.sign(first - rest if isinstance(expression, sp.Max) else rest - first)
-    return ((1 + way) * _slope(first, symbol) + (1 - way) * _slope(rest, symbol)) / 2
+    return ((1 + way) * derivative(first, symbol) + (1 - way) * derivative(rest, symbol)) / 2

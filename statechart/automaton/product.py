@@ -171,7 +171,7 @@ def _declared(region: Region, state: str) -> Iterator[Edge]:
     """Yield the edges that a declaration has from a state that no run enters."""
     nesting, active = region.nesting, region.active(state)
     for edge in nesting.edges:
-        if edge.source in active and not edge.internal:
+        if edge.source in active and not edge.static:
             target = edge.target
             while target in nesting.initial or target in nesting.histories:
                 history = nesting.histories.get(target)

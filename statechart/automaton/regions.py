@@ -7,7 +7,7 @@ its states under one guard are one that enters it, with a choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -131,6 +131,8 @@ class Invariant:
         return found
 
 
+DONE = "done"
+"""The event of a state that has reached its end."""
 UNREACHED = "no transition leads there from the start"
 """The reason why no run is in a state of `Nesting.unreached`."""
 
@@ -158,7 +160,9 @@ class HierarchicalEdge:
     # Variable -> new value, of the values before.
     updates: Mapping[str, str | int | float] = field(default_factory=dict)
     events: tuple[str, ...] = ()  # Events of other regions that fire it.
-    internal: bool = False  # It leaves no state.
+    condition: str | None = None  # Relation that must hold at these events.
+    static: bool = False  # It leaves no state.
+    internal: bool = False  # It does not leave its source.
 
     @property
     def reset(self) -> str:
@@ -173,7 +177,8 @@ class History(NamedTuple):
     # It remembers states of `parent` alone, or those in them, too.
     depth: Literal["shallow", "deep"]
     parent: str  # The superstate that it remembers.
-    initial: str  # Its target as long as nothing is remembered.
+    # Its target as long as nothing is remembered: of one that remembers regions its parent.
+    initial: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +188,6 @@ class Nesting:
     names: tuple[str, ...] = ()  # States and superstates in the order of the document.
     # State of the region -> the innermost states that are active in it.
     configurations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    # Cause -> the causes that it stands for, where one jump takes several transitions.
-    joint: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     # Superstate -> the state in it that it begins with; "" is the region.
     initial: Mapping[str, str] = field(default_factory=dict)
     # Superstates whose states are regions: all of them are active.
@@ -198,6 +201,9 @@ class Nesting:
     unreached: frozenset[str] = frozenset()
     # State -> rates of variables that it declares.
     flows: Mapping[str, Mapping[str, str | int | float]] = field(default_factory=dict)
+    final: frozenset[str] = frozenset()  # States with which what holds them is done.
+    # State of the region -> superstates that are done in it, inner ones first; also the region.
+    done: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def active(self, state: str, superstates: Mapping[str, str]) -> tuple[str, ...]:
         """Return the states that are active with one of the region, and those that hold them."""
@@ -325,7 +331,7 @@ class Region:
 
     def causes(self, cause: str) -> tuple[str, ...]:
         """Return what a cause of jumps stands for: itself, or transitions taken together."""
-        return self.nesting.joint.get(cause, (cause,))
+        return tuple(cause.split("+"))
 
     @property
     def innermost(self) -> tuple[str, ...]:
@@ -426,7 +432,7 @@ def _covered(
 
 
 def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
-    """Tell whether `jump` is `event`, by a cause or by the state entered.
+    """Tell whether `jump` is `event`: a cause, a state that is entered, or one that is done.
 
     A jump names one region, but may change others at the same instant (an impact that is felt at
     every closed contact); their causes are those of the edges that they take. A region whose blows
@@ -436,13 +442,44 @@ def happened(regions: Sequence[Region], jump: Jump, event: Event) -> bool:
         return True
     named = event.region
     for region, before, after in zip(regions, jump.source, jump.target, strict=True):
+        if event.cause == DONE and named in _done(region, before, after):
+            return True
         if named is not None and region.name != named:
             continue
         if event.cause in _causes(region, jump, before, after):
             return True
-        if named is not None and _entered(region, before, after, event.cause):
+        if named is not None and event.cause in _entered(region, before, after):
             return True
     return False
+
+
+class Raised(NamedTuple):
+    """An event that a jump makes, and its region; its `owner` is this, or a state that is done."""
+
+    region: str
+    owner: str
+    cause: str
+
+    def answers(self, event: Event, listener: str, own: Collection[str]) -> bool:
+        """Tell whether it is what a region waits for, with states of its `own` that can be done."""
+        if self.cause != event.cause or event.region not in (None, self.owner):
+            return False
+        return (self.region == listener) == (self.cause == DONE and event.region in own)
+
+
+def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
+    """Return the events of a jump in their order: causes, states entered from the outside, ends."""
+    found: dict[Raised, None] = {}
+    changes = list(zip(regions, jump.source, jump.target, strict=True))
+    for region, before, after in changes:
+        for cause in _causes(region, jump, before, after):
+            found[Raised(region.name, region.name, cause)] = None
+    for region, before, after in changes:
+        for state in _entered(region, before, after):
+            found[Raised(region.name, region.name, state)] = None
+        for owner in _done(region, before, after):
+            found[Raised(region.name, owner, DONE)] = None
+    return tuple(found)
 
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
@@ -457,5 +494,15 @@ def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, .
     return (*hit, jump.cause) if jump.cause in others else (*hit, *others[:1])
 
 
-def _entered(region: Region, before: str, after: str, state: str) -> bool:
-    return state in region.active(after) and state not in region.active(before)
+def _entered(region: Region, before: str, after: str) -> list[str]:
+    """Return the states entered, outer ones first."""
+    if before == after:
+        return []
+    found = {*region.active(after)}.difference(region.active(before))
+    ordered = region.nesting.names or reversed(region.active(after))
+    return [name for name in ordered if name in found]
+
+
+def _done(region: Region, before: str, after: str) -> Sequence[str]:
+    done = region.nesting.done
+    return [name for name in done.get(after, ()) if name not in done.get(before, ())]

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from statechart.charts.flatten import FlatRegion, flatten, timed
+from statechart.charts.flatten import FlatRegion, causes_of, flatten, timed
 from statechart.charts.transitions import (
     BaseRegion,
     BaseState,
@@ -20,7 +20,6 @@ from statechart.charts.transitions import (
 )
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
-    PIECES,
     FiniteText,
     Label,
     NameText,
@@ -28,7 +27,7 @@ from statechart.documents.fields import (
     ValueName,
     check_derived,
     check_relation,
-    check_smooth,
+    switching,
     unit,
     value_of,
 )
@@ -67,6 +66,10 @@ class Region(BaseRegion):
     )
 
 
+# Hints read annotations of fields, which are text as long as they name a later class.
+State.model_rebuild()
+
+
 class Chart(Declaration):
     """A hybrid statechart without mechanics.
 
@@ -94,6 +97,12 @@ class Chart(Declaration):
     def flat(self) -> Mapping[str, FlatRegion]:
         """The regions as the executor knows them."""
         return {name: flatten(name, r, "regions", name) for name, r in self.regions.items()}
+
+    @cached_property
+    def switching(self) -> bool:
+        """Whether flows have abs, sign, min, max or sat of what changes."""
+        changing = {TIME, *self.variables}
+        return any(switching(flow, changing) for _, flow, _ in self._flows())
 
     @property
     def timers(self) -> frozenset[str]:
@@ -137,7 +146,6 @@ class Chart(Declaration):
         for _, flow, loc in self._flows():
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
-            check_smooth(flow, changing, loc=loc, lacks="derivative, or no value,", advice=PIECES)
         states = {name: region.named for name, region in self.flat.items()}
         changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():
@@ -147,7 +155,7 @@ class Chart(Declaration):
             for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
                     check_relation(transition.guard, names, states, changing, *at, "guard")
-        causes = {name: region.causes for name, region in self.flat.items()}
+        causes = causes_of(self.flat)
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))

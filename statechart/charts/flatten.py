@@ -16,7 +16,7 @@ from itertools import chain, product
 from math import prod
 from typing import NamedTuple
 
-from statechart.automaton.regions import Choice, Edge, HierarchicalEdge, History, Nesting
+from statechart.automaton.regions import DONE, Choice, Edge, HierarchicalEdge, History, Nesting
 from statechart.charts.microstep import (
     Memory,
     Microstep,
@@ -33,6 +33,7 @@ from statechart.documents.fields import FiniteText
 from statechart.documents.outputs import Event
 from statechart.documents.quantities import Dimension
 from statechart.errors import DeclarationProblem
+from statechart.formulas.relation import conjunction
 
 MAX_CONFIGURATIONS = 4096
 """Regions side by side multiply: what has more could not be looked at, nor kept."""
@@ -65,7 +66,10 @@ class _Flattening:
             if found.arrows[place].declared.every is not None or found.arrows[place].target < 0
         }
         # Asked in this order: those of inner states first, then as declared.
-        self._ranks = _inner_first(found)
+        rank = {node: place for place, node in enumerate(found.inner_first)}
+        self._ranks = sorted(
+            range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
+        )
         # While its parent is active, only transitions inside it can read a history.
         self._recalled = {
             arrow.target
@@ -83,22 +87,18 @@ class _Flattening:
         if found.flat:
             for node in found.nodes[ROOT].children:
                 self._name_of(frozenset((node,)), {})
-        transitions: list[tuple[int, FlatTransition]] = []
-        places: list[tuple[str, tuple[int, ...]]] = []
+        transitions: dict[tuple[str, tuple[int, ...]], FlatTransition] = {}
         done: set[str] = set()
         while todo := [name for name in self._named if name not in done]:
             for name in todo:
                 done.add(name)
                 for taken in self._takeable(*self._named[name]):
-                    step = microstep(found, *self._named[name], taken)
-                    target = self._name_of(step.active, step.memory)
-                    transitions.append((taken[0], self._transition(name, target, step)))
-                    places.append((name, taken))
-        order = list(range(len(transitions)))
+                    transitions[name, taken] = self.take(name, taken)
+        keys = list(transitions)
         if found.flat:
             # As they were declared: nothing is inside anything.
-            order.sort(key=lambda i: transitions[i][0])
-        ordered = tuple(transitions[i][1] for i in order)
+            keys.sort(key=lambda key: key[1])
+        ordered = tuple(transitions[key] for key in keys)
         nodes = found.nodes
         return FlatRegion(
             self._name,
@@ -116,8 +116,22 @@ class _Flattening:
             self._nesting(initial, ordered),
             found,
             self._named,
-            {places[i]: place for place, i in enumerate(order)},
+            {
+                name: tuple(
+                    Trigger(place, arrow.declared, self._guard(place))
+                    for place in self._ranks
+                    if (arrow := found.arrows[place]).source in active
+                )
+                for name, (active, _) in self._named.items()
+            },
+            self,
+            transitions,
         )
+
+    def take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
+        """Return the transition that takes some arrows together out of a configuration."""
+        step = microstep(self._tree, *self._named[name], taken)
+        return self._transition(name, self._name_of(step.active, step.memory), step)
 
     def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
@@ -144,25 +158,15 @@ class _Flattening:
 
     def _transition(self, source: str, target: str, step: Microstep) -> FlatTransition:
         members = tuple(self._tree.arrows[place].declared for place in step.taken)
-        guard = members[0].guard
         blocks: list[Updates] = []
         for node in step.exits:
             declared = self._tree.nodes[node].declared
             blocks.append(declared.exit if isinstance(declared, BaseState) else {})
         for place, member in zip(step.taken, members, strict=True):
-            clock = self._clocks.get(place)
             updates = dict(member.updates)
             count = self._counts.get(place)
             if count is not None:
                 updates[count] = f"{count} + 1"
-            if member.every is not None:
-                # Multiples of the period: a sum of periods would gather their roundings.
-                guard = f"{TIME} >= {clock} + ({count} + 1)*({member.period})"
-            elif count is not None:
-                # The time has come once, and stays so as long as the source is not left.
-                guard = f"(1 - {count})*({TIME} - {clock} - ({member.period})) >= {count}"
-            elif clock is not None:
-                guard = f"{TIME} >= {clock} + ({member.period})"
             blocks.append(updates)
         blocks += [self._entered(node, step.memory) for node in step.entries]
         return FlatTransition(
@@ -170,9 +174,26 @@ class _Flattening:
             source,
             target,
             members,
-            guard,
+            self._guard(step.taken[0]),
             tuple(filter(None, blocks)),
         )
+
+    def _guard(self, place: int) -> str | None:
+        """Return the relation that fires an arrow; None where an event does."""
+        declared = self._tree.arrows[place].declared
+        if declared.on is not None:
+            return None
+        clock, count = self._clocks.get(place), self._counts.get(place)
+        if clock is None:
+            return declared.guard
+        if declared.every is not None:
+            # Multiples of the period: a sum of periods would gather their roundings.
+            return f"{TIME} >= {clock} + ({count} + 1)*({declared.period})"
+        over = f"{TIME} >= {clock} + ({declared.period})"
+        if count is not None:
+            # The time has come once, and stays so as long as the source is not left.
+            over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
+        return conjunction((over,) if declared.guard is None else (over, declared.guard))
 
     def _entered(self, node: int, memory: Memory) -> Updates:
         declared = self._tree.nodes[node].declared
@@ -205,13 +226,9 @@ class _Flattening:
 
     def _default(self, history: int) -> Nodes:
         """Return what a history would remember after what is entered without it."""
-        node = self._tree.nodes[history]
-        if node.sort is Sort.SHALLOW:
-            return frozenset((node.initial,))
-        return frozenset((node.initial,)) if self._atomic(node.initial) else frozenset()
-
-    def _atomic(self, node: int) -> bool:
-        return self._tree.nodes[node].sort is Sort.ATOMIC
+        nodes, first = self._tree.nodes, self._tree.remembered_first(history)
+        deep = nodes[history].sort is Sort.DEEP
+        return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
 
     def _joined(self, nodes: Iterable[int]) -> str:
         return "|".join(self._tree.nodes[node].name for node in sorted(nodes))
@@ -232,6 +249,12 @@ class _Flattening:
             edges=tuple(self._drawn()),
             unreached=unreached,
             flows=flows,
+            final=frozenset(n.name for n in nodes if n.final),
+            done={
+                name: tuple(nodes[node].name or self._name for node in done)
+                for name, (active, _) in self._named.items()
+                if (done := self._tree.done(active))
+            },
         )
         if self._tree.flat:
             return flat
@@ -241,18 +264,13 @@ class _Flattening:
                 name: tuple(nodes[leaf].name for leaf in leaves(self._tree, active))
                 for name, (active, _) in self._named.items()
             },
-            joint={
-                t.name: tuple(member.name for member in t.members)
-                for t in transitions
-                if len(t.members) > 1
-            },
             initial={n.name: nodes[n.initial].name for n in nodes if n.sort is Sort.COMPOUND},
             parallel=frozenset(n.name for n in nodes if n.sort is Sort.PARALLEL),
             histories={
                 n.name: History(
                     "deep" if n.sort is Sort.DEEP else "shallow",
                     nodes[n.parent].name,
-                    nodes[n.initial].name,
+                    nodes[n.initial if n.initial >= 0 else n.parent].name,
                 )
                 for n in nodes
                 if n.sort in HISTORIES
@@ -285,7 +303,9 @@ class _Flattening:
                 declared.on_zeno,
                 declared.updates,
                 tuple(".".join(filter(None, (e.region, e.cause))) for e in declared.events),
+                declared.guard if declared.events else None,
                 declared.target is None,
+                declared.internal or declared.target is None,
             )
 
     def _too_many(self, what: str) -> DeclarationProblem:
@@ -295,21 +315,6 @@ class _Flattening:
             loc=self._loc,
             key=True,
         )
-
-
-def _inner_first(found: Tree) -> list[int]:
-    """Return the arrows so that those of inner states come first, then as the document has them."""
-    last = {}
-    for node in range(len(found.nodes)):
-        inside = [n for n in range(len(found.nodes)) if found.holds(node, n)]
-        last[node] = max(inside, default=node)
-
-    # After all that it holds, before what follows it: a walk that leaves a node after its children.
-    def rank(place: int) -> tuple[int, int, int]:
-        source = found.arrows[place].source
-        return last[source], -source, place
-
-    return sorted(range(len(found.arrows)), key=rank)
 
 
 Updates = Mapping[str, FiniteText]
@@ -349,6 +354,15 @@ class FlatTransition:
         return ", ".join(f"{name} := {to}" for name, to in updates if name not in apart)
 
 
+class Trigger(NamedTuple):
+    """An arrow out of a configuration, and what fires it."""
+
+    place: int  # among the arrows of the region
+    declared: Transition
+    # The relation that fires it; None where events do, at which its own guard must hold.
+    guard: str | None
+
+
 class Shared(NamedTuple):
     """A variable that two states both give a flow or value."""
 
@@ -377,7 +391,10 @@ class FlatRegion:
     nesting: Nesting  # what else was declared of the hierarchy
     _tree: Tree
     _configurations: Mapping[str, tuple[Nodes, Memory]]
-    _places: Mapping[tuple[str, tuple[int, ...]], int]
+    # Configuration -> arrows out of it, those of inner states first.
+    triggers: Mapping[str, tuple[Trigger, ...]]
+    _flattening: _Flattening
+    _taken: dict[tuple[str, tuple[int, ...]], FlatTransition]  # guards are combined when needed
 
     @property
     def timers(self) -> tuple[str, ...]:
@@ -418,13 +435,9 @@ class FlatRegion:
         return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
 
     @cached_property
-    def waiting(self) -> Mapping[str, tuple[tuple[int, tuple[Event, ...]], ...]]:
-        """Configuration -> arrows out of it that wait for events of other regions."""
-        heard = [(i, arrow) for i, arrow in enumerate(self._tree.arrows) if arrow.declared.events]
-        return {
-            name: tuple((i, arrow.declared.events) for i, arrow in heard if arrow.source in active)
-            for name, (active, _) in self._configurations.items()
-        }
+    def done(self) -> tuple[str, ...]:
+        """The states that can be done, and the region itself if it can."""
+        return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
     def shared(self, given: Callable[[BaseState], Collection[str]]) -> Shared | None:
         """Return what two states that are active side by side both give, the first of it."""
@@ -439,10 +452,20 @@ class FlatRegion:
                 owners[what].append(index)
         return None
 
-    def answer(self, state: str, enabled: Collection[int]) -> int:
-        """Return the place of the transition taken where an event enables some arrows."""
-        active, memory = self._configurations[state]
-        return self._places[state, selected(self._tree, active, memory, enabled)]
+    def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
+        """Return the transition that is taken where some arrows are enabled at once."""
+        key = state, selected(self._tree, *self._configurations[state], enabled)
+        if key not in self._taken:
+            self._taken[key] = self._flattening.take(*key)
+        return self._taken[key]
+
+
+def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
+    """Return the events of regions by their owners: transitions of regions, and states done."""
+    found = {name: region.causes for name, region in regions.items()}
+    for owner in chain.from_iterable(region.done for region in regions.values()):
+        found[owner] = (*found.get(owner, ()), DONE)
+    return found
 
 
 def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:

@@ -8,13 +8,14 @@ Where the margin stays at zero the relation itself decides, so that ``n >= 3`` f
 ``n > 3`` does not. A guard of several atoms that a flow came to fires also where it is true at that
 very instant and no longer, as ``abs(x) <= 0``.
 
-A transition on an event fires at the instant of the event. A region hears the events of an instant
-one by one in their order, before its guards are judged; one that its state does not wait for has
-passed.
+A transition on an event fires at the instant of the event, where its guard holds at that instant.
+A region hears the events of an instant one by one in their order, before its guards are judged; one
+that its state does not wait for has passed. Several states entered in one jump are several events.
 
 Transitions due at one instant are taken one after another, each judged by the state that those
 before it left: regions in their order, in a region those of inner states first, then the first one
-declared. What one event fires in the regions inside a state is taken together.
+declared. What one event fires in the regions inside a state is taken together, and so is what
+guards fire there at one instant (SCXML's microstep).
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -31,7 +33,7 @@ import sympy as sp
 from statechart.arrays import EPS, Array, Bools
 from statechart.automaton.laws import Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
-from statechart.automaton.regions import Claim, Edge, Margin, Region, happened, margins_of
+from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flatten import FlatRegion, FlatTransition
 from statechart.formulas.condition import Active
@@ -139,13 +141,28 @@ class GuardWatch:
         ]
         return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
 
-    def early(self, rows: Array, place: int, transition: int, fired: Collection[str]) -> str:
+    def holding(self, rows: Array, relative: float, active: Active) -> set[tuple[int, int]]:
+        """Return place and trigger of the guards that hold at an instant.
+
+        On the boundary, within `relative` to the terms, `<=` and `>=` hold, `<` and `>` do not.
+        """
+        bounds = np.array([*self.tolerances(rows, relative).values()])
+        atoms: list[bool] = (rows[:, 0] <= np.where(self.closed, bounds, -bounds)).tolist()
+        return {
+            (guard.place, guard.trigger)
+            for guard, condition, first in zip(
+                self.guards, self.conditions, self.firsts, strict=True
+            )
+            if condition.truth(atoms[first : first + len(condition.atoms)].__getitem__, active)
+        }
+
+    def early(self, rows: Array, due: Collection[tuple[int, int]], fired: Collection[str]) -> str:
         """Say that a transition is taken before its guard is true, and not by rounding.
 
         Two that follow each other within the tolerance are taken at once, with nothing in between.
         """
         for guard, condition, first in zip(self.guards, self.conditions, self.firsts, strict=True):
-            if (guard.place, guard.transition) != (place, transition) or not condition.single:
+            if (guard.place, guard.trigger) not in due or not condition.single:
                 continue
             margin, size = rows[first, 0], rows[first, 3]
             if guard.name not in fired and margin > _ZERO_MARGIN * size:
@@ -210,13 +227,13 @@ class Judgement:
         self._atoms: dict[int, bool | None] = {}
         self._rests = {k for k, still in enumerate(watch.still) if still}
 
-    def due(self) -> dict[int, int]:
-        """Return place -> the first transition whose guard is true."""
-        found: dict[int, int] = {}
-        for k, guard in enumerate(self._watch.guards):
-            if guard.place not in found and (self._truth(k) or self._touched(k)):
-                found[guard.place] = guard.transition
-        return found
+    def due(self) -> set[tuple[int, int]]:
+        """Return place and trigger of the guards that are true."""
+        return {
+            (guard.place, guard.trigger)
+            for k, guard in enumerate(self._watch.guards)
+            if self._truth(k) or self._touched(k)
+        }
 
     def watched(self) -> Mapping[str, float]:
         """Return the tolerances of a flow that goes on: only atoms of certificates are watched.
@@ -303,71 +320,82 @@ class Guard:
     place: int  # of its region among those that are watched
     name: str  # region and transition
     relation: Relation
-    transition: int  # place of its transition in the flattened region
+    trigger: int  # place of its `Trigger` in the region
 
 
-@dataclass(frozen=True, eq=False)
-class Firing:
-    """A transition that is due: its place and that of its region, and what is left to be heard."""
+class Firing(NamedTuple):
+    """A transition that is taken, the place of its region, and what is left to be heard."""
 
     place: int
-    transition: int
-    pending: Mapping[str, tuple[Jump, ...]]
+    taken: FlatTransition
+    pending: Mapping[str, tuple[Raised, ...]]
+    due: frozenset[tuple[int, int]]  # guards that fired it, as `Judgement.due` has them
 
 
-def guards(place: int, name: str, transitions: Sequence[FlatTransition], state: str) -> list[Guard]:
-    """Return the guards out of `state`, with names that differ."""
-    found = [
-        (index, transition, parse_relation(transition.guard))
-        for index, transition in enumerate(transitions)
-        if transition.source == state and transition.guard is not None
-    ]
-    names = [transition.name for _, transition, _ in found]
+def guards(place: int, region: FlatRegion, state: str) -> list[Guard]:
+    """Return the guards that fire transitions out of `state`, with names that differ."""
+    found = [(t, t.guard) for t in region.triggers[state] if t.guard is not None]
+    names = [trigger.declared.name for trigger, _ in found]
     return [
         Guard(
             place,
-            f"{name}.{transition.name}"
-            + (f" to {transition.target}" if names.count(transition.name) > 1 else ""),
-            relation,
-            index,
+            f"{region.name}.{trigger.declared.name}"
+            + (
+                f" to {region.answer(state, (trigger.place,)).target}"
+                if names.count(trigger.declared.name) > 1
+                else ""
+            ),
+            parse_relation(guard),
+            trigger.place,
         )
-        for index, transition, relation in found
+        for trigger, guard in found
+    ]
+
+
+def guards_at_events(place: int, region: FlatRegion, state: str) -> list[Guard]:
+    """Return the guards out of `state` that must hold where an event fires their transitions."""
+    return [
+        Guard(place, t.declared.name, parse_relation(t.declared.guard), t.place)
+        for t in region.triggers[state]
+        if t.declared.events and t.declared.guard is not None
     ]
 
 
 def guard_margins(
-    name: str, declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
+    declared: FlatRegion, state: str, known: Mapping[str, sp.Expr]
 ) -> tuple[Margin, ...]:
     """Return the margins of the guards out of `state`, one for each atom."""
     return tuple(
         margin
-        for guard in guards(0, name, declared.transitions, state)
+        for guard in guards(0, declared, state)
         for margin in margins_of(guard.name, guard.relation, known)[1]
     )
 
 
-def guard_claims(name: str, declared: FlatRegion, state: str) -> tuple[Claim, ...]:
+def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
     """Return that no guard out of `state` holds while it is active."""
     return tuple(
         Claim(guard.name, (guard.relation.text,), holds=False)
-        for guard in guards(0, name, declared.transitions, state)
+        for guard in guards(0, declared, state)
     )
 
 
-def considered(region: Region) -> tuple[dict[str, str], ...]:
-    """Return, for each transition of a region that is taken, what else could have been, and why."""
+def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
+    """Return what else than a transition could have been taken, and why not, of a region."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
         leaving.setdefault(edge.source, []).append(edge)
-    return tuple(
-        {
-            f"{other.cause}->{other.target}": "taken"
-            if other is edge
-            else f"not due, or declared later: {other.guard}"
-            for other in leaving[edge.source]
+
+    @cache
+    def of(taken: FlatTransition) -> Mapping[str, str]:
+        label = f"{taken.name}->{taken.target}"
+        others = {
+            f"{other.cause}->{other.target}": f"not due, or declared later: {other.guard}"
+            for other in leaving.get(taken.source, ())
         }
-        for edge in region.edges
-    )
+        return others | {label: "taken"}
+
+    return of
 
 
 class Listening:
@@ -376,43 +404,62 @@ class Listening:
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
         self._regions = regions
         self._waiting = {
-            name: region for name, region in declared.items() if any(region.waiting.values())
+            name: region
+            for name, region in declared.items()
+            if any(one.declared.events for found in region.triggers.values() for one in found)
         }
 
     def heard(
-        self, pending: Mapping[str, tuple[Jump, ...]], jump: Jump
-    ) -> dict[str, tuple[Jump, ...]]:
-        """Return what is pending once `jump` has happened; a region does not hear itself."""
-        return {
-            name: (*pending.get(name, ()), *((jump,) if name != jump.region else ()))
-            for name in self._waiting
-        }
+        self, pending: Mapping[str, tuple[Raised, ...]], jump: Jump
+    ) -> dict[str, tuple[Raised, ...]]:
+        """Return what is pending once `jump` has happened; a region hears its own ends alone."""
+        if not self._waiting:
+            return {}
+        new = raised(self._regions, jump)
+        return {name: (*pending.get(name, ()), *new) for name in self._waiting}
 
     def waits(self, names: Sequence[str], mode: Key) -> bool:
         """Tell whether some of the regions wait for an event in their states."""
-        asked = zip(names, mode, strict=True)
-        return any(n in self._waiting and self._waiting[n].waiting[state] for n, state in asked)
+        return any(
+            trigger.declared.events
+            for name, state in zip(names, mode, strict=True)
+            if name in self._waiting
+            for trigger in self._waiting[name].triggers[state]
+        )
 
     def first(
         self,
-        names: Sequence[str],
+        declared: Mapping[str, FlatRegion],
         mode: Key,
-        pending: Mapping[str, tuple[Jump, ...]],
-        guarded: Mapping[int, int],
+        pending: Mapping[str, tuple[Raised, ...]],
+        guarded: Collection[tuple[int, int]],
+        holding: Callable[[], Collection[tuple[int, int]]],
     ) -> Firing | None:
-        """Return the transition to take."""
-        for place, (name, state) in enumerate(zip(names, mode, strict=True)):
+        """Return the transition to take.
+
+        `guarded` are the guards that are due; `holding` returns those at events that hold.
+        """
+        for place, ((name, region), state) in enumerate(zip(declared.items(), mode, strict=True)):
             queue = pending.get(name, ())
-            for k, jump in enumerate(queue):
+            for k, event in enumerate(queue):
                 enabled = [
-                    arrow
-                    for arrow, events in self._waiting[name].waiting[state]
-                    if any(happened(self._regions, jump, event) for event in events)
+                    trigger
+                    for trigger in region.triggers[state]
+                    if any(event.answers(e, name, region.done) for e in trigger.declared.events)
                 ]
+                if any(trigger.declared.guard is not None for trigger in enabled):
+                    true = holding()
+                    enabled = [
+                        trigger
+                        for trigger in enabled
+                        if trigger.declared.guard is None or (place, trigger.place) in true
+                    ]
                 if enabled:
-                    transition = self._waiting[name].answer(state, enabled)
-                    return Firing(place, transition, {**pending, name: queue[k + 1 :]})
-            if place in guarded:
-                left = {**pending, name: ()} if queue else pending
-                return Firing(place, guarded[place], left)
+                    taken = region.answer(state, [trigger.place for trigger in enabled])
+                    left = {**pending, name: queue[k + 1 :]}
+                    return Firing(place, taken, left, frozenset())
+            due = frozenset(one for one in guarded if one[0] == place)
+            if due:
+                taken = region.answer(state, [trigger for _, trigger in due])
+                return Firing(place, taken, {**pending, name: ()} if queue else pending, due)
         return None

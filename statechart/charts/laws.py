@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -26,10 +26,11 @@ from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
 from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
-from statechart.automaton.trace import Arc, Jump, Role, Roles
+from statechart.automaton.switches import explicit_rates
+from statechart.automaton.trace import Arc, Jump, Key, Role, Roles
 from statechart.charts.chart import Chart
 from statechart.charts.chart import State as DeclaredState
-from statechart.charts.flatten import FlatRegion, Updates
+from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
     GuardWatch,
@@ -39,6 +40,7 @@ from statechart.charts.guard_watch import (
     guard_claims,
     guard_margins,
     guards,
+    guards_at_events,
 )
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
@@ -70,7 +72,8 @@ def automaton(chart: Chart) -> Automaton:
         setup=symbols.setup,
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
-        components=cache(partial(components, chart, automaton)),
+        switching=chart.switching,
+        components=tuple if chart.switching else cache(partial(components, chart, automaton)),
     )
 
 
@@ -116,7 +119,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
                 symbols.rates[variable] - parse(flow).to_sympy(symbols.known)
                 for variable, flow in flat.flows(state).items()
             ),
-            guard_margins(name, flat, state, symbols.known),
+            guard_margins(flat, state, symbols.known),
             tuple(
                 Invariant(f"{name}.{label}", text, symbols.known)
                 for content in flat.states[state]
@@ -135,7 +138,7 @@ def _region(name: str, flat: FlatRegion, symbols: _Symbols) -> Region:
         flat.edges,
         flat.superstates,
         nesting=flat.nesting,
-        claims=partial(guard_claims, name, flat),
+        claims=partial(guard_claims, flat),
     )
 
 
@@ -151,6 +154,7 @@ class ChartLaws:
         self._regions = tuple(chart.regions)
         self._flat = chart.flat
         self._watches: dict[Roles, GuardWatch] = {}
+        self._at_events: dict[Key, GuardWatch] = {}
         self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
@@ -163,10 +167,10 @@ class ChartLaws:
         self._active = partial(active_in, regions)
 
     @cached_property
-    def _zeno(self) -> tuple[Mapping[str, int], ...]:
-        """Per region: state -> place of its transition on: zeno; the first of several."""
+    def _zeno(self) -> tuple[Mapping[str, FlatTransition], ...]:
+        """Per region: state -> its transition on: zeno; the first of several."""
         return tuple(
-            {t.source: i for i, t in reversed(list(enumerate(region.transitions))) if t.on_zeno}
+            {t.source: t for t in reversed(region.transitions) if t.on_zeno}
             for region in self._flat.values()
         )
 
@@ -189,39 +193,41 @@ class ChartLaws:
         if fired == ("zeno",):
             name = min(flow.held, key=lambda name: between(clock, flow.held[name]))
             place = self._regions.index(name)
-            index = self._zeno[place][flow.mode[place]]
+            taken = self._zeno[place][flow.mode[place]]
         else:
-            watch = self._watch(flow.roles)
+            watch = self._watch(setup, flow)
             sizes = _summed(flow, state)
+            active = self._active(flow.mode)
+
+            def holding() -> Collection[tuple[int, int]]:
+                conditions = self._conditions(flow.mode)
+                found = conditions.at(setup, state, sizes, clock.high)
+                return conditions.holding(found, setup.precision, active)
 
             def later(margin: str) -> float:
                 return self._derivatives.sign(
-                    setup, flow.roles, margin, state, sizes, clock.high, setup.precision
+                    setup, flow.moving, margin, state, sizes, clock.high, setup.precision
                 )
 
             rows = watch.at(setup, state, sizes, clock.high)
-            judged = Judgement(
-                watch, rows, flow.tolerances, fired, setup.precision, later, self._active(flow.mode)
-            )
-            firing = self._listening.first(self._regions, flow.mode, pending, judged.due())
+            judged = Judgement(watch, rows, flow.tolerances, fired, setup.precision, later, active)
+            firing = self._listening.first(self._flat, flow.mode, pending, judged.due(), holding)
             if firing is None:
                 tolerances = judged.watched()
                 if tolerances == flow.tolerances:
                     return None
                 return None, flow._replace(tolerances=tolerances)
-            place, index, pending = firing.place, firing.transition, firing.pending
+            place, taken, pending, _ = firing
         name = self._regions[place]
-        transitions = self._flat[name].transitions
         sizes = _summed(flow, state)
-        taken = transitions[index]
         after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         if taken.source == taken.target and (after == state).all():
             limit = self._zeno[place].get(taken.source)
             if limit is not None:
-                index, taken = limit, transitions[limit]
+                taken = limit
                 after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         target = (*flow.mode[:place], taken.target, *flow.mode[place + 1 :])
-        considered = self._considered[place][index]
+        considered = self._considered[place](taken)
         jump = at.jump(name, taken.name, target, after, considered=considered)
         held = {region: end for region, end in flow.held.items() if region != name}
         following = flow._replace(
@@ -233,6 +239,7 @@ class ChartLaws:
             held=held,
             summed=summed,
             pending=self._listening.heard(pending, jump),
+            signs=(),
         )
         return jump, self._with_tolerances(setup, clock, following, after)
 
@@ -275,16 +282,16 @@ class ChartLaws:
         return ()
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
-        watch = self._watch(flow.roles)
+        watch = self._watch(setup, flow)
         rows = watch.at(setup, state, _state_sizes(flow, state), clock.high)
         if (name := watch.valueless(rows)) is not None:
             raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
 
-    def _watch(self, roles: Roles) -> GuardWatch:
+    def _watch(self, setup: Setup, flow: Flow) -> GuardWatch:
         """Return the guards of a mode; regions that are held have none."""
+        roles = flow.moving
         if roles not in self._watches:
-            known, variables = self._symbols.known, self._symbols.variables
             watched: list[Guard] = []
             rates: dict[sp.Symbol, sp.Expr] = {}
             for place, state in enumerate(moving_mode(roles)):
@@ -292,28 +299,45 @@ class ChartLaws:
                     guards_out, flows = self._leaving(place, state)
                     watched += guards_out
                     rates |= flows
-            self._watches[roles] = GuardWatch(
-                watched,
-                known,
-                rates,
-                inputs=tuple(variables.values()),
-                parameters=self._symbols.parameters.ordered,
-                time=self._symbols.time,
-                timers=self._symbols.timers,
-            )
+            if flow.signs and setup.modes is not None:
+                variables = self._symbols.variables.values()
+                own = zip(variables, explicit_rates(setup.modes(roles)), strict=True)
+                rates = {v: rate for v, rate in own if v in rates}
+            self._watches[roles] = self._watched(watched, rates)
         return self._watches[roles]
+
+    def _conditions(self, mode: Key) -> GuardWatch:
+        """Return the guards of a mode that are judged at events."""
+        if mode not in self._at_events:
+            regions = enumerate(zip(self._flat.values(), mode, strict=True))
+            found = [
+                g for k, (region, state) in regions for g in guards_at_events(k, region, state)
+            ]
+            self._at_events[mode] = self._watched(found, {})
+        return self._at_events[mode]
+
+    def _watched(self, guards: Sequence[Guard], rates: Mapping[sp.Symbol, sp.Expr]) -> GuardWatch:
+        return GuardWatch(
+            guards,
+            self._symbols.known,
+            rates,
+            inputs=tuple(self._symbols.variables.values()),
+            parameters=self._symbols.parameters.ordered,
+            time=self._symbols.time,
+            timers=self._symbols.timers,
+        )
 
     def _leaving(self, place: int, state: str) -> tuple[list[Guard], dict[sp.Symbol, sp.Expr]]:
         """Return the guards out of a state of a region, and the rates of variables in it."""
         found = self._of_states.get((place, state))
         if found is None:
-            name, region = self._regions[place], self._flat[self._regions[place]]
+            region = self._flat[self._regions[place]]
             known, variables = self._symbols.known, self._symbols.variables
             flows = {
                 variables[variable]: parse(text).to_sympy(known)
                 for variable, text in region.flows(state).items()
             }
-            found = guards(place, name, region.transitions, state), flows
+            found = guards(place, region, state), flows
             self._of_states[place, state] = found
         return found
 

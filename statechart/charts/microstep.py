@@ -4,7 +4,7 @@ Of the transitions that are enabled every innermost state takes the first one of
 of what holds it; of two that would leave the same states the inner one is taken, or else the one
 of the state that comes first in the document. What is taken leaves its source and all up to the
 innermost compound state that holds source and target, inner states first, and enters the states
-on the way to its target, outer states first.
+on the way to its target, outer states first. An internal transition leaves what is in its source.
 """
 
 from __future__ import annotations
@@ -106,6 +106,8 @@ def _exit_set(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
 def _domain(tree: Tree, memory: Memory, place: int) -> int:
     """Return the innermost compound state that holds source and targets of an arrow."""
     arrow = tree.arrows[place]
+    if arrow.declared.internal:
+        return arrow.source
     ends = _effective_targets(tree, memory, arrow.target)
     return next(
         node
@@ -119,7 +121,7 @@ def _effective_targets(tree: Tree, memory: Memory, target: int) -> Nodes:
     node = tree.nodes[target]
     if node.sort not in HISTORIES:
         return frozenset((target,))
-    return memory.get(target, frozenset((node.initial,)))
+    return memory.get(target, tree.remembered_first(target))
 
 
 def _descend(tree: Tree, state: int, found: set[int], memory: Memory) -> None:

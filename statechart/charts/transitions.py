@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 
 from statechart.documents.fields import (
     FiniteText,
@@ -49,12 +49,18 @@ class Transition(Part):
     )
     guard: RelationText | None = Field(
         default=None,
-        description="Relation; the transition fires when it becomes true.",
+        description=(
+            "Relation; the transition fires when it becomes true. Beside `on` it must hold at the "
+            "event, beside `after` the transition fires once the time is over and it holds."
+        ),
         examples=["leg.dlength >= 0"],
     )
     on: EventText | None = Field(
         default=None,
-        description="Event of another region at which the transition fires.",
+        description=(
+            "Event of another region at which the transition fires, or STATE.done of a state that "
+            "holds `from`."
+        ),
         examples=["foot.touchdown"],
     )
     after: FormulaText | None = Field(
@@ -68,6 +74,11 @@ class Transition(Part):
         description="Period after entering the source with which the transition fires.",
         examples=["T"],
         json_schema_extra=unit("time"),
+    )
+    internal: StrictBool = Field(
+        default=False,
+        description="Whether the source, which holds the target, is neither left nor entered.",
+        examples=[True],
     )
     updates: dict[str, FiniteText] = Field(
         default={},
@@ -94,17 +105,23 @@ class Transition(Part):
     @property
     def trigger(self) -> str:
         """Its trigger, in words."""
+        condition = f" [{self.guard}]" if self.guard is not None else ""
         if self.period is not None:
-            return f"{'after' if self.every is None else 'every'} {self.period}"
-        return self.guard or ("jumps accumulate" if self.on_zeno else f"on {self.on}")
+            return f"{'after' if self.every is None else 'every'} {self.period}{condition}"
+        if self.on is not None:
+            return "jumps accumulate" if self.on_zeno else f"on {self.on}{condition}"
+        return self.guard or ""
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:
-        triggers = (self.guard, self.on, self.after, self.every)
-        if sum(trigger is not None for trigger in triggers) != 1:
+        triggers = (self.on, self.after, self.every)
+        count = sum(trigger is not None for trigger in triggers)
+        alone = self.every is not None or self.on_zeno
+        if count > 1 or (alone if self.guard is not None else count == 0):
             raise DeclarationProblem(
                 f"transition {self.name!r} needs one of guard, on, after, every",
-                advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD",
+                advice="write guard: x <= 0, on: region.event, after: DURATION or every: PERIOD; "
+                "beside on: region.event and after there may be a guard",
             )
         return self
 
@@ -143,6 +160,14 @@ class BaseState(Part):
         ),
         examples=["shallow"],
     )
+    final: StrictBool = Field(
+        default=False,
+        description=(
+            "Whether the state that holds it is done with it: entering it makes the event "
+            "STATE.done, of a state with regions once all of them are done."
+        ),
+        examples=[True],
+    )
     entry: dict[str, FiniteText] = Field(
         default={},
         description="Values of variables when the state is entered.",
@@ -168,6 +193,8 @@ class BaseState(Part):
 
 class BaseRegion(Part):
     """States of which exactly one is active, and the transitions between them."""
+
+    OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
 
     initial: str = Field(description="State at the start.", examples=["flight"])
     states: Mapping[str, BaseState] = Field(
@@ -273,8 +300,8 @@ def check_listening(
 ) -> None:
     """Check that transitions of a region wait for events that exist, of other regions.
 
-    `alone` are words that `on` may be besides. Raises `DeclarationProblem` at the first that does
-    not.
+    `alone` are words that `on` may be besides; `causes` has the states that may be done, too.
+    Raises `DeclarationProblem` at the first that does not.
     """
     others = {name: found for name, found in causes.items() if name != region}
     for transition, at in transitions:
@@ -285,7 +312,7 @@ def check_listening(
             if event.region == region:
                 raise DeclarationProblem(
                     f"{region!r} waits for an event of its own",
-                    advice="a transition fires on events of other regions",
+                    advice="a transition fires on events of other regions, or on STATE.done",
                     loc=loc,
                 )
             # A word alone belongs to no region: none has the name "".

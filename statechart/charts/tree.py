@@ -8,7 +8,7 @@ numbered in document order, so that outer ones come before inner ones.
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -49,9 +49,14 @@ class Node:
     children: tuple[int, ...]  # what it holds, histories besides
     histories: tuple[int, ...]  # those of its states
     # Default entry; the one of a history is for an empty memory.
-    # -1 where there is no choice.
+    # -1 where there is no choice: a history of regions enters all of them.
     initial: int
     declared: Holder
+
+    @property
+    def final(self) -> bool:
+        """True if what holds it is done with it."""
+        return isinstance(self.declared, BaseState) and self.declared.final
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +97,35 @@ class Tree:
         """Return the innermost node that holds both, or that is one of them and holds the other."""
         path = (one, *self.above[one])
         return next(node for node in (other, *self.above[other]) if node in path)
+
+    def remembered_first(self, history: int) -> frozenset[int]:
+        """Return what a history stands for as long as nothing is remembered."""
+        node = self.nodes[history]
+        return frozenset((node.initial,) if node.initial >= 0 else self.nodes[node.parent].children)
+
+    def done(self, active: Collection[int]) -> tuple[int, ...]:
+        """Return what has reached its end in a configuration, inner nodes first."""
+        found: list[int] = []
+        for index in self.inner_first:
+            node = self.nodes[index]
+            if index not in active and index != ROOT:
+                continue
+            if (
+                node.children and all(child in found for child in node.children)
+                if node.sort is Sort.PARALLEL
+                else any(child in active and self.nodes[child].final for child in node.children)
+            ):
+                found.append(index)
+        return tuple(found)
+
+    @cached_property
+    def inner_first(self) -> tuple[int, ...]:
+        """The nodes, each after all that it holds and before what follows it."""
+        last = list(range(len(self.nodes)))
+        for index in reversed(range(1, len(self.nodes))):
+            parent = self.nodes[index].parent
+            last[parent] = max(last[parent], last[index])
+        return tuple(sorted(range(len(self.nodes)), key=lambda node: (last[node], -node)))
 
     def beside(self, one: int, other: int) -> bool:
         """Tell whether two nodes are in different regions of a state, active side by side."""
@@ -176,21 +210,33 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
                 key=True,
             )
         return
-    if state.states and state.regions:
+    if state.final:
+        said = sorted(
+            key for key in ("states", "regions", "transitions", "initial") if getattr(state, key)
+        )
+        if said:
+            raise DeclarationProblem(
+                f"{name!r} is final, and holds no states: it has no {said[0]!r}",
+                advice="leave final out, or give it a final state among others",
+                loc=(*at, said[0]),
+                key=True,
+            )
+        return
+    if state.regions and any(inner.history is None for inner in state.states.values()):
         raise DeclarationProblem(
             f"{name!r} has states and regions",
-            advice="put the states into a region of their own",
+            advice="put the states into a region of their own; only histories stand beside regions",
             loc=(*at, "regions"),
             key=True,
         )
-    if state.states and state.initial is None:
+    if state.states and not state.regions and state.initial is None:
         raise DeclarationProblem(
             f"{name!r} holds states and does not say with which it begins",
             advice=f"write initial: {next(iter(state.states))}",
             loc=at,
             key=True,
         )
-    if not state.states and state.initial is not None:
+    if (state.regions or not state.states) and state.initial is not None:
         raise DeclarationProblem(
             f"{name!r} holds no states of its own to begin with",
             advice="write it in its regions" if state.regions else "write states, or leave it out",
@@ -205,6 +251,8 @@ def _with_initial(bare: Tree, index: int, places: Mapping[str, int], at: Loc) ->
         return node
     holder = node.parent if node.sort in HISTORIES else index
     initial = node.declared.initial
+    if initial is None and bare.nodes[holder].sort is Sort.PARALLEL:
+        return node
     if initial is None:
         found = places[str(bare.nodes[holder].declared.initial)]
     else:
@@ -247,15 +295,30 @@ def _arrow(
             advice="let it leave the state that holds it",
             loc=(*at, "from"),
         )
+    if bare.nodes[source].final:
+        raise DeclarationProblem(
+            f"{declared.source!r} is final, and nothing leaves it",
+            advice="let it leave the state that holds it, with on: STATE.done",
+            loc=(*at, "from"),
+        )
     if scope not in (source, *bare.above[source]):
         raise DeclarationProblem(
             f"{declared.source!r} is not in {bare.nodes[scope].name!r}",
             advice="declare a transition where its source is, or further out",
             loc=(*at, "from"),
         )
-    if declared.target is None:
+    target = -1 if declared.target is None else places[declared.target]
+    inside = target >= 0 and bare.holds(source, target)
+    if declared.internal and not (inside and bare.nodes[source].sort is Sort.COMPOUND):
+        raise DeclarationProblem(
+            f"{declared.name!r} is internal, and leads to no state in {declared.source!r}",
+            advice="write from: a state with states, and to: one of these; without `to` nothing is "
+            "left, either",
+            loc=(*at, "internal"),
+            key=True,
+        )
+    if target < 0:
         return Arrow(declared, source, -1)
-    target = places[declared.target]
     if bare.beside(source, target):
         meet = bare.common(source, target)
         raise DeclarationProblem(
@@ -272,7 +335,7 @@ def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
     """Check that transitions can be told apart, and that none is always preceded by another."""
     named: set[tuple[str, int, int]] = set()
     timed: set[str] = set()
-    taken: dict[tuple[int, str], str] = {}
+    taken: dict[tuple[int, str, str | None], str] = {}
     for arrow, at in zip(arrows, locs, strict=True):
         declared = arrow.declared
         key = (declared.name, arrow.source, arrow.target)
@@ -292,13 +355,19 @@ def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
                     loc=(*at, "name"),
                 )
             timed.add(declared.name)
-        triggers = [(arrow.source, f"on {e.region}.{e.cause}") for e in declared.events]
-        triggers = triggers or [(arrow.source, declared.trigger)]
-        if all(trigger in taken for trigger in triggers):
+        words = [f"on {e.region}.{e.cause}" for e in declared.events] or [declared.trigger]
+        # An event is taken whatever the guard of a later transition says.
+        guard = declared.guard if declared.events else None
+        first = [
+            taken.get((arrow.source, word, None)) or taken.get((arrow.source, word, guard))
+            for word in words
+        ]
+        if all(first):
             raise DeclarationProblem(
-                f"{declared.name!r} never fires: {taken[triggers[0]]!r}, declared before it, is "
+                f"{declared.name!r} never fires: {first[0]!r}, declared before it, is "
                 f"taken from {declared.source!r} whenever it could be ({declared.trigger})",
                 advice="let guards or events of the two differ, or leave one out",
                 loc=(*at, "name"),
             )
-        taken = dict.fromkeys(triggers, declared.name) | taken
+        keys = ((arrow.source, word, guard) for word in words)
+        taken = dict.fromkeys(keys, declared.name) | taken

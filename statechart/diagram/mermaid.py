@@ -76,7 +76,7 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
         f"{states[source]} --> {states[target]}{_label(links, guards)}"
         for (source, target), links in arrows.items()
     ]
-    return [*lines, *(f"{states[node.name]} --> [*]" for node in chart.nodes if node.final)]
+    return lines
 
 
 def _inside(outer: str | None, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
@@ -84,11 +84,16 @@ def _inside(outer: str | None, chart: Chart, states: dict[str, str], guards: Gua
     inner = chart.within(outer)
     parts = [_state(node, chart, states, guards) for node in inner]
     if outer is not None and chart.node(outer).parallel:
-        return [line for part in parts for line in ("--", *part)][1:]
+        # Histories would be regions of their own.
+        both = list(zip(inner, parts, strict=True))
+        lines = [line for node, part in both if node.history for line in part]
+        regions = [part for node, part in both if not node.history]
+        return lines + [line for part in regions for line in ("--", *part)][1:]
     first = () if chart.initial is None else (chart.initial.name, *chart.around(chart.initial.name))
     starts = [n for n in inner if n.name in first] or [n for n in inner if n.default]
     lines = [line for part in parts for line in part]
-    return [*lines, *(f"[*] --> {states[node.name]}" for node in starts)]
+    lines += [f"[*] --> {states[node.name]}" for node in starts]
+    return [*lines, *(f"{states[node.name]} --> [*]" for node in inner if node.final)]
 
 
 def _state(node: Node, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:

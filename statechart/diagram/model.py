@@ -32,7 +32,8 @@ class Node:
     state in which the enclosing one begins. The states inside a `parallel` one are its regions.
     `invariants` hold while the state is active; `actions` are its ``entry /``, ``exit /`` and
     rates. `visits` counts how often a run entered it (None: no run is shown), `infeasible` is why
-    no motion can be in it. `colours` belong to the lines of the label, a single one to the box.
+    no motion can be in it. With a `final` state the enclosing one is done; a `history` is only a
+    target. `colours` belong to the lines of the label, a single one to the box.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Node:
     default: bool = False
     parallel: bool = False
     actions: tuple[str, ...] = ()
+    history: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ class Link:
     """A transition between two nodes: its cause, such as ``touchdown``, its guard and reset.
 
     `visits` counts how often a run took it; `region` says whose transition it is, where the chart
-    is of several regions.
+    is of several regions. An `internal` one does not leave its source.
     """
 
     source: str
@@ -64,6 +66,7 @@ class Link:
     reset: str
     visits: int | None = None
     region: str = ""
+    internal: bool = False
 
     @property
     def event(self) -> str:

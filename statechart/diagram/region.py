@@ -66,22 +66,26 @@ def region_chart(
             default=name in begins and name != nesting.initial[""],
             parallel=name in nesting.parallel,
             actions=_actions(region, name),
+            final=name in nesting.final,
         )
 
     def history(name: str) -> Node:
-        """Return a history as Harel draws it."""
+        """Return a history, a circle in Harel's statecharts and UML."""
         declared = nesting.histories[name]
         inside = prefix + declared.parent if declared.parent in frames else None
         refused = UNREACHED if declared.parent in nesting.unreached else None
         label = "H*" if declared.depth == "deep" else "H"
-        return Node(prefix + name, label, inside, infeasible=refused)
+        return Node(prefix + name, label, inside, infeasible=refused, history=True)
 
     # Enclosing states come before a state, outer first.
     names = (n for s in leaves for n in reversed((s, *_around(region, s))) if n == s or n in frames)
     links = (
-        Link(prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e))
+        Link(
+            prefix + e.source, prefix + e.target, e.cause, e.guard, _reset(region, e),
+            internal=e.internal,
+        )
         for e in edges
-    )
+    )  # fmt: skip
     nodes = (*map(node, dict.fromkeys(names)), *map(history, nesting.histories))
     return Chart(nodes, tuple(links), title)
 

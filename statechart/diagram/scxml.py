@@ -4,15 +4,23 @@ A diagram of a model becomes a machine that others' tools run. SCXML has states,
 and assignments, and no motion: the host sends the events, ``REGION.CAUSE``, with ``.STATE`` behind
 it where the entered state depends on an impact, and sets the variables before. The machine itself
 raises the events that its other transitions wait for: ``REGION.STATE`` when a state is entered, and
-``REGION.CAUSE`` of a transition that such an event fires.
+``REGION.CAUSE`` of a transition that such an event fires. States that are done make
+``done.state.ID``.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
+from itertools import chain
 
-from statechart.automaton.regions import UNREACHED, HierarchicalEdge, Region, hierarchical_edges
+from statechart.automaton.regions import (
+    DONE,
+    UNREACHED,
+    HierarchicalEdge,
+    Region,
+    hierarchical_edges,
+)
 from statechart.diagram.model import Diagram, Machine, named, printable, spell_signs
 from statechart.errors import FormulaError, StatechartError
 from statechart.formulas.formula import Formula, parse
@@ -82,6 +90,11 @@ class _MachineWriter:
             parent = ET.SubElement(self.root, "parallel", {"id": together})
         self._ids: dict[str, dict[str, str]] = {}
         tops = [self._named(region, taken, single=single) for region in machine.regions]
+        self._ends: dict[tuple[str, str], str] = {}  # region, state that can be done -> event
+        for region, top in zip(machine.regions, tops, strict=True):
+            for owner in {*chain.from_iterable(region.nesting.done.values())}:
+                ended = self._ids[region.name].get(owner, top)
+                self._ends[region.name, owner] = f"done.state.{ended}"
         for region, start, top in zip(machine.regions, machine.start, tops, strict=True):
             self._region(parent, region, start, top)
         for name in self._used:
@@ -130,7 +143,9 @@ class _MachineWriter:
         nesting, ids = region.nesting, self._ids[region.name]
         inside = [inner for inner in ids if region.superstates.get(inner) == name]
         parallel = name in nesting.parallel
-        element = ET.SubElement(parent, "parallel" if parallel else "state", {"id": ids[name]})
+        final = name in nesting.final
+        kind = "final" if final else "parallel" if parallel else "state"
+        element = ET.SubElement(parent, kind, {"id": ids[name]})
         element.set("diagram:name", printable(name))
         if name in nesting.unreached:
             element.set("diagram:infeasible", UNREACHED)
@@ -148,7 +163,9 @@ class _MachineWriter:
             if declared.parent == name:
                 memory = {"id": ids[history], "type": declared.depth}
                 kept = ET.SubElement(element, "history", memory)
-                ET.SubElement(kept, "transition", {"target": ids[declared.initial]})
+                whole = declared.initial == name
+                targets = [ids[state] for state in (inside if whole else [declared.initial])]
+                ET.SubElement(kept, "transition", {"target": " ".join(targets)})
         for inner in inside:
             self._state(element, region, inner, leaving)
 
@@ -165,14 +182,18 @@ class _MachineWriter:
             event = f"{what}.{ids[choice.target]}" if several else what
             element = ET.SubElement(parent, "transition", {"event": event})
             if edge.events:
-                element.set("event", " ".join(map(spell_signs, edge.events)))
-            elif (condition := self._relation(edge.guard)) is not None:
+                element.set("event", " ".join(self._heard(region, event) for event in edge.events))
+            if edge.events and edge.condition is None:
+                pass
+            elif (condition := self._relation(edge.condition or edge.guard)) is not None:
                 element.set("cond", condition)
             else:
-                element.set("diagram:guard", printable(edge.guard))
+                element.set("diagram:guard", printable(edge.condition or edge.guard))
                 self._lose("guards, whose events who runs it has to send", what)
-            if not edge.internal:
+            if not edge.static:
                 element.set("target", ids[choice.target])
+                if edge.internal:
+                    element.set("type", "internal")
             if edge.events and what in self._awaited:
                 ET.SubElement(element, "raise", {"event": spell_signs(what)})
             if edge.updates:
@@ -180,6 +201,17 @@ class _MachineWriter:
             elif choice.reset:
                 element.set("diagram:reset", printable(choice.reset))
                 self._lose("what is reset of the motion", what)
+
+    def _heard(self, region: Region, event: str) -> str:
+        """Return an event that a transition waits for, as the machine or its host sends it."""
+        owner, _, cause = event.rpartition(".")
+        if cause == DONE:
+            ends = {name: end for (name, state), end in self._ends.items() if state == owner}
+            if region.name in ends:
+                return ends[region.name]
+            if ends:
+                return " ".join(ends.values())
+        return spell_signs(event)
 
     def _assign(
         self,

@@ -235,14 +235,19 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
         raise problem(error, *loc) from None
 
 
-KINKED = ("abs", "sign", "min", "max")
+KINKED = ("abs", "sign", "min", "max", "sat")
 """Functions without a derivative where they switch."""
 
-PIECES = (
-    "a step does not stop there, and a sign may switch for ever: declare a region with a state for "
-    "each smooth piece, and a transition whose guard is where it switches"
-)
-"""Advice on a kink in time or in the state."""
+
+def switching(
+    text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
+) -> bool:
+    """Return whether one of these functions of any of `variables` stands in a formula."""
+    calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
+    return any(
+        call.function in functions and any(name.name in variables for name in names_in(call))
+        for call in calls
+    )
 
 
 def check_smooth(

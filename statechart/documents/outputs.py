@@ -250,7 +250,7 @@ def check_event(
     """
     if event.region is not None:
         check_member("region", event.region, causes, *loc)
-        known = {*causes[event.region], *states[event.region]}
+        known = {*causes[event.region], *states.get(event.region, ())}
     else:
         known = set().union(*causes.values())
     check_member("cause or state", event.cause, known, *loc)

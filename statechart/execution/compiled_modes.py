@@ -11,9 +11,10 @@ import sympy as sp
 
 from statechart.arrays import Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD, moving_mode, uncaptured
+from statechart.automaton.laws import HELD, moving_mode, of_regions, uncaptured
 from statechart.automaton.modes import ModeReconstruction, build_mode, captured, mode_reconstruction
 from statechart.automaton.regions import Mode, whole_margins
+from statechart.automaton.switches import Switches, switches_of
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
 from statechart.execution.standing import StandingStops
@@ -65,6 +66,7 @@ class SolvedModes:
         self.standing = StandingStops(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
+        self._switches: dict[Mode, Switches | None] = {}
         self._parts: dict[Automaton, SolvedModes] = {}
         self._mentioned: dict[tuple[int, Role], frozenset[int]] = {}
         self._place = {symbol: i for i, symbol in enumerate(automaton.parameters)}
@@ -96,7 +98,11 @@ class SolvedModes:
     def mode(self, roles: Roles, zeros: frozenset[int]) -> Mode:
         """Return the mode of `roles`, solved for zero parameters at the places `zeros`."""
         found = self._modes.get((roles, zeros))
-        if found is None:
+        if found is None and (regions := of_regions(roles)) != roles:
+            switches = self.switches(regions, zeros)
+            assert switches is not None
+            found = self._modes[roles, zeros] = switches.piece(roles[-1].share)
+        elif found is None:
             # Zeros that its equations do not mention call for no mode of its own.
             mentioned = zeros & self._used(roles)
             found = self._modes.get((roles, mentioned))
@@ -110,6 +116,13 @@ class SolvedModes:
                 self._modes[roles, mentioned] = found
             self._modes[roles, zeros] = found
         return found
+
+    def switches(self, roles: Roles, zeros: frozenset[int]) -> Switches | None:
+        """Return the switches of a mode; None where it has none."""
+        mode = self.mode(roles, zeros)
+        if self.automaton.switching and mode not in self._switches:
+            self._switches[mode] = switches_of(self.automaton, mode)
+        return self._switches.get(mode)
 
     def _used(self, roles: Roles) -> frozenset[int]:
         """Return the places of the parameters that the equations of `roles` mention."""
@@ -141,6 +154,7 @@ class CompiledModes:
 
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
+        self.switches = solved.switches
         self.standing = solved.standing
         self.engine = engine
         self.solved = solved

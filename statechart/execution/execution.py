@@ -7,13 +7,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from statechart import interrupts
 from statechart.automaton.clock import Clock, between
 from statechart.automaton.laws import UNBOUNDED, Flow, Instant, Setup
+from statechart.automaton.switches import is_of_switch
 from statechart.automaton.time_stepper import Sample, Sampling, in_order
 from statechart.automaton.trace import Arc, Jump, Key, Outcome, Roles, Trace, check_size
 from statechart.automaton.trace_store import TraceRecorder
@@ -22,6 +23,7 @@ from statechart.errors import EventLoop, NonFinite, SimulationError, StepFailure
 from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
+from statechart.execution.filippov import Filippov
 from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
@@ -83,6 +85,9 @@ class Execution:
         if self.begun is not None:
             self.accumulation.series = self.begun.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
+        self._filippov = Filippov(self.modes) if self.automaton.switching else None
+        self._switched: tuple[Any, ...] = ()  # of the flow under way: see `_switch`
+        self._rooms: dict[str, float] = {}  # tolerances of switches in the flow under way
 
     def run(self) -> Trace:
         """Run to an end; return what was made, also where the run could not go on."""
@@ -253,6 +258,7 @@ class Execution:
     def _flow(self) -> tuple[str, ...]:
         """Flow to the next event; return what fired, or nothing at the end of the run."""
         interrupts.check()
+        self._switch()
         flow = self.flow
         remaining = flow.remaining
         if flow.held:
@@ -260,7 +266,7 @@ class Execution:
         duration = min(self.clock.until(self.until), remaining)
         if duration <= 0.0:
             return ("zeno",) if remaining <= 0.0 else ()
-        compiled = self._enter(flow.roles)
+        compiled = self._enter(flow.moving)
         if self.loop is not None:
             self.loop.add(flow.mode, flow.roles, compiled)
         if flow.doubted:
@@ -284,6 +290,24 @@ class Execution:
             return ("zeno",) if duration == remaining else ()
         return self.fell(compiled, reached.crossing.guard, graze=reached.graze)
 
+    def _switch(self, fired: tuple[str, ...] = ()) -> None:
+        """Let the switches of the flow have the signs that they have from here on."""
+        if self._filippov is None:
+            return
+        flow, known = self.flow, self._switched
+        now = flow.roles, len(self.record.jumps), self.clock
+        if not fired and known[:3] == now and known[4] is self.state:
+            self.flow = flow._replace(signs=known[3])
+            return
+        before = known[3][0].share if known[:2] == now[:2] and known[3] else None
+        self.flow = flow._replace(signs=())
+        found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
+        self.flow = flow._replace(signs=found.roles)
+        self.state, self._rooms = found.state, found.tolerances
+        self._switched = (*now, found.roles, self.state)
+        for text in found.warnings:
+            self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
+
     def _enter(self, roles: Roles) -> CompiledMode:
         """Return the mode that a flow is in, compiled."""
         compiled = self.entered.get(roles)
@@ -296,6 +320,7 @@ class Execution:
     def _watch(self, flow: Flow, compiled: CompiledMode) -> FlowWatch:
         """Return what a flow from here is watched for."""
         setup, start, special = self.setup, self.clock.high, flow.tolerances
+        special = {**special, **self._rooms} if self._rooms else special
         allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
@@ -318,9 +343,9 @@ class Execution:
         if path.count > 0:
             times, coefficients = path.arc()
             elapsed, terms = times.item(-1), summands(times, coefficients)
-            self.record.add_arc(flow.mode, flow.roles, self.clock, times, coefficients)
+            self.record.add_arc(flow.mode, flow.moving, self.clock, times, coefficients)
             if self.certificate is not None:
-                self.certificate.flow(self.record.arcs[-1], self._enter(flow.roles))
+                self.certificate.flow(self.record.arcs[-1], self._enter(flow.moving))
         self.clock = self.clock.later(elapsed)
         if elapsed > 0.0:
             # A mode may flow on from where a margin fell, without a jump.
@@ -329,12 +354,15 @@ class Execution:
         self.state = reached.state
         following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
         self.flow = following._replace(
-            held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values
-        )
+            held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values,
+            signs=flow.signs,
+        )  # fmt: skip
 
     def fell(self, compiled: CompiledMode, guard: int, *, graze: bool = False) -> tuple[str, ...]:
         """Return what fired where a margin fell; a stop ends the run, if nothing else happens."""
         margin, self.grazed = compiled.mode.margins[guard], graze
+        if is_of_switch(margin.name):
+            return (margin.name,)
         # They stand last; zeros and controls have been replaced in their formulas.
         count = len(self.automaton.stop_margins)
         stops = guard >= len(compiled.mode.margins) - count
@@ -345,7 +373,7 @@ class Execution:
             self.evidence[margin.name] = "graze: touches zero within the last bits of time"
             self.warnings[f"{margin.name} grazes zero at t = {self.clock.high:.6g}"] = None
         if stops:
-            taped = self.modes.taped(self.flow.roles, self.zeros)
+            taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
             if met := self.modes.standing.met(taped.mode, taped.guards, at):
                 # Other events of this instant come first.
@@ -373,11 +401,14 @@ class Execution:
         Gaps and slips are searched for below zero, and a guard may fall short of its boundary by
         what the run is off.
         """
-        compiled = self.entered.get(self.flow.roles)
+        compiled = self.entered.get(self.flow.moving)
         if compiled is None:
             return False
+        flow = self.flow
+        if self._rooms:
+            flow = flow._replace(tolerances={**flow.tolerances, **self._rooms})
         happens, tolerances = closing(
-            self.engine, compiled, self.flow, self.setup, self.state, self.clock.high
+            self.engine, compiled, flow, self.setup, self.state, self.clock.high
         )
         self.flow = self.flow._replace(tolerances=tolerances)
         return happens
@@ -392,7 +423,12 @@ class Execution:
         laws = self.automaton.laws_of_events
         self.instants += 1
         moved = False
+        if fired and is_of_switch(fired[0]):
+            self._livelock.rearranged(self.clock, fired)
+            self._switch(fired)
+            fired = ()
         for _ in range(JUMPS_AT_ONCE):
+            self._switch()
             made = laws.jump(self._instant(*fired))
             if made is None:
                 break
@@ -439,7 +475,7 @@ class Execution:
     def _stands(self) -> bool:
         """Return whether the run ends here, on the boundary of a stop condition."""
         if standing := self.modes.standing:
-            taped = self.modes.taped(self.flow.roles, self.zeros)
+            taped = self.modes.taped(self.flow.moving, self.zeros)
             met, self.flow = standing.judged(taped.mode, taped.guards, self._instant())
             if met:
                 self._stop(met)
@@ -486,7 +522,7 @@ class Execution:
         Where a force is zero as a whole (balls that fall side by side) its enclosure is wider
         than the band of its kind. The laws may take a speed for none that is beyond its own.
         """
-        kind = dict(self.entered[self.flow.roles].watched).get(margin)
+        kind = dict(self.entered[self.flow.moving].watched).get(margin)
         if kind is None or not (self.grazed or kind == "speed"):
             return False
         usual = self.setup.tolerances[kind]

@@ -305,7 +305,9 @@ class Simulator:
 
     def _loop(self, zeros: frozenset[int]) -> LoopModes | None:
         """Return what runs unambiguous instants in compiled code; None where nothing can."""
-        laws = None if self.automaton.laws is None else self.automaton.laws.compiled_laws
+        # Switches are no part of the compiled loop.
+        usual = not self.automaton.switching and self.automaton.laws is not None
+        laws = self.automaton.laws_of_events.compiled_laws if usual else None
         if laws is not None and zeros not in self._loops:
             self._loops[zeros] = LoopModes(laws, self.engine, self.automaton)
         return self._loops.get(zeros)

@@ -112,7 +112,7 @@ class _Atoms:
         time, count = clock.high, len(automaton.stop_margins)
         first = len(mode.margins) - count
         self._values = guards.values(state, setup.values, time)[first:].tolist()
-        self._flow_sizes = _flow_sizes(setup, flow, state)
+        self._flow_sizes = flow_sizes(setup, flow, state)
         places = tuple(range(first, len(mode.margins)))
         terms = sizes_at(guards, places, state, self._flow_sizes, setup.values, time)
         self.room = [max(setup.precision * term, UNDERFLOW) for term in terms]
@@ -126,7 +126,7 @@ class _Atoms:
         """Return the sign of the first derivative of an atom's margin that is not zero."""
         setup, clock, _, flow, state, _ = self._at
         return self._derivatives.sign(
-            setup, flow.roles, self.names[k], state, self._flow_sizes, clock.high, setup.precision
+            setup, flow.moving, self.names[k], state, self._flow_sizes, clock.high, setup.precision
         )
 
     def holds(self, stop: StopCondition, first: int, k: int) -> bool | None:
@@ -148,7 +148,7 @@ class _Atoms:
         return bool(self._values[place] <= (-1.0 if strict else 1.0) * self.room[place])
 
 
-def _flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
+def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
     """Return how large what the variables were summed from is, or they are."""
     found = np.abs(state)
     for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):

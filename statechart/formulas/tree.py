@@ -99,6 +99,12 @@ def _hypot(x: Any, y: Any) -> Any:
     return sympy.sqrt(x**2 + y**2)
 
 
+def _sat(x: Any, a: Any, b: Any) -> Any:
+    import sympy
+
+    return sympy.Min(sympy.Max(x, a), b)
+
+
 def _floor(x: Any) -> Any:
     from statechart.formulas.writer import Whole
 
@@ -122,6 +128,7 @@ FUNCTIONS: Mapping[str, Function] = {
     "sign": Function(1, 1, _sign, _sympy("sign")),
     "min": Function(2, None, min, _sympy("Min")),
     "max": Function(2, None, max, _sympy("Max")),
+    "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), _sat),
     "hypot": Function(2, 2, math.hypot, _hypot),
     "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
     "floor": Function(1, 1, whole, _floor),
@@ -133,7 +140,7 @@ CONSTANTS: Mapping[str, float] = {"pi": math.pi, "inf": math.inf}
 JUMPS = frozenset({"floor", "mod"})
 """Functions for what is computed once, before a run; what is called so may be declared, too."""
 
-RESERVED = frozenset(FUNCTIONS) - JUMPS | frozenset(CONSTANTS)
+RESERVED = frozenset(FUNCTIONS) - JUMPS - {"sat"} | frozenset(CONSTANTS)
 """Names that mean something in every formula and so cannot be declared."""
 
 WORDS = frozenset(("and", "or", "not", "in"))

@@ -121,14 +121,18 @@ class Interpreter:
     def _effective(self, target: str) -> set[str]:
         if "history" not in self.data[target]:
             return {target}
-        return self.stored.get(target) or {self._default(target)}
+        return self.stored.get(target) or self._default(target)
 
-    def _default(self, history: str) -> str:
+    def _default(self, history: str) -> set[str]:
         above = self.parent[history]
         assert above is not None
-        return str(self.data[history].get("initial", self.data[above]["initial"]))
+        if "initial" not in self.data[history] and self.parallel(above):
+            return {*self.kids[above]}
+        return {str(self.data[history].get("initial", self.data[above].get("initial")))}
 
     def _domain(self, t: Data) -> str | None:
+        if t.get("internal"):
+            return str(t["from"])
         targets = self._effective(t["to"])
         for up in self.ancestors(t["from"]):
             if (up is None or not self.parallel(up)) and all(self.inside(x, up) for x in targets):
@@ -198,6 +202,12 @@ def random_region(random: Random) -> dict[str, Any]:
                     parents[region] = here
                     regions[region] = holder((*here, region), depth + 2, inner=True)
                 states[name] = {"regions": regions}
+                if random.random() < 0.5:
+                    history = next(names)
+                    parents[history] = here
+                    histories.append(history)
+                    kept = {"history": random.choice(("shallow", "deep"))}
+                    states[name]["states"] = {history: kept}
             elif kind < 0.55:
                 states[name] = holder(here, depth + 1, inner=True)
             else:
@@ -223,7 +233,9 @@ def random_region(random: Random) -> dict[str, Any]:
             continue
         taken |= {(source, event) for event in on}
         made = {"name": f"t{number}", "from": source, "to": target, "on": " or ".join(on)}
-        if random.random() < 0.1:
+        if source in parents[target] and source not in parallels and random.random() < 0.5:
+            made["internal"] = True
+        elif random.random() < 0.1:
             del made["to"]
         transitions.append(made)
     return {**region, "transitions": transitions}

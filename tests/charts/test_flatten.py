@@ -44,10 +44,10 @@ def compare(region: dict[str, Any], events: list[str]) -> None:
         if event is not None:
             reference.send(event)
             (wanted,) = parse_events(event)
-            enabled = [i for i, heard in flat.waiting[state] if wanted in heard]
+            enabled = [t.place for t in flat.triggers[state] if wanted in t.declared.events]
             done = []
             if enabled:
-                taken = flat.transitions[flat.answer(state, enabled)]
+                taken = flat.answer(state, enabled)
                 assert taken.source == state
                 state = taken.target
                 done = [actions[str(block["log"])] for block in taken.blocks]
@@ -92,10 +92,10 @@ def test_a_history_is_remembered_by_the_flat_state_that_it_is_left_for() -> None
 
 def test_inner_transitions_come_before_outer_ones() -> None:
     flat = flat_of(NESTED)
-    (place,) = [i for i, t in enumerate(flat.transitions) if (t.name, t.source) == ("up", "low")]
-    enabled = [arrow for arrow, heard in flat.waiting["low"] if parse_events("env.a")[0] in heard]
+    (event,) = parse_events("env.a")
+    enabled = [t.place for t in flat.triggers["low"] if event in t.declared.events]
     assert len(enabled) == 2
-    assert flat.answer("low", enabled) == place
+    assert flat.answer("low", enabled).name == "up"
 
 
 def test_one_event_is_answered_in_all_regions_of_a_state_at_once() -> None:
@@ -104,10 +104,9 @@ def test_one_event_is_answered_in_all_regions_of_a_state_at_once() -> None:
     other = {"initial": "y0", "states": {"y0": {}, "y1": {}},
              "transitions": [{"name": "y", "from": "y0", "to": "y1", "on": "env.a"}]}  # fmt: skip
     flat = flat_of({"initial": "both", "states": {"both": {"regions": {"x_": side, "y_": other}}}})
-    arrows = [arrow for arrow, _ in flat.waiting["x0|y0"]]
-    taken = flat.transitions[flat.answer("x0|y0", arrows)]
+    taken = flat.answer("x0|y0", [t.place for t in flat.triggers["x0|y0"]])
     assert (taken.name, taken.target) == ("x+y", "x1|y1")
-    assert flat.nesting.joint == {"x+y": ("x", "y")}
+    assert taken in flat.transitions
 
 
 def test_too_many_configurations_are_refused() -> None:

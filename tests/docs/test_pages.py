@@ -115,6 +115,9 @@ HOSTS = {
               - {name: halt, from: two, to: three, after: 1}
               - {name: reset, from: three, to: four, after: 1}
         """,
+    ("format.md", "Functions that switch"): """
+        @
+        """,
     ("format/charts.md", "Timeouts and samples"): """
         kind: chart
         name: sampled

@@ -182,7 +182,7 @@ MISTAKES = {
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
     "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
-    "weld": ("stop:", "weld: {}\nstop:", "write one body: of several shapes"),
+    "weld": ("stop:", "weld: {}\nstop:", "angle: held"),
     "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),
     "motor": ("stop:", "motor: {}\nstop:", "write forces: {motor: {body: arm, moment: M}}"),
     "friction of a joint": (

@@ -358,3 +358,59 @@ def test_a_controller_hears_which_way_a_contact_slides(name: str) -> None:
     back = math.atan2(3 * math.sqrt(5), 0.1 * 10) / math.sqrt(5)
     assert outputs == pytest.approx({"back": back, "begun": back}, rel=1e-9)
     assert '<transition event="base.slide_minus" target="hand_there"' in scxml(drawn(runner)[0])
+
+
+LISTENER = """\
+kind: scene
+name: counted
+parameters: {k: 0.5, h: 1}
+gravity: 10
+bodies: {ball: {mass: 1, position: [0, y]}}
+coordinates: {y: {start: h}}
+surfaces: {ground: {height: 0}}
+contacts:
+  foot: {point: {body: ball}, surface: ground, friction: 0, restitution: k}
+controls: {push: 0}
+forces: {push: {body: ball, force: [0, push]}}
+regions:
+  job:
+    initial: wait
+    variables: {n: 0}
+    states:
+      wait: {}
+      work:
+        initial: up
+        states: {up: {sets: {push: 10}}, ended: {final: true}}
+        transitions: [{name: finish, from: up, to: ended, after: 0.1, guard: y >= 0.3}]
+      over: {}
+    transitions:
+      - {name: note, from: wait, on: foot.touchdown, guard: dy >= 2, updates: {n: n + 1}}
+      - {name: begin, from: wait, to: work, on: foot.touchdown, guard: n >= 1 and dy < 2}
+      - {name: end, from: work, to: over, on: work.done}
+stop: {time: 2}
+outputs:
+  begin: {value: time, at: first job.begin}
+  end: {value: time, at: each work.done}
+  n: {value: n}
+"""
+
+
+@pytest.mark.parametrize(
+    ("setting", "near"),
+    [
+        ({"engine": "taylor"}, 1e-9),
+        ({"engine": "scipy"}, 1e-9),
+        ({"engine": "impulse", "step": 1e-5}, 3e-4),
+    ],
+)
+def test_controllers_hear_events_with_guards_and_are_done(
+    setting: dict[str, object], near: float
+) -> None:
+    # Rebounds at sqrt(5) and sqrt(5)/2: the first is noted, the second begins the work, in which
+    # the ball flies on at that speed, over 0.3 later than 0.1 after it.
+    fall, speed = math.sqrt(0.2), math.sqrt(5.0)
+    found = Runner(interpret(read_text(LISTENER, "f.yaml")), **setting).run().outputs  # type: ignore[arg-type]
+    begin = fall + speed / 10 * 2
+    assert found["n"] == 1
+    assert found["begin"] == pytest.approx(begin, abs=near)
+    assert found["end"] == [pytest.approx(begin + 0.3 / (speed / 2), abs=2 * near)]

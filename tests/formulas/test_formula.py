@@ -63,9 +63,9 @@ def test_sympy_and_float_evaluation_agree(text: str) -> None:
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_function_means_the_same_in_floats_and_in_sympy(name: str) -> None:
-    arguments = ["a", "b"][: FUNCTIONS[name].least]
+    arguments = ["a", "b", "c"][: FUNCTIONS[name].least]
     formula = parse(f"{name}({', '.join(arguments)})")
-    values = {"a": 0.37, "b": -0.82}
+    values = {"a": 0.37, "b": -0.82, "c": 0.25}
     symbols = {key: sp.Symbol(key, real=True) for key in arguments}
     exact = formula.to_sympy(symbols).subs({symbols[key]: values[key] for key in arguments})
     assert formula.value(values) == pytest.approx(float(exact), rel=1e-15)

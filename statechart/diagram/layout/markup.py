@@ -18,6 +18,9 @@ FRAMES = {
 }  # fmt: skip
 """Look of a box that holds states."""
 
+BULLS_EYE = "\N{FISHEYE}"
+"""A final state, as in UML."""
+
 START = {
     "shape": "circle", "style": "filled", "label": "", "width": "0.13", "fillcolor": INK,
     "color": INK, "tooltip": "start",
@@ -81,6 +84,8 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     ink = FAINT if faint else INK
     lines = (node.label + mark(node, style.reasons)).split("\n")
     rows = [text(line, size=STATE, bold=True, colour=ink) for line in lines]
+    if node.final:
+        rows = [text(BULLS_EYE, size=TITLE, colour=ink), *rows]
     fill = CLOSED if faint else PAPER
     if not faint and len(node.colours) == 1:
         fill = node.colours[0]
@@ -91,14 +96,13 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
         rows.append(text(f"{TIMES}{node.visits}", bold=True, colour=RUN))
     rows += _details(node, chart, style, ink)
     return {
-        "shape": "box",
+        "shape": "circle" if node.history else "box",
         "style": "rounded,dashed,filled" if faint else "rounded,filled",
-        "margin": "0.12,0.06",
+        "margin": "0.02" if node.history else "0.08,0.02" if node.final else "0.12,0.06",
         "label": table(rows),
-        "color": FAINT if faint else FRAME,
+        "color": fill if node.final else FAINT if faint else FRAME,
         "fillcolor": fill,
         "tooltip": plain(node.infeasible or node.name),
-        "peripheries": "2" if node.final else "1",
     }
 
 
@@ -137,21 +141,26 @@ def _details(node: Node, chart: Chart, style: Style, ink: str) -> list[str]:
     """Return conditions, actions and loops of a state as small lines."""
     inline = style.guards == "inline"
     small = [*(node.invariants if inline else ()), *(node.actions if inline or fits(node) else ())]
-    loops = (text(f"↻ {line}", colour=ink) for line in _loops(node, chart, style))
+    loops = (text(line, colour=ink) for line in _loops(node, chart, style))
     return [*(text(line, size=SMALL, colour=ink) for line in small), *loops]
 
 
 def _loops(node: Node, chart: Chart, style: Style) -> list[str]:
-    """Return lines on links from a state to itself, or to a state around it or in it."""
+    """Return lines on links from a state to itself, or to a state around it or in it.
+
+    A sign stands before those that leave the state.
+    """
     if chart.axes is not None:
         loops = [x for x in chart.links if x.source == x.target == node.name]
-        return list(filter(None, [events(replace(x, region="") for x in loops)]))
+        return [f"↻ {line}" for line in [events(replace(x, region="") for x in loops)] if line]
     labels = {other.name: other.label for other in chart.nodes}
     lines: list[str] = []
     for (source, target), links in chart.bundles.items():
         if source == node.name and chart.nested(links[0]):
             to = "" if target == source else f" → {labels[target]}"
-            lines += [line + to for line in _spoken(links, style)]
+            for sign, internal in (("↻ ", False), ("", True)):
+                shown = _spoken([link for link in links if link.internal is internal], style)
+                lines += [sign + line + to for line in shown]
     return lines
 
 

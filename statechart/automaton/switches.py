@@ -1,0 +1,295 @@
+"""Switches: where the smooth pieces of abs, sign, min, max and sat in a mode meet.
+
+Each has a switching function sigma and a sign: +1 or -1 on either side of the surface sigma = 0,
+and a number between where the state slides along it (Filippov 1988): the convex combination of
+both sides that keeps sigma at zero. A mode is built for the signs that a run comes to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sympy as sp
+
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.margin_derivatives import time_derivative
+from statechart.automaton.regions import Margin, Mode
+from statechart.formulas.linear import Definition, solve_linear
+from statechart.formulas.tape import Tape
+from statechart.formulas.writer import compile_tape
+
+SIGN_OF, SLIDE_ON = "sign of ", "slide on "
+"""Beginnings of names of margins: of a switching function, and of what holds it at zero."""
+SLIDES, RESTS = 0, 2
+"""Signs of a switch along whose surface the flow slides, and of one whose function stays zero
+whatever the sign is, which then is zero as that of a number."""
+MAX_ORDER = 2
+"""A sign acts on its switching function by a derivative of at most this order."""
+
+_SHOWN = 80  # characters of a switching function in a name
+_KINKS = (sp.Abs, sp.sign, sp.Max, sp.Min)
+
+
+@dataclass(frozen=True, eq=False)
+class Switches:
+    """The switches of a mode."""
+
+    mode: Mode  # As solved, with abs, sign, min and max.
+    texts: tuple[str, ...]  # Switching functions as users write them.
+    signs: tuple[sp.Symbol, ...]
+    functions: tuple[sp.Expr, ...]  # Each in signs of those before it.
+    # The mode's own, in the signs.
+    definitions: tuple[Definition, ...]
+    rates: tuple[sp.Expr, ...]
+    # Derivatives of each function in time, up to the first that the signs act on.
+    derivatives: tuple[tuple[sp.Expr, ...], ...]
+    acts: tuple[bool, ...]  # Whether they act on the last of these.
+    # Functions, their derivatives in time, and then their gradients, of variables and signs.
+    tape: Tape
+    # Places of the first derivative of each among the outputs of the tape, and of the gradients.
+    places: tuple[int, ...]
+    gradients: int
+    automaton: Automaton
+
+    def piece(self, signs: Any) -> Mode:
+        """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
+        count = len(self.mode.margins) - len(self.automaton.stop_margins)
+        sliding = [i for i, n in enumerate(signs) if n == SLIDES]
+        known = {
+            s: sp.Integer(n if abs(n) == 1 else 0)
+            for s, n in zip(self.signs, signs, strict=True)
+            if n != SLIDES
+        }
+        definitions, held = self._sliding(sliding, known)
+        names = set[str]()
+        margins = []
+        for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
+            own = function.xreplace(known)
+            if abs(sign) == 1 and self._moves(own):
+                margins.append(_margin(SIGN_OF + self.texts[i], sign * own, names))
+        for i, share in zip(sliding, held, strict=True):
+            margins += [
+                _margin(f"{SLIDE_ON}{self.texts[i]}, {side}", 1 + sign * share, names)
+                for sign, side in ((-1, "above"), (1, "below"))
+            ]
+        return replace(
+            self.mode,
+            definitions=tuple(definitions),
+            rates=tuple(rate.xreplace(known) for rate in self.rates),
+            margins=(*self.mode.margins[:count], *margins, *self.mode.margins[count:]),
+        )
+
+    def _moves(self, function: sp.Expr) -> bool:
+        return not function.free_symbols <= {*self.automaton.parameters}
+
+    def _sliding(
+        self, sliding: Sequence[int], known: Mapping[sp.Symbol, sp.Expr]
+    ) -> tuple[list[Definition], list[sp.Symbol]]:
+        """Return the definitions of a mode that slides, and the symbols of the signs it finds.
+
+        Unknowns are affine in the signs: one is interpolated between its two sides, several from
+        the middle.
+        """
+        if not sliding:
+            return [(s, e.xreplace(known)) for s, e in self.definitions], []
+        signs = [self.signs[i] for i in sliding]
+        corners: list[dict[sp.Symbol, sp.Expr]] = []
+        for i in signs:
+            corners += [{**dict.fromkeys(signs, sp.S.Zero), i: sp.Integer(n)} for n in (1, -1)]
+        if len(signs) > 1:
+            corners.append(dict.fromkeys(signs, sp.S.Zero))
+        found: list[Definition] = []
+        named: list[dict[sp.Symbol, sp.Expr]] = [{**known, **corner} for corner in corners]
+        dependent = {*signs}
+        blended = []
+        for symbol, expression in self.definitions:
+            if not expression.free_symbols & dependent:
+                found.append((symbol, expression.xreplace(known)))
+                continue
+            dependent.add(symbol)
+            blended.append(symbol)
+            for k, corner in enumerate(named):
+                own = sp.Symbol(f"{symbol}_{k}", real=True)
+                found.append((own, expression.xreplace(corner)))
+                corner[symbol] = own
+        shares = [sp.Symbol(f"share{k}", real=True) for k in range(len(signs))]
+
+        def blend(values: Sequence[sp.Expr]) -> sp.Expr:
+            """Return the combination of values at the corners."""
+            middle = values[-1] if len(signs) > 1 else (values[0] + values[1]) / 2
+            changes = zip(shares, values[0::2], values[1::2], strict=False)
+            return sp.Add(middle, *(share * (up - down) / 2 for share, up, down in changes))
+
+        equations = []
+        for i in sliding:
+            last = self.derivatives[i][-1]
+            values = []
+            for k, corner in enumerate(named):
+                value = sp.Symbol(f"slope{i}_{k}", real=True)
+                found.append((value, last.xreplace(corner)))
+                values.append(value)
+            equations.append(blend(values))
+        found += solve_linear(equations, shares)
+        found += [(s, blend([corner[s] for corner in named])) for s in blended]
+        rates = {r for r in self.rates if r.free_symbols & {*signs}}
+        assert not rates  # Rates are variables and unknowns.
+        return found, shares
+
+
+def _margin(name: str, expression: sp.Expr, names: set[str]) -> Margin:
+    """Return a margin whose name is none of `names`."""
+    own, count = name, 1
+    while own in names:
+        count += 1
+        own = f"{name} ({count})"
+    names.add(own)
+    # Without a margin of a whole relation nobody is shown it.
+    return Margin(own, expression, relation=own)
+
+
+def explicit_rates(mode: Mode) -> list[sp.Expr]:
+    """Return the rates of a mode's variables without its unknowns."""
+    found: dict[sp.Symbol, sp.Expr] = {}
+    for symbol, expression in mode.definitions:
+        found[symbol] = expression.xreplace(found)
+    return [rate.xreplace(found) for rate in mode.rates]
+
+
+def is_of_switch(margin: str) -> bool:
+    """Return whether a margin is that of a switch."""
+    return margin.startswith((SIGN_OF, SLIDE_ON))
+
+
+def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
+    """Return the switches of a mode; None where it has none."""
+    reader = _Reader(automaton, mode)
+    needed: set[sp.Symbol] = set().union(*(rate.free_symbols for rate in mode.rates))
+    for symbol, e in reversed(mode.definitions):
+        if symbol in needed:
+            needed |= e.free_symbols
+    definitions = tuple(
+        # What does not move the state stays as it is.
+        (symbol, reader.read(e) if symbol in needed else e)
+        for symbol, e in mode.definitions
+    )
+    rates = tuple(reader.read(rate) for rate in mode.rates)
+    if not reader.signs:
+        return None
+    chains, acts = reader.chains(dict(definitions), rates)
+    functions = tuple(reader.functions)
+    outputs, places = [*functions], []
+    for chain in chains:
+        places.append(len(outputs))
+        outputs += chain
+    gradients = len(outputs)
+    outputs += [sp.diff(function, v) for function in functions for v in automaton.variables]
+    tape = compile_tape(
+        outputs,
+        variables=(*automaton.variables, *reader.signs),
+        parameters=automaton.parameters,
+        time=automaton.time,
+        definitions=definitions,
+    )
+    texts = tuple(reader.text(function) for function in functions)
+    return Switches(
+        mode, texts, tuple(reader.signs), functions, definitions, rates, chains, acts, tape,
+        tuple(places), gradients, automaton,
+    )  # fmt: skip
+
+
+class _Reader:
+    """Rewrites formulas in the signs of their switches."""
+
+    def __init__(self, automaton: Automaton, mode: Mode) -> None:
+        self._automaton = automaton
+        self._definitions = dict(mode.definitions)
+        self._moving = {*automaton.variables, automaton.time}
+        self._read: dict[sp.Expr, sp.Expr] = {}
+        self._places: dict[sp.Expr, int] = {}
+        self.signs: list[sp.Symbol] = []
+        self.functions: list[sp.Expr] = []
+
+    def read(self, node: sp.Expr) -> sp.Expr:
+        """Return a formula with signs in the place of what switches."""
+        found = self._read.get(node)
+        if found is None:
+            found = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node
+        return found
+
+    def _rewritten(self, node: sp.Expr) -> sp.Expr:
+        arguments = [self.read(argument) for argument in node.args]
+        if node.is_Pow and not node.exp.is_Integer and node.base.is_nonnegative:
+            # Stages of a step lie beyond the surface, too.
+            return sp.Abs(arguments[0]) ** arguments[1]
+        if not isinstance(node, _KINKS) or not any(map(self._moves, node.args)):
+            return node.func(*arguments)
+        if isinstance(node, sp.Abs | sp.sign):
+            sign = self._sign(arguments[0])
+            return sign * arguments[0] if isinstance(node, sp.Abs) else sign
+        # What does not change last: the functions are simpler.
+        ordered = sorted(arguments, key=sp.default_sort_key)
+        found, *others = sorted(ordered, key=self._moves, reverse=True)
+        for other in others:
+            sign = self._sign(found - other)
+            if isinstance(node, sp.Min):
+                sign = -sign
+            found = (1 + sign) / 2 * found + (1 - sign) / 2 * other
+        return found
+
+    def _sign(self, function: sp.Expr) -> sp.Expr:
+        """Return the sign of a switching function; -1 times the function is the same surface."""
+        function = self._expanded(function)
+        factor, rest = function.as_coeff_Mul()
+        if rest.could_extract_minus_sign():
+            factor, rest = -factor, -rest
+        place = self._places.get(rest)
+        if place is None:
+            place = self._places[rest] = len(self.signs)
+            self.signs.append(sp.Symbol(f"sign{place}", real=True))
+            self.functions.append(rest)
+        return self.signs[place] if factor > 0 else -self.signs[place]
+
+    def _expanded(self, expression: sp.Expr) -> sp.Expr:
+        """Return an expression without what the mode defines."""
+        while own := {s for s in expression.free_symbols if s in self._definitions}:
+            expression = expression.xreplace({s: self.read(self._definitions[s]) for s in own})
+        return expression
+
+    def _moves(self, expression: sp.Expr) -> bool:
+        symbols = self._expanded(expression).free_symbols
+        return bool(symbols & self._moving) or any(s in symbols for s in self.signs)
+
+    def chains(
+        self, definitions: Mapping[sp.Symbol, sp.Expr], rates: Sequence[sp.Expr]
+    ) -> tuple[tuple[tuple[sp.Expr, ...], ...], tuple[bool, ...]]:
+        """Return the derivatives of each function, and whether signs act on the last of them."""
+        known = {*self.signs}
+        for symbol, expression in definitions.items():
+            if expression.free_symbols & known:
+                known.add(symbol)
+        of = dict(zip(self._automaton.variables, rates, strict=True))
+        chains, acts = [], []
+        for function in self.functions:
+            chain: list[sp.Expr] = []
+            while len(chain) < MAX_ORDER:
+                before = chain[-1] if chain else function
+                while own := {s for s in before.free_symbols if s in definitions}:
+                    before = before.xreplace({s: definitions[s] for s in own})
+                chain.append(time_derivative(before, of, self._automaton.time))
+                if chain[-1].free_symbols & known:
+                    break
+            chains.append(tuple(chain))
+            acts.append(bool(chain[-1].free_symbols & known))
+        return tuple(chains), tuple(acts)
+
+    def text(self, function: sp.Expr) -> str:
+        """Return a switching function in the model's names."""
+        symbols = (*self._automaton.variables, *self._automaton.parameters)
+        words = (*self._automaton.names, *self._automaton.parameter_names)
+        names: dict[Any, Any] = dict(zip(symbols, map(sp.Symbol, words), strict=True))
+        names |= {self._automaton.time: sp.Symbol("time")}
+        for sign, inner in zip(self.signs, self.functions, strict=True):
+            names[sign] = sp.Symbol(f"sign({sp.sstr(inner.xreplace(names))})")
+        return sp.sstr(function.xreplace(names))[:_SHOWN]

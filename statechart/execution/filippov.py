@@ -1,0 +1,293 @@
+"""Signs of switches where a flow begins (Filippov 1988).
+
+Off its surface the sign of a switching function sigma is that of its value. On it, its first
+derivative that is not zero decides, on either side: both lead to one side, which the flow enters;
+or both lead back, and the flow slides, with the combination of both that keeps sigma at zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from statechart.arrays import Array
+from statechart.automaton.laws import SWITCHES, Instant
+from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
+from statechart.automaton.switches import (
+    RESTS,
+    SIGN_OF,
+    SLIDE_ON,
+    SLIDES,
+    Switches,
+    is_of_switch,
+)
+from statechart.automaton.trace import Role, Roles
+from statechart.errors import AmbiguousMode, NonFinite
+from statechart.execution.compiled_modes import CompiledModes
+from statechart.execution.standing import flow_sizes
+from statechart.formulas.series import sizes_at
+from statechart.formulas.tape import Tape
+
+# Surfaces that a state may lie on together where signs act on them.
+_MOST = 6
+# A combination this near to one side is on its boundary.
+_EDGE = 1e-9
+
+
+class Resolved(NamedTuple):
+    """Signs of the switches of a flow."""
+
+    roles: Roles  # The signs as a role; none where there are no switches.
+    state: Array  # (n,): on the surfaces that the flow slides along, or has slid along.
+    tolerances: dict[str, float]  # Of the margins of the switches.
+    warnings: tuple[str, ...]  # Slides that begin, and choices that are not unique.
+
+
+class Filippov:
+    """Resolves the signs of switches."""
+
+    def __init__(self, modes: CompiledModes) -> None:
+        automaton = modes.automaton
+        self._modes = modes
+        self._derivatives = MarginDerivatives(
+            automaton.variables, automaton.parameters, automaton.time
+        )
+
+    def resolved(
+        self, at: Instant, zeros: frozenset[int], before: Sequence[int] | None
+    ) -> Resolved:
+        """Return the signs from an instant on; `before` are those of the flow that ends there.
+
+        None where a jump has come between.
+        """
+        switches = self._modes.switches(at.flow.roles, zeros)
+        if switches is None:
+            return Resolved((), at.state, {}, ())
+        surface = _Surface(switches, at, before)
+        signs, notes = surface.signs, []
+        if surface.on:
+            chosen, unique = self._chosen(surface, at, before)
+            for i, sign in zip(surface.on, chosen, strict=True):
+                signs[i] = sign
+            names = " and ".join(f"{switches.texts[i]} = 0" for i in surface.on)
+            if not unique:
+                notes.append(f"the motion from {names} on is not unique: another leaves it")
+            for i, sign in zip(surface.on, chosen, strict=True):
+                if sign == SLIDES and (before is None or before[i] != SLIDES):
+                    notes.append(
+                        f"the flow slides along {switches.texts[i]} = 0, where both sides lead "
+                        "back to it (Filippov)"
+                    )
+        state = at.state
+        for i in surface.on:
+            if SLIDES in (signs[i], 1 if before is None else before[i]):
+                state = surface.onto(i, state)
+        at = at._replace(state=state)
+        roles = (Role(SWITCHES, share=tuple(signs)),)
+        return Resolved(
+            roles, state, self._tolerances(at, (*at.flow.roles, *roles), zeros), tuple(notes)
+        )
+
+    def _chosen(
+        self, surface: _Surface, at: Instant, before: Sequence[int] | None
+    ) -> tuple[tuple[int, ...], bool]:
+        """Return the signs of the switches that the state lies on, and whether others fit, too."""
+        fitting: list[tuple[tuple[int, ...], bool]] = []
+        for signs in product((1, -1, SLIDES), repeat=len(surface.on)):
+            verdict = surface.fits(signs)
+            if verdict is None:
+                verdict = False if self._holds(surface.with_(signs), at) else None
+                if verdict is None:
+                    continue
+            elif not verdict:
+                continue
+            fitting.append((signs, verdict))
+        if not fitting:
+            names = " and ".join(f"{surface.switches.texts[i]} = 0" for i in surface.on)
+            raise AmbiguousMode(
+                f"where {names} the motion is not determined: forces jump on several switching "
+                "surfaces that cross; write a state for each case"
+            )
+        strict = [signs for signs, decided in fitting if decided]
+        choices = strict or [signs for signs, _ in fitting]
+        if not strict:
+            ways = [{signs[k] for signs in choices} for k in range(len(surface.on))]
+            if any({1, -1} <= way for way in ways):
+                rests = [RESTS if {1, -1} <= way else min(way, key=abs) for way in ways]
+                return tuple(rests), True
+        last = None if before is None else tuple(before[i] for i in surface.on)
+        if last in choices:
+            return last, len(strict) < 2
+        return max(choices, key=lambda signs: signs.count(SLIDES)), len(strict) < 2
+
+    def _holds(self, signs: Sequence[int], at: Instant) -> bool:
+        """Return whether no margin of the switches falls at once, by higher derivatives."""
+        setup, clock, _, flow, state, _ = at
+        roles = (*flow.roles, Role(SWITCHES, share=tuple(signs)))
+        assert setup.modes is not None
+        sizes = flow_sizes(setup, flow, state)
+        for margin in setup.modes(roles).margins:
+            if is_of_switch(margin.name) and self._near(margin.name, at, roles):
+                way = self._derivatives.sign(
+                    setup, roles, margin.name, state, sizes, clock.high, setup.precision
+                )
+                if way < 0.0:
+                    return False
+        return True
+
+    def _near(self, name: str, at: Instant, roles: Roles) -> bool:
+        taped = self._modes.taped(roles, at.setup.zeros)
+        place = taped.names.index(name)
+        value = taped.guards.values(at.state, at.setup.values, at.clock.high).item(place)
+        if name.startswith(SLIDE_ON):
+            return abs(value) <= _EDGE
+        return abs(value) <= _room(at, taped.guards, place, at.state)
+
+    def _tolerances(self, at: Instant, roles: Roles, zeros: frozenset[int]) -> dict[str, float]:
+        """Return the round-off of the margins of switches."""
+        taped = self._modes.taped(roles, zeros)
+        return {
+            name: _room(at, taped.guards, place, at.state)
+            for place, name in enumerate(taped.names)
+            if is_of_switch(name)
+        }
+
+
+def _room(at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None) -> float:
+    """Return the round-off of an output of a tape."""
+    sizes = flow_sizes(at.setup, at.flow, at.state)
+    if signs is not None:
+        state, sizes = np.concatenate([state, signs]), np.concatenate([sizes, np.abs(signs)])
+    values = at.setup.values if at.flow.values is None else at.flow.values
+    (size,) = sizes_at(tape, (place,), state, sizes, values, at.clock.high)
+    return max(at.setup.precision * size, UNDERFLOW) if math.isfinite(size) else UNDERFLOW
+
+
+class _Surface:
+    """The surfaces that a state lies on, and how their functions change with their signs."""
+
+    def __init__(self, switches: Switches, at: Instant, before: Sequence[int] | None) -> None:
+        self.switches, self._at = switches, at
+        self.signs = [1] * len(switches.signs) if before is None else list(before)
+        self.on: list[int] = []
+        fired = {name[len(SIGN_OF) :] for name in at.fired if name.startswith(SIGN_OF)}
+        for i, text in enumerate(switches.texts):
+            value, room = self._output(i)
+            if math.isnan(value):
+                raise NonFinite(f"{SIGN_OF}{text} has no value")
+            # A slide drifts off its surface by round-off.
+            held = before is not None and before[i] == SLIDES
+            if not (held or text in fired or abs(value) <= room):
+                self.signs[i] = 1 if value > 0.0 else -1
+                continue
+            self.signs[i] = self.signs[i] if abs(self.signs[i]) == 1 else 1
+            self._place(i)
+        self._changes = self._corners()
+
+    def _place(self, i: int) -> None:
+        """Decide a sign by a derivative that no sign acts on; else the state lies on it."""
+        switches = self.switches
+        first, chain = switches.places[i], switches.derivatives[i]
+        for place in range(first, first + len(chain) - switches.acts[i]):
+            value, room = self._output(place)
+            if abs(value) > room:
+                self.signs[i] = 1 if value > 0.0 else -1
+                return
+        self.on.append(i)
+
+    def with_(self, chosen: Sequence[int]) -> list[int]:
+        """Return all signs, with those chosen of the switches that the state lies on."""
+        signs = list(self.signs)
+        for i, sign in zip(self.on, chosen, strict=True):
+            signs[i] = sign
+        return signs
+
+    def _output(self, place: int, signs: Sequence[int] | None = None) -> tuple[float, float]:
+        at, own = self._at, np.array(self.signs if signs is None else signs, float)
+        values = at.setup.values if at.flow.values is None else at.flow.values
+        found = self.switches.tape.values(
+            np.concatenate([at.state, own]), values, at.clock.high
+        ).item(place)
+        return found, _room(at, self.switches.tape, place, at.state, own)
+
+    def onto(self, i: int, state: Array) -> Array:
+        """Return a state (n,) moved onto a surface, by its nearest way in sizes of the state."""
+        at, count = self._at, len(state)
+        values = at.setup.values if at.flow.values is None else at.flow.values
+        found = self.switches.tape.values(
+            np.concatenate([state, np.array(self.signs, float)]), values, at.clock.high
+        )
+        first = self.switches.gradients + i * count
+        slope = found[first : first + count]
+        scale = flow_sizes(at.setup, at.flow, state) ** 2
+        weight = float(slope @ (scale * slope))
+        if found[i] == 0.0 or not 0.0 < weight < math.inf:
+            return state
+        return state - found.item(i) / weight * scale * slope
+
+    def _corners(self) -> Callable[[Sequence[int]], Array]:
+        """Return what changes each function, by the signs at a corner; round-off is zero."""
+        switches, known = self.switches, dict[tuple[int, ...], Array]()
+        if len(self.on) > _MOST:
+            raise AmbiguousMode(f"the state lies on {len(self.on)} switching surfaces at once")
+
+        def at(signs: Sequence[int]) -> Array:
+            key = tuple(signs)
+            if key not in known:
+                found = np.zeros(len(self.on))
+                for k, i in enumerate(self.on):
+                    if switches.acts[i]:
+                        last = switches.places[i] + len(switches.derivatives[i]) - 1
+                        value, room = self._output(last, self.with_(key))
+                        found[k] = value if not abs(value) <= room else 0.0
+                known[key] = found
+            return known[key]
+
+        return at
+
+    def fits(self, signs: Sequence[int]) -> bool | None:
+        """Return whether the flow can have these signs; None where higher derivatives decide."""
+        sliding = [k for k, sign in enumerate(signs) if sign == SLIDES]
+        middle, shares = self._combined(signs, sliding)
+        if middle is None:
+            return False
+        undecided = bool((np.abs(shares) >= 1.0 - _EDGE).any())
+        for sign, slope in zip(signs, middle.tolist(), strict=True):
+            if sign == SLIDES:
+                continue
+            if not sign * slope >= 0.0:
+                return False
+            undecided = undecided or slope == 0.0
+        return None if undecided else True
+
+    def _combined(self, signs: Sequence[int], sliding: Sequence[int]) -> tuple[Array | None, Array]:
+        """Return the slopes under signs, and shares of those that slide; None: no such slide."""
+        none = np.zeros(0)
+        if not sliding:
+            return self._changes(signs), none
+        corners = list(product((1, -1), repeat=len(sliding)))
+        found = []
+        for corner in corners:
+            own = list(signs)
+            for k, sign in zip(sliding, corner, strict=True):
+                own[k] = sign
+            found.append(self._changes(own))
+        slopes, table = np.array(found), np.array(corners, float)
+        middle, acts = slopes.mean(axis=0), slopes.T @ table / len(corners)
+        rest = np.abs(slopes - middle - table @ acts.T).max()
+        if len(sliding) > 1:
+            rest = max(rest, np.abs(self._changes(signs) - middle).max())
+        if rest > _EDGE * np.abs(slopes).max():
+            return None, none  # Signs multiply each other.
+        matrix = acts[list(sliding)]
+        try:
+            shares = np.linalg.solve(matrix, -middle[list(sliding)])
+        except np.linalg.LinAlgError:
+            return None, none
+        if not (np.abs(shares) <= 1.0 + _EDGE).all():
+            return None, none
+        return middle + acts @ shares, shares

@@ -1,0 +1,165 @@
+"""Flows with abs, sign, min, max and sat: pieces, slides and their ends against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scenes import compose, go, region, times
+
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Outcome, Trace
+from statechart.engines.engine import Engine
+from statechart.engines.scipy import SciPy
+from statechart.engines.taylor import Taylor
+from statechart.execution.simulator import Simulator
+
+TAYLOR, SCIPY = Taylor(2.2e-16), SciPy(1e-12)
+both = pytest.mark.parametrize("engine", [TAYLOR, SCIPY], ids=["taylor", "scipy"])
+
+
+def run(chart: Automaton, engine: Engine, until: float, **parameters: float) -> Trace:
+    return Simulator(chart, engine).run(parameters, until=until)
+
+
+def flow(start: dict[str, object], **rates: str) -> Automaton:
+    return compose(start, {"r": region({"s": rates})})
+
+
+def breaks(trace: Trace) -> list[float]:
+    return [arc.start.high for arc in trace.arcs[1:]]
+
+
+@both
+def test_a_mass_drawn_to_the_middle_by_a_constant_force_has_its_period(engine: Engine) -> None:
+    trace = run(flow({"x": 1, "v": 0}, x="v", v="-sign(x)"), engine, 8.0 * math.sqrt(2.0))
+    expected = math.sqrt(2.0) * np.array([1, 3, 5, 7])
+    tolerance = 1e-13 if engine is TAYLOR else 1e-10
+    assert breaks(trace) == pytest.approx(expected, abs=tolerance)
+    assert trace.final == pytest.approx([1.0, 0.0], abs=1e-12 if engine is TAYLOR else 1e-10)
+    assert trace.certified
+    assert not trace.jumps
+
+
+@both
+def test_a_relay_slides_with_the_equivalent_control_and_lets_go(engine: Engine) -> None:
+    # Half of the way to zero at the rate 1/2; there until the disturbance is as large as 1.
+    chart = flow({"x": 1, "u": 0}, x="-sign(x) + time/4", u="-sign(x)")
+    trace = run(chart, engine, 6.0)
+    first = 4.0 - math.sqrt(8.0)
+    assert breaks(trace) == pytest.approx([first, 4.0], abs=1e-11)
+    x, u = trace.final
+    assert x == pytest.approx(0.5, abs=1e-12)  # (6 - 4)^2 / 8
+    assert u == pytest.approx(-first - (16.0 - first**2) / 8.0 - 2.0, abs=1e-11)
+    assert any("slides along x = 0" in text for text in trace.warnings)
+    assert trace.certified
+
+
+@both
+def test_a_saturated_actuator_is_off_its_limits_in_between(engine: Engine) -> None:
+    chart = flow({"x": 3, "v": 0}, x="v", v="sat(-x - v, -1, 1)")
+    trace = run(chart, engine, 10.0)
+    # x = 3 - t^2/2, v = -t until x + v = 1.
+    first = math.sqrt(5.0) - 1.0
+    assert breaks(trace)[0] == pytest.approx(first, abs=1e-12)
+    x, v = 3.0 - first**2 / 2.0, -first
+    w, t = math.sqrt(0.75), 10.0 - first
+    c, s, decay = math.cos(w * t), math.sin(w * t), math.exp(-t / 2.0)
+    if len(breaks(trace)) == 1:
+        assert trace.final[0] == pytest.approx(decay * (x * c + (v + x / 2.0) / w * s), abs=1e-12)
+    else:
+        pytest.fail("it saturates once")
+
+
+@both
+def test_two_blocks_with_friction_come_to_rest_each_at_its_time(engine: Engine) -> None:
+    chart = flow({"v": 2, "w": 1, "x": 0}, v="-sign(v)", w="-2*sign(w)", x="v + w")
+    trace = run(chart, engine, 3.0)
+    assert breaks(trace) == pytest.approx([0.5, 2.0], abs=1e-12)
+    assert trace.final == pytest.approx([0.0, 0.0, 2.25], abs=1e-12)
+
+
+@both
+def test_two_blocks_that_stop_at_one_instant_both_slide(engine: Engine) -> None:
+    chart = flow({"v": 1, "w": 2}, v="-sign(v) + sign(w)/4", w="-2*sign(w) + sign(v)/8")
+    trace = run(chart, engine, 30.0)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert len(breaks(trace)) == 2
+
+
+@both
+def test_a_graze_is_no_event(engine: Engine) -> None:
+    trace = run(flow({"x": 1, "y": 0}, x="2*(time - 1)", y="abs(x)"), engine, 2.0)
+    assert trace.final[1] == pytest.approx(2.0 / 3.0, abs=1e-12)
+    assert not trace.jumps
+    assert trace.outcome is Outcome.HORIZON
+
+
+@both
+def test_a_start_on_the_surface_goes_the_way_that_it_is_led(engine: Engine) -> None:
+    trace = run(flow({"x": 0, "v": 0, "y": 0}, x="v", v="1", y="abs(x) + sign(x)"), engine, 1.0)
+    assert trace.final[2] == pytest.approx(1.0 / 6.0 + 1.0, abs=1e-13)
+    assert not breaks(trace)
+
+
+@both
+def test_rest_under_a_restoring_sign_is_kept(engine: Engine) -> None:
+    trace = run(flow({"x": 0, "v": 0}, x="v", v="-sign(x)"), engine, 1.0)
+    assert trace.final == pytest.approx([0.0, 0.0], abs=0.0)
+
+
+@both
+def test_an_unstable_surface_is_not_unique(engine: Engine) -> None:
+    trace = run(flow({"x": 0}, x="sign(x)"), engine, 1.0)
+    assert trace.final == pytest.approx([0.0], abs=0.0)
+    assert any("not unique" in text for text in trace.warnings)
+
+
+@both
+def test_friction_holds_until_the_load_exceeds_it(engine: Engine) -> None:
+    chart = flow({"v": 0, "x": 0}, v="2*time - 3*sign(v)", x="v")
+    trace = run(chart, engine, 3.0)
+    assert breaks(trace) == pytest.approx([1.5], abs=1e-12)
+    assert trace.final[0] == pytest.approx(1.5**2, abs=1e-11)
+
+
+@both
+def test_a_guard_is_met_while_the_flow_slides(engine: Engine) -> None:
+    chart = compose(
+        {"x": 1, "y": 0},
+        {
+            "r": region(
+                {"s": {"x": "-sign(x)", "y": "1 + sign(x)/2"}, "done": {"x": "1"}},
+                go("s", "done", "y >= 2", "there"),
+            )
+        },
+    )
+    trace = run(chart, engine, 3.0)
+    # 3/2 until x is zero, then 1.
+    assert times(trace, "there") == pytest.approx([1.5], abs=1e-12)
+    assert trace.final[0] == pytest.approx(1.5, abs=1e-11)
+
+
+@both
+def test_nested_switches_cross_one_after_another(engine: Engine) -> None:
+    trace = run(flow({"x": 2, "y": 0}, x="-1", y="abs(abs(x) - 1)"), engine, 4.0)
+    assert breaks(trace) == pytest.approx([1.0, 2.0, 3.0], abs=1e-12)
+    assert trace.final[1] == pytest.approx(2.0, abs=1e-12)
+
+
+@both
+def test_a_fractional_power_of_what_is_cut_off_is_zero_beyond(engine: Engine) -> None:
+    trace = run(flow({"y": 1, "v": 0}, y="v", v="9*max(0, -y)**1.5 - 1"), engine, 4.0)
+    assert breaks(trace)[0] == pytest.approx(math.sqrt(2.0), abs=1e-12)
+    y, v = trace.final
+    energy = 0.5 * v**2 + y + 9.0 * max(-y, 0.0) ** 2.5 / 2.5
+    assert energy == pytest.approx(1.0, abs=1e-10)
+
+
+@both
+def test_products_of_signs_at_crossing_surfaces_are_reported(engine: Engine) -> None:
+    chart = flow({"x": 1, "y": 1}, x="-sign(x)*(1 + sign(y)/2)", y="-sign(y)*(1 + sign(x)/2)")
+    trace = Simulator(chart, engine).run({}, until=2.0, throw=False)
+    assert trace.outcome is Outcome.AMBIGUOUS_MODE
+    assert "cross" in trace.message
