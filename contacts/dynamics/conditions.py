@@ -328,8 +328,8 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     for i, state in enumerate(mode):
         if state == OFF:
             jacobians[i] = biases[i] = 0.0
-            zeros = dict.fromkeys(PerContact._fields[1:-2], 0.0)
-            contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)
+            zeros = (0.0,) * len(PerContact._fields[1:-2])
+            contacts[i] = PerContact(math.inf, *zeros, jacobian=jacobians[i])
     held = snapshot.held
     if held is not None:
         held = replace(held, whole=hidden(held.whole, mode))
