@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from statechart.arrays import Array
+from statechart.arrays import Array, Ints
 
 if TYPE_CHECKING:
-    from contacts.dynamics.snapshot import PerContact
+    from contacts.dynamics.snapshot import PerContact, Snapshot
 
 
 class ContactLaw(NamedTuple):
@@ -24,6 +25,9 @@ class ContactLaw(NamedTuple):
     cone_t: float
     restitution: float  # Coefficient, 0 where the contact is never free
     impact: str  # stronge, newton, poisson or moreau
+    coupling: bool = False  # Whether it is a coupling
+    # Place of the contact whose normal force the limits of a coupling are multiples of; -1: none
+    carrier: int = -1
 
 
 def cones(laws: Sequence[ContactLaw], contacts: Sequence[PerContact]) -> Array:
@@ -39,6 +43,19 @@ def sliding_edge(law: ContactLaw, contact: PerContact) -> tuple[float, float]:
     """Return the unit edge of a contact's cone in the direction of its slip."""
     plus_n, plus_t, minus_n, minus_t = contact.edges or 2 * (law.cone_n, law.cone_t)
     return (plus_n, plus_t) if contact.slip > 0.0 else (minus_n, minus_t)
+
+
+@lru_cache(maxsize=1024)
+def carriers(laws: tuple[ContactLaw, ...]) -> Ints:
+    """Return the places (c,) of the contacts that load couplings; -1 elsewhere."""
+    return np.array([law.carrier for law in laws], np.int64)
+
+
+def bounds(laws: Sequence[ContactLaw], snapshot: Snapshot) -> Array:
+    """Return the `cones` (c, 6) of contacts; first the two limits of couplings, the last rows."""
+    found = cones(laws, snapshot.contacts)
+    found[len(found) - len(snapshot.limits) :, :2] = snapshot.limits
+    return found
 
 
 def edge(mu: float) -> tuple[float, float]:

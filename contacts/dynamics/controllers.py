@@ -160,7 +160,7 @@ class ControlGuards:
             watched += made(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
-        forces += [row.force for row in mechanics.joint_rows]
+        forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
         unknown = sp.Symbol("unknown", real=True)
         self.watch = GuardWatch(
             watched,

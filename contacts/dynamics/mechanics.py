@@ -22,12 +22,13 @@ from contacts.dynamics.parameters import (
     kinetic_friction,
     scene_parameters,
 )
+from contacts.scene.couplings import CouplingSymbols
 from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.states import CLOSED
+from contacts.states import CLOSED, DISENGAGED, OFF
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -68,6 +69,10 @@ class Mechanics(Geometry):
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
+        }
+        # Couples M; the limits of couplings stand in the place of normal forces.
+        self.couples = {
+            name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
         self._controls = controlled
         self._coefficients = friction_symbols(scene, symbols)
@@ -259,7 +264,7 @@ class Mechanics(Geometry):
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
-        geometry = [self.contact(name) for name in self.scene.contacts]
+        geometry = [self.contact(name) for name in self.scene.frictional]
         result = []
         for i, right in enumerate(self.generalised_forces):
             left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
@@ -321,9 +326,9 @@ class Mechanics(Geometry):
 
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
-        """Those that modes are solved for beside the accelerations: of joints, then of contacts."""
+        """Unknowns of modes beside the accelerations: of joints, contacts, couplings."""
         of_contacts = (force for pair in self.forces.values() for force in pair)
-        return (*(row.force for row in self.joint_rows), *of_contacts)
+        return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
     @cached_property
     def power(self) -> sp.Expr:
@@ -353,9 +358,12 @@ class Mechanics(Geometry):
         return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
 
     def contact(self, name: str) -> ContactGeometry:
-        """Return the geometry of a contact, derived when first asked for."""
+        """Return the geometry of a contact or a coupling, derived when first asked for."""
         if name not in self._contacts:
-            self._contacts[name] = self._geometry(name, self.scene.contacts[name])
+            contact = self.scene.contacts.get(name)
+            self._contacts[name] = (
+                self._turning(name) if contact is None else self._geometry(name, contact)
+            )
         return self._contacts[name]
 
     def sliding_edges(self, contact: ContactSymbols) -> tuple[sp.Expr, ...]:
@@ -368,6 +376,15 @@ class Mechanics(Geometry):
             mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
             found += [1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)]
         return tuple(found)
+
+    def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
+        """Return the bounds of a coupling's couple, at rest and in motion."""
+        static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
+        return static, kinetic
+
+    def coupling(self, name: str) -> CouplingSymbols:
+        """Return the quantities of a coupling."""
+        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
@@ -413,6 +430,8 @@ class Mechanics(Geometry):
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,
             }
+        for name, couple in self.couples.items():
+            result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
         result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
         for name in self._switched.keys() - self.used_friction.keys():
@@ -426,16 +445,18 @@ class Mechanics(Geometry):
 
     def gate(self, name: str) -> Gate | None:
         """Return what keeps a contact on; None where it has no conditions and no ends."""
-        contact = self.scene.contacts[name]
+        scene = self.scene
+        coupling = scene.couplings.get(name)
+        contact = coupling or scene.contacts[name]
         if name not in self._gates:
             known = self.known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
-                for other in self.scene.contacts
-                for quantity in ("gap", "slip")
+                for other in scene.frictional
+                for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))
                 if contact.enabled
             }
             ends: dict[str, sp.Expr] = {}
-            edge = self.scene.surfaces[contact.surface].edge
+            edge = None if coupling else scene.surface_of(name).edge
             if edge is not None:
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
@@ -444,7 +465,15 @@ class Mechanics(Geometry):
                 ends = {"begin of its edge": along, "end of its edge": length - along}
             gated = contact.enabled or ends
             self._gates[name] = (
-                gate_of(name, contact.enabled, known, self._asked, ends) if gated else None
+                gate_of(
+                    f"{name}.{DISENGAGED if coupling else OFF}",
+                    contact.enabled,
+                    known,
+                    self._asked,
+                    ends,
+                )
+                if gated
+                else None
             )
         return self._gates[name]
 
@@ -507,6 +536,34 @@ class Mechanics(Geometry):
     def _nonzero(self, row: Sequence[sp.Expr]) -> list[sp.Expr]:
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
+
+    def _turning(self, name: str) -> ContactGeometry:
+        """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
+        along = self.scene.along_guide(name)
+        if along:
+            joint = self.scene.joints[self.scene.couplings[name].joint or ""]
+            turn = self.point(joint.point)["XY".index(along)]
+        else:
+            angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
+            turn = angles[0] - sp.Add(*angles[1:])
+        zero, none = sp.S.Zero, (sp.S.Zero,) * len(self.q)
+        slip = self.rate(turn)
+        jacobian = tuple(self.gradient(turn))
+        bias = self.rate(slip).xreplace(dict.fromkeys(self.a, zero))
+        acceleration = sp.Add(bias, *self._nonzero(jacobian))
+        anchor = sp.Symbol(f"{name}.angle0", real=True)
+        couple = self.couples[name]
+        symbols = ContactSymbols(
+            name, zero, zero, zero, slip, zero, acceleration, zero, couple,
+            friction_cones(self.scene, name, None, self.known, slip), (none, jacobian),
+            tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), Hold((), (), ()),
+            Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
+        )  # fmt: skip
+        place, tangent = (turn, zero), (sp.S.One, zero)
+        return ContactGeometry(
+            place, place, tangent, (zero, sp.S.One), tangent, symbols, none, jacobian, zero, bias
+        )
 
     def _arm(self, point: Point) -> sp.Expr:
         """Return the length that makes lengths of angles: the radius of gyration about a point."""

@@ -72,7 +72,7 @@ def friction_cones(
     """
     if coefficients is None:
         # Without slide a pin holds whatever it takes (no-slip).
-        smooth = scene.contacts[name].frictionless
+        smooth = name in scene.contacts and scene.contacts[name].frictionless
         edge = (sp.S.One, sp.S.Zero) if smooth else (sp.S.Zero, sp.S.One)
         return FrictionSymbols(dict.fromkeys((0, 1, -1), edge))
     at_rest = coefficients["cone_n"], coefficients["cone_t"]

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
@@ -28,7 +28,9 @@ from contacts.solvers.contact_lcp import contact_impulses, contact_problem, dela
 from contacts.solvers.lcp import LcpStatus, solve_lcp
 from contacts.solvers.mode_solver import (
     AGAINST,
+    BEYOND,
     INTO,
+    NEGATIVE,
     OUTSIDE,
     PULLS,
     choose_edges,
@@ -38,7 +40,10 @@ from contacts.solvers.mode_solver import (
 from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import (
     CODES,
+    DISENGAGED,
     FREE,
+    INACTIVE,
+    LOCKED,
     OFF,
     OFF_CODE,
     OPEN,
@@ -47,6 +52,7 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
+    STICKING,
     declared_state,
     undetermined,
 )
@@ -62,6 +68,8 @@ _WORDS = {
     PULLS: "V = {:.3g} < 0",
     OUTSIDE: "|H| = {:.6g} > mu V",
     AGAINST: "slip would accelerate at {:.3g} against it",
+    BEYOND: "|M| = {:.6g} > its limit",
+    NEGATIVE: "its limit is {:.6g} < 0",
 }
 SINGULAR = "its equations do not determine the motion"
 """Why a mode is undetermined in which a body without mass or inertia is held by nothing."""
@@ -144,7 +152,7 @@ def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
     snapshot, laws, closed, still, scales, tie = case
-    edges = cones(laws, snapshot.contacts)
+    edges = bounds(laws, snapshot)
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
     accelerations = np.empty((count, len(snapshot.forces)))
@@ -155,6 +163,7 @@ def _solved_combinations(
         snapshot.jacobians,
         snapshot.biases,
         edges,
+        carriers(tuple(laws)),
         codes,
         _flags(tuple(closed)),
         _flags(tuple(still)),
@@ -207,7 +216,9 @@ def _explain(
         ):
             chosen = np.empty((len(codes[k]), 2))
             choose_edges(edges, codes[k], chosen)
-            given = share(codes[k], snapshot, chosen, candidate.forces, inward)
+            given = share(
+                codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
+            )
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
             found[k] = _refused(candidate, _UNEXPLAINED)
@@ -222,7 +233,7 @@ def _explain(
 
 def _within(code: Ints, other: Ints) -> bool:
     """Whether what every contact may bear in one mode it may bear in the other."""
-    return bool(((code == other) | (code == FREE) | (other == PIN)).all())
+    return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 
 @lru_cache(maxsize=1024)
@@ -253,7 +264,7 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     states = candidate.states
     return (
         sum(state == "free" for state in states),
-        sum(state != "pin" for state in states),
+        sum(state not in STICKING for state in states),
         " ".join(states),
     )
 
@@ -274,6 +285,16 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     choose_edges(cones(laws, snapshot.contacts)[group], sliding, edges)
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
+    for k, i in enumerate(group):
+        if laws[i].coupling:
+            # Its limit is the normal force of a contact that nothing else presses.
+            static, kinetic = snapshot.limits[i - len(laws)].tolist()
+            limit, edges[k] = static if still[i] else kinetic, math.sqrt(0.5)
+            contacts[2 * k, 2 * k] = 1.0
+            if laws[i].carrier < 0:
+                free[k, 0] = -limit
+            elif laws[i].carrier in group:
+                contacts[2 * k, 2 * group.index(laws[i].carrier)] = -limit
     solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
     # A candidate that its residual does not verify may still name the right modes.
     if solution.status not in (LcpStatus.SOLVED, LcpStatus.UNVERIFIED):
@@ -285,7 +306,10 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     found = []
     # What bears no force may be closed, what is on the edge of its cone may be pinned.
     for closer, firmer in product((True, False), repeat=2):
-        states = [several[0] if len(several) == 1 else "free" for several in options]
+        states = [
+            several[0] if len(several) == 1 or law.coupling else "free"
+            for several, law in zip(options, laws, strict=True)
+        ]
         for k, i in enumerate(group):
             V, H = forces[k].tolist()
             bears = max(V, abs(H)) > least
@@ -293,8 +317,11 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
                 continue
             inside = edges[k, 1] * V - edges[k, 0] * abs(H) > least
             along = slides[k] or (-H if bears and at_rest[k, 1] else after[k, 1])
-            if still[i] and at_rest[k, 1] and (firmer or inside) and "pin" in options[i]:
-                states[i] = "pin"
+            sticking = next((state for state in options[i] if state in STICKING), "")
+            if still[i] and at_rest[k, 1] and (firmer or inside) and sticking:
+                states[i] = sticking
+            elif laws[i].coupling:
+                states[i] = "slip+" if along > 0.0 else "slip-"
             elif edges[k, 1] == 0.0:
                 states[i] = "slide"
             else:
@@ -308,7 +335,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     return _solved_combinations(case, combinations, codes)
 
 
-_NAMES = {code: name for name, code in CODES.items() if name != OFF}
+_NAMES = {code: name for name, code in CODES.items() if name not in INACTIVE}
 
 
 class ModeRules(NamedTuple):
@@ -335,7 +362,7 @@ def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
     allowed = np.zeros((len(states), len(_NAMES)), np.bool_)
     for i, several in enumerate(states):
         for name in several:
-            if name != OFF:
+            if name not in INACTIVE:
                 allowed[i, CODES[name]] = True
     return allowed
 
@@ -454,6 +481,7 @@ def classify(
         numbers[at:biases_at].reshape((contacts, 2, n)),
         numbers[biases_at:scalars].reshape((contacts, 2)),
         edges,
+        np.full(contacts, -1),
         codes,
         closed,
         still,
@@ -522,7 +550,7 @@ class ForceUncertainty(NamedTuple):
             return True
         verdict, codes = np.full(4, -np.inf), np.array([CODES[one.states[i]] for i in fell])
         edges = np.empty((len(fell), 2))
-        choose_edges(cones(case.laws, case.snapshot.contacts)[fell], codes, edges)
+        choose_edges(bounds(case.laws, case.snapshot)[fell], codes, edges)
         judge_forces(verdict, one.forces[fell], edges, codes, case.scales.force)
         return bool(verdict[0] > _NEARLY * case.tie)
 
@@ -541,7 +569,8 @@ class ForceUncertainty(NamedTuple):
 
 
 def _comes_to_rest(may: Collection[str] | str, was: str) -> bool:
-    return "pin" in may and was != "pin"
+    states = (may,) if isinstance(may, str) else may
+    return was not in STICKING and any(state in STICKING for state in states)
 
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
@@ -683,7 +712,7 @@ def choose(
             f"{law.name} comes to rest where that takes just the force that friction gives, as far "
             "as the tolerance tells: it sticks, and might slip on"
             for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
-            if state == "pin" and was != "pin"
+            if _comes_to_rest(state, was)
         )
     considered = LazyMapping(partial(_verdicts, case, tried, taken))
     return Choice(taken, considered, warning, notes, doubted is not None)
@@ -761,12 +790,14 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
 
 
 def _held(taken: Candidate, other: Candidate, case: Case) -> bool:
-    """Return whether static friction holds a contact that kinetic friction would let slip."""
-    edges = cones(case.laws, case.snapshot.contacts)
+    """Return whether static friction holds what kinetic friction would let slip."""
+    edges = bounds(case.laws, case.snapshot)
     mu = edges[:, 1::2] / np.maximum(edges[:, ::2], np.finfo(float).tiny)
     return any(
-        one == "pin" and two in SLIDING and (mu[k, 0] > mu[k, 1:]).any()
-        for k, (one, two) in enumerate(zip(taken.states, other.states, strict=True))
+        one in STICKING
+        and two not in (*STICKING, *OPEN)
+        and (edges[k, 0] > edges[k, 1] if law.coupling else (mu[k, 0] > mu[k, 1:]).any())
+        for k, (law, one, two) in enumerate(zip(case.laws, taken.states, other.states, strict=True))
     )
 
 
@@ -788,10 +819,11 @@ def _without_new_loads(
     moving = [c for c in without if rank(c.states, jacobians) < rank(one.states, jacobians)]
     if len(moving) == len(without):
         return min(moving, key=openness, default=one), ""
+    pressing = [i for i in sorted(_bearing(one)) if not case.laws[i].coupling]
     edges = np.empty((len(one.states), 2))
     chosen = np.array([CODES[state] for state in one.states])
     choose_edges(cones(case.laws, case.snapshot.contacts), chosen, edges)
-    both = pressed_together(jacobians, edges, sorted(_bearing(one)))
+    both = pressed_together(jacobians, edges, pressing)
     if not new <= both:
         return one, ""
     names = ", ".join(case.laws[i].name for i in sorted(both))
@@ -821,7 +853,7 @@ def _advice(
         kinds = {declared_state(state) for state in law.states}
         wanted = ("free", "slide", "pin") if law.cone_t > 0.0 else ("free", "slide")
         lacks = [kind for kind in wanted if kind not in kinds]
-        if shut and lacks and law.name not in rough:
+        if shut and lacks and law.name not in rough and not law.coupling:
             unlisted = True
             yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
@@ -859,7 +891,7 @@ def _carried(
     names = [
         law.name
         for law, shut, state, here, all_of_it in zip(laws, closed, states, left, whole, strict=True)
-        if shut and state in OPEN and here <= _IMPLIED * all_of_it
+        if shut and state in OPEN and here <= _IMPLIED * all_of_it and not law.coupling
     ]
     if not names:
         return ()
@@ -873,18 +905,19 @@ def _options(
     contact: PerContact, law: ContactLaw, touching: bool, at_rest: bool
 ) -> tuple[str, ...]:
     if not touching:
-        return (OFF if contact.gap == math.inf else "free",)
+        off = DISENGAGED if law.coupling else OFF
+        return (off if contact.gap == math.inf else "free",)
     return _open(law.states, contact.slip > 0.0, at_rest)
 
 
 @lru_cache(maxsize=1024)
 def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
     """Return the states that a touching contact may be in, from the sense of its slip."""
-    direction = "slide+" if forward else "slide-"
+    direction = ("slide+", "slip+") if forward else ("slide-", "slip-")
     return tuple(
         state
         for state in states
-        if state != OFF and (state in ("free", "slide") or at_rest or state == direction)
+        if state not in INACTIVE and (state in ("free", "slide") or at_rest or state in direction)
     )
 
 

@@ -77,8 +77,8 @@ def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, Fo
 
 
 _SECTIONS = frozenset(
-    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "forces", "collisions")
-)
+    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "couplings", "forces")
+) | {"collisions"}
 
 
 def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
@@ -113,6 +113,8 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
             own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
             rates = map(scene.rate_name, own)
             return scene.kinematic_names | {*scene.controls, *own, *rates} | scene.placed_names
+        case "couplings", "limit":
+            return scene.kinematic_names | {*scene.controls} | scene.placed_names
     return parameters
 
 
@@ -181,6 +183,7 @@ def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
     found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
+    found |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
@@ -434,6 +437,7 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
     for name, force in scene.forces.items():
         found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
         found.append((("forces", name, "moment"), force.moment))
+    found += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
     used = set[str]().union(*(parse(text).names for _, text in found))
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
@@ -624,6 +628,24 @@ def check_copies(scene: SceneFields) -> None:
             )
 
 
+def check_coupled(scene: SceneFields, name: str) -> None:
+    """Check that the bodies of a coupling turn, and that something can be known of its limit."""
+    coupling = scene.couplings[name]
+    if coupling.joint is not None and coupling.joint not in scene.joints:
+        return
+    if scene.along_guide(name):
+        return
+    for place, body in enumerate(scene.coupled(name)):
+        declared = scene.bodies.get(body)
+        if declared is not None and declared.inertia is None and declared.angle is None:
+            loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
+            raise DeclarationProblem(
+                f"body {body!r} does not turn: it has no inertia and no angle",
+                advice="give it an inertia, or name a body that turns",
+                loc=("couplings", name, *loc),
+            )
+
+
 def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
     """Check that a surface is carried by one body, not by copies."""
     if body in scene.bodies and scene.bodies[body].copies is not None:
@@ -641,6 +663,7 @@ def check_collisions(scene: SceneFields) -> None:
     absent = {
         "contacts": scene.contacts,
         "coordinates": scene.coordinates,
+        "couplings": scene.couplings,
         "modes": scene.initial_modes,
     }
     for section, declared in absent.items():

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
+from contacts.scene.couplings import Coupling
 from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
@@ -44,6 +45,8 @@ _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "a
 _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
+_OF_COUPLINGS: Mapping[str, Dimension] = {"M": "moment", "slip": "angle/time"}
+_OF_GUIDES: Mapping[str, Dimension] = {"M": "force", "slip": "length/time"}
 _CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
 _MOST_COPIES = 10_000
 
@@ -73,6 +76,10 @@ class SceneFields(Declaration):
         ),
         **JOINT_WORDS,
         **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
+        **dict.fromkeys(
+            ("brake", "brakes", "clutch", "clutches"),
+            "couplings: {brake: {bodies: [wheel], limit: M_max}}",
+        ),
     }
 
     kind: Literal["scene"] = Field(
@@ -120,6 +127,14 @@ class SceneFields(Declaration):
         default={},
         description="Joints: points of bodies that are held.",
         examples=[{"pivot": {"point": {"body": "arm"}, "to": [0, 0]}}],
+    )
+    couplings: dict[NameText, Coupling] = Field(
+        default={},
+        description=(
+            "Dry friction as a couple between bodies, in a joint or along a guide. Each is a "
+            "region of the statechart."
+        ),
+        examples=[{"brake": {"bodies": ["wheel"], "limit": "M_max"}}],
     )
     forces: dict[NameText, Force] = Field(
         default={},
@@ -260,8 +275,11 @@ class SceneFields(Declaration):
         words = f"{part} of {owner}"
         if owner in self.contacts and part in _OF_CONTACTS:
             return Quantity(words, _OF_CONTACTS[part])
+        if owner in self.couplings and part in _OF_COUPLINGS:
+            known = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+            return Quantity(words, known[part])
         if owner in self.joints and part in self.joints[owner].forces:
-            return Quantity(words, "" if part == "M" else "force")
+            return Quantity(words, "moment" if part == "M" else "force")
         if owner in self.joints and part in _CAPTURED:
             return Quantity(words, _CAPTURED[part])
         if part in _OF_BODIES and owner and owner not in self.contacts:
@@ -352,8 +370,30 @@ class SceneFields(Declaration):
 
     def friction_of(self, contact: str) -> FrictionLaw | None:
         """Return the coefficients of a contact; None where none is declared."""
+        if contact not in self.contacts:  # A coupling
+            return None
         declared = self.contacts[contact].friction
         return friction_law(declared, contact, {*self.parameters, *self.controls})
+
+    @property
+    def frictional(self) -> tuple[str, ...]:
+        """Contacts, then couplings: the regions whose states are selected by their friction."""
+        return (*self.contacts, *self.couplings)
+
+    def along_guide(self, coupling: str) -> str:
+        """Return the free direction, "X" or "Y", of the guide that a coupling is in; "" else."""
+        joint = self.joints.get(self.couplings[coupling].joint or "")
+        held = [c for c in ("X", "Y") if joint is not None and c in joint.components]
+        return {"X": "Y", "Y": "X"}[held[0]] if len(held) == 1 else ""
+
+    def coupled(self, coupling: str) -> tuple[str, ...]:
+        """Return the one or two bodies of a coupling."""
+        declared = self.couplings[coupling]
+        if declared.bodies is not None:
+            return declared.bodies
+        joint = self.joints[declared.joint or ""]
+        other = (joint.to.body,) if isinstance(joint.to, Point) else ()
+        return (joint.point.body, *other)
 
     @property
     def kinematic_names(self) -> frozenset[str]:
@@ -389,6 +429,7 @@ class SceneFields(Declaration):
     def asked_states(self) -> tuple[Member, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
         texts = [text for contact in self.contacts.values() for text in contact.enabled]
+        texts += [text for coupling in self.couplings.values() for text in coupling.enabled]
         members = [member for text in texts for member in parse_relation(text).members]
         return tuple({(m.region, m.state): m for m in members}.values())
 
@@ -398,6 +439,8 @@ class SceneFields(Declaration):
 
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""
+        if contact in self.couplings:
+            return self.couplings[contact].gate
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
         return conjunction((*declared.enabled, *(["within its edge"] if ends else [])))
