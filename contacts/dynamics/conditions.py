@@ -334,7 +334,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
         if state in INACTIVE:
             jacobians[i] = biases[i] = 0.0
             zeros = (0.0,) * len(PerContact._fields[1:-2])
-            contacts[i] = PerContact(math.inf, *zeros, jacobian=jacobians[i])
+            contacts[i] = PerContact._make((math.inf, *zeros, jacobians[i], None))
     held = snapshot.held
     if held is not None:
         held = replace(held, whole=hidden(held.whole, mode))
