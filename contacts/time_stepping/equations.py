@@ -191,9 +191,10 @@ class ContactForces(NamedTuple):
     jammed: int
 
 
-CONTACT, EDGES = 10, 6
-"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition;
-from `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
+CONTACT, EDGES = 11, 7
+"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
+the condition without the ends of edges at which another edge makes a valley; from `EDGES` on the
+unit edges of its friction cone in slide+ and slide-, at the size of its slip."""
 
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""

@@ -69,7 +69,9 @@ class SteppedTape:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
             gate = mechanics.gate(name)
-            outputs.append(sp.S.One if gate is None else gate.by_steps(known))
+            holds = sp.S.One if gate is None else gate.by_steps(known)
+            valleys = mechanics.valleys(name)
+            outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
             outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
         rows = mechanics.joint_rows
         for row in rows:
