@@ -248,7 +248,10 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
     # A contact whose bounces are skipped is still free, and moves as if closed.
-    target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
+    target = tuple(
+        "free" if not struck.rests.keys().isdisjoint((i, law.carrier)) else name
+        for i, (name, law) in enumerate(zip(moving, struck.laws, strict=True))
+    )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
     said = choice.considered, (choice.warning,), choice.notes, choice.doubted
