@@ -16,6 +16,7 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, listed, struck, without_collision
+from contacts.impacts.rolling import resisted
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.parts import Resolution, Simultaneous
@@ -197,6 +198,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
             result = without_collision(snapshot, laws, jam.places)
         else:
             result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
+        result = resisted(snapshot, laws, result, 2.0 * here.slow)
         after = snapshot.moved(state, result.velocity)
         following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, following, rests)

@@ -51,6 +51,7 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
+    SLIPPING,
     STICKING,
     declared_state,
     undetermined,
@@ -727,7 +728,11 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     taken = min(clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
-    others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
+    others = [
+        c
+        for c in sure
+        if c is not taken and not same_motion(c, taken, scales) and not _locks(taken, c, case)
+    ]
     if not others and taken.share is not None:
         # What lies along a surface is on its edge wherever it goes.
         new = _bearing(taken) - before.bearing
@@ -753,6 +758,18 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     return (
         taken,
         f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+    )
+
+
+def _locks(taken: Candidate, other: Candidate, case: Case) -> bool:
+    """Return whether a static limit holds a coupling that its kinetic one would let slip."""
+    first = len(case.laws) - len(case.snapshot.limits)
+    limits = zip(
+        case.snapshot.limits.tolist(), taken.states[first:], other.states[first:], strict=True
+    )
+    return any(
+        one == "locked" and two in SLIPPING and static > kinetic
+        for (static, kinetic), one, two in limits
     )
 
 

@@ -117,7 +117,13 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
         rows = zip(
-            scene.couplings, moving_mode(arc.roles)[first:], columns, columns, columns, columns, strict=False
+            scene.couplings,
+            moving_mode(arc.roles)[first:],
+            columns,
+            columns,
+            columns,
+            columns,
+            strict=False,
         )
         for name, state, couple, slip, static, kinetic in rows:
             limit = np.zeros_like(couple) if state in OPEN else kinetic

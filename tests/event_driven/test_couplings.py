@@ -473,12 +473,17 @@ def test_ball_that_slips_rolls_at_last_and_stops(engine: str) -> None:
     assert found[1][1] == pytest.approx(rolls + speed / (0.02 * g / 1.4), abs=EXACT * 10)
 
 
-def test_rolling_resistance_is_free_in_flight_and_acts_after_the_bounces() -> None:
-    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 1")
-    trace = run(text.replace("restitution: 0\n", "restitution: 0.6\n")).trace
+@ENGINES
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.6])
+def test_rolling_resistance_is_free_in_flight_and_acts_in_impacts(engine: str, e: float) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 1, dangle: -5")
+    trace = run(text.replace("restitution: 0\n", f"restitution: {e}\n"), engine).trace
     assert trace.arcs[0].mode == ("free", "free")
     assert trace.jumps[-1].cause == "lock"
     assert trace.arcs[-1].mode == ("pin", "locked")
+    # About the ground, m r v - I w is used up by L times the normal impulse, m g T in all.
+    spin = 1 * 0.1 * 1 + 0.4 * 0.1**2 * 5
+    assert trace.jumps[-1].t == pytest.approx(spin / (0.002 * 9.81), rel=1e-7)
 
 
 def test_rolling_resistance_is_of_a_disc() -> None:
