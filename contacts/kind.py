@@ -44,10 +44,10 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        if scene.couplings:
+        if mechanics.scene.couplings:
             raise Unsupported(
-                f"coupling {next(iter(scene.couplings))!r}: steps have no couplings yet; run with "
-                "--engine taylor or scipy"
+                f"coupling {next(iter(mechanics.scene.couplings))!r}: steps have no couplings yet; "
+                "run with --engine taylor or scipy"
             )
         from contacts.time_stepping.scene_stepper import SceneStepper
 

@@ -489,3 +489,9 @@ def test_rolling_resistance_is_free_in_flight_and_acts_in_impacts(engine: str, e
 def test_rolling_resistance_is_of_a_disc() -> None:
     with pytest.raises(statechart.DeclarationError, match="rolling resistance is of a disc"):
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
+
+
+@pytest.mark.parametrize("text", [RAMP, ROLLING])
+def test_steps_refuse_couplings(text: str) -> None:
+    with pytest.raises(statechart.Unsupported, match="steps have no couplings"):
+        statechart.run(interpret(read_text(text)), engine="impulse", step=1e-3)
