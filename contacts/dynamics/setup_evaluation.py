@@ -18,7 +18,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
-from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, captured, magnified, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
@@ -158,7 +158,8 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=doubtful(relative) * scales.speed,
+            capture=captured(relative) * scales.speed,
+            doubtful=magnified(relative),
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)

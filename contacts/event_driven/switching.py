@@ -117,7 +117,12 @@ class Switching:
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
-            leaves = [i for i in places if doubtful[i] and contacts[i].gap_rate <= slow]
+            # A contact that has gone off here stays off: it would go off again at once.
+            leaves = [
+                i
+                for i in places
+                if doubtful[i] and contacts[i].gap_rate <= slow and (not on or on[i])
+            ]
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
                 kept.update(leaves)
             kept.update(i for i in places if doubtful[i] and on and on[i])
