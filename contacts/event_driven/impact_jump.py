@@ -18,6 +18,7 @@ from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bou
 from contacts.impacts.jamming import Jam, listed, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
+from contacts.scene.modes import INSIDE, OUTSIDE
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
@@ -25,6 +26,9 @@ from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
+
+# Margins of a contact that are none of its forces.
+_NO_FORCES = ("gap", "slip", INSIDE, OUTSIDE)
 
 
 class Rules(NamedTuple):
@@ -48,7 +52,7 @@ class Rules(NamedTuple):
             return hidden(found, at.flow.mode)
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
-        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
+        others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
         fell = [
             i
             for i, name in enumerate(names)
