@@ -69,14 +69,21 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
+        import sympy as sp
+
         from statechart.formulas.writer import Difference
 
         gap = Difference(contact.gap, contact.gap_offset)
         margins = [Margin(f"{contact.name}.gap", gap, "gap")]
         if contact.compliance is not None:
             # It may lift off while it is inside, and press again there.
-            margins.append(Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force"))
-            margins.append(Margin(f"{contact.name}.{OUTSIDE}", -contact.gap))
+            relation = f"{contact.name}.free"
+            whole = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            margins = [
+                Margin(margins[0].name, gap, "gap", relation, whole),
+                Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
+            ]
         return State((contact.V, contact.H), tuple(margins))
 
 

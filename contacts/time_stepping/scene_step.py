@@ -122,6 +122,8 @@ def switch_contacts(
     deepest = np.empty(len(off))
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
+        if scene.soft[i, 0] > 0.0:
+            deepest[i] = -math.inf
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]

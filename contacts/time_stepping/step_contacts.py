@@ -255,9 +255,11 @@ def find_active(
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
         if scene.soft[i, 0] > 0.0:
-            # Implicit Euler: the impulse h (-k gap - d rate) of the end of the step, never below 0.
-            met.active[i] = gap <= 0.0
-            met.wanted[i, 0] = h * scene.soft[i, 0] * gap / _yielding(scene, i, h)
+            # Implicit Euler: h times the force at the gap at the start plus h times the rate at
+            # the end, never below 0. It takes energy from steps longer than a contact lasts.
+            start = gap - 0.5 * h * before[0]
+            met.active[i] = min(start, gap) <= 0.0
+            met.wanted[i, 0] = h * scene.soft[i, 0] * start / _yielding(scene, i, h)
             met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
@@ -287,7 +289,7 @@ def find_active(
 @kernel
 def _yielding(scene: StepConstants, i: int, h: float) -> float:
     """Return the impulse per velocity of a compliant contact in a step, implicitly."""
-    found: float = h * (0.5 * h * scene.soft[i, 0] + scene.soft[i, 1])
+    found: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
     return found
 
 
