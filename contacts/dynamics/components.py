@@ -22,7 +22,7 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 from statechart.errors import StatechartError
 
-_REGIONS = ("contacts", "regions")
+_REGIONS = ("contacts", "couplings", "regions")
 _MOVING = ("coordinates", "bodies", *_REGIONS, "joints", "forces", "controls")
 
 # In the names of the parameters that say whether rows of joints are redundant, in their order.

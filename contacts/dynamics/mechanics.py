@@ -16,12 +16,13 @@ from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
+from contacts.scene.couplings import CouplingSymbols
 from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.states import CLOSED
+from contacts.states import CLOSED, DISENGAGED, OFF
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -63,6 +64,10 @@ class Mechanics(Geometry):
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
+        }
+        # Couples M; the limits of couplings stand in the place of normal forces.
+        self.couples = {
+            name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
         self._cones = cones
         self._controls = controlled
@@ -148,6 +153,34 @@ class Mechanics(Geometry):
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
 
+    @cached_property
+    def memory_rates(self) -> dict[str, sp.Expr]:
+        """Rates of what controllers remember: symbols that states set, or 0."""
+        flowing = self._controls.flowing
+        return {
+            name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+            for name, symbol in self.memory.items()
+        }
+
+    @cached_property
+    def placed(self) -> dict[str, sp.Expr]:
+        """Places and rates of bodies that formulas place, by their names in formulas."""
+        found: dict[str, sp.Expr] = {}
+        known = self.scene.placed_names
+        for name, body in self.scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), angle = self.body_frame(name)
+            for part, place in (("x", x), ("y", y), ("angle", angle)):
+                remembered = (
+                    sp.diff(place, symbol) * self.memory_rates[key]
+                    for key, symbol in self.memory.items()
+                    if symbol in place.free_symbols
+                )
+                found[f"{name}.{part}"] = place
+                found[f"{name}.d{part}"] = sp.Add(self.rate(place), *remembered)
+        return {name: expression for name, expression in found.items() if name in known}
+
     def gradient(self, place: sp.Expr) -> list[sp.Expr]:
         """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
         used = place.free_symbols
@@ -176,8 +209,8 @@ class Mechanics(Geometry):
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
             _, angle = self.body_frame(force.body)
-            components = [self._formula(text) for text in force.force]
-            moment = self._formula(force.moment)
+            components = [self._formula(text, **self.placed) for text in force.force]
+            moment = self._formula(force.moment, **self.placed)
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
@@ -218,7 +251,7 @@ class Mechanics(Geometry):
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
         """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
-        geometry = [self.contact(name) for name in self.scene.contacts]
+        geometry = [self.contact(name) for name in self.scene.frictional]
         result = []
         for i, right in enumerate(self.generalised_forces):
             left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
@@ -280,9 +313,9 @@ class Mechanics(Geometry):
 
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
-        """Those that modes are solved for beside the accelerations: of joints, then of contacts."""
+        """Unknowns of modes beside the accelerations: of joints, contacts, couplings."""
         of_contacts = (force for pair in self.forces.values() for force in pair)
-        return (*(row.force for row in self.joint_rows), *of_contacts)
+        return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
     @cached_property
     def power(self) -> sp.Expr:
@@ -316,10 +349,22 @@ class Mechanics(Geometry):
         return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
 
     def contact(self, name: str) -> ContactGeometry:
-        """Return the geometry of a contact, derived when first asked for."""
+        """Return the geometry of a contact or a coupling, derived when first asked for."""
         if name not in self._contacts:
-            self._contacts[name] = self._geometry(name, self.scene.contacts[name])
+            contact = self.scene.contacts.get(name)
+            self._contacts[name] = (
+                self._turning(name) if contact is None else self._geometry(name, contact)
+            )
         return self._contacts[name]
+
+    def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
+        """Return the bounds of a coupling's couple, at rest and in motion."""
+        static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
+        return static, kinetic
+
+    def coupling(self, name: str) -> CouplingSymbols:
+        """Return the quantities of a coupling."""
+        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
@@ -354,7 +399,7 @@ class Mechanics(Geometry):
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """Quantities that outputs and stop conditions may use, name -> expression."""
-        result = dict(self.known)
+        result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
             result |= {
@@ -363,6 +408,8 @@ class Mechanics(Geometry):
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,
             }
+        for name, couple in self.couples.items():
+            result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
         for name, joint in self.scene.joints.items():
             if joint.limits is not None:
@@ -375,16 +422,18 @@ class Mechanics(Geometry):
 
     def gate(self, name: str) -> Gate | None:
         """Return what keeps a contact on; None where it has no conditions and no ends."""
-        contact = self.scene.contacts[name]
+        scene = self.scene
+        coupling = scene.couplings.get(name)
+        contact = coupling or scene.contacts[name]
         if name not in self._gates:
             known = self.known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
-                for other in self.scene.contacts
-                for quantity in ("gap", "slip")
+                for other in scene.frictional
+                for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))
                 if contact.enabled
             }
             ends: dict[str, sp.Expr] = {}
-            edge = self.scene.surfaces[contact.surface].edge
+            edge = None if coupling else scene.surface_of(name).edge
             if edge is not None:
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
@@ -393,7 +442,15 @@ class Mechanics(Geometry):
                 ends = {"begin of its edge": along, "end of its edge": length - along}
             gated = contact.enabled or ends
             self._gates[name] = (
-                gate_of(name, contact.enabled, known, self._asked, ends) if gated else None
+                gate_of(
+                    f"{name}.{DISENGAGED if coupling else OFF}",
+                    contact.enabled,
+                    known,
+                    self._asked,
+                    ends,
+                )
+                if gated
+                else None
             )
         return self._gates[name]
 
@@ -487,6 +544,34 @@ class Mechanics(Geometry):
             return None
         k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
         return -k * around.gap - d * around.gap_rate
+
+    def _turning(self, name: str) -> ContactGeometry:
+        """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
+        along = self.scene.along_guide(name)
+        if along:
+            joint = self.scene.joints[self.scene.couplings[name].joint or ""]
+            turn = self.point(joint.point)["XY".index(along)]
+        else:
+            angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
+            turn = angles[0] - sp.Add(*angles[1:])
+        zero, none = sp.S.Zero, (sp.S.Zero,) * len(self.q)
+        slip = self.rate(turn)
+        jacobian = tuple(self.gradient(turn))
+        bias = self.rate(slip).xreplace(dict.fromkeys(self.a, zero))
+        acceleration = sp.Add(bias, *self._nonzero(jacobian))
+        anchor = sp.Symbol(f"{name}.angle0", real=True)
+        couple = self.couples[name]
+        symbols = ContactSymbols(
+            name, zero, zero, zero, slip, zero, acceleration, zero, couple, zero, sp.S.One,
+            self._padded(name, none, jacobian),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), Hold((), (), ()),
+            Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
+        )  # fmt: skip
+        place, tangent = (turn, zero), (sp.S.One, zero)
+        return ContactGeometry(
+            place, place, tangent, (zero, sp.S.One), tangent, symbols, none, jacobian, zero, bias
+        )
 
     def _arm(self, point: Point) -> sp.Expr:
         """Return the length that makes lengths of angles: the radius of gyration about a point."""

@@ -119,9 +119,10 @@ def _constraint_forces(
 ) -> list[tuple[sp.Expr, ...]]:
     """Return what those forces of contacts and joints that may do work do to every coordinate."""
     jacobians = {row.force: row.jacobian for row in mechanics.joint_rows}
-    for name in mechanics.scene.contacts:
+    for name in mechanics.scene.frictional:
         contact = mechanics.contact(name)
-        jacobians[contact.symbols.V] = contact.jacobian_n
+        if name not in mechanics.couples:
+            jacobians[contact.symbols.V] = contact.jacobian_n
         jacobians[contact.symbols.H] = contact.jacobian_t
     return [tuple(j * f for j in row) for f, row in jacobians.items() if f in working]
 

@@ -59,6 +59,8 @@ class Snapshot(NamedTuple):
     jacobians: Array  # (c, 2, n)
     biases: Array  # (c, 2): Of all contacts
     held: Held | None = None  # None where there are no joints
+    # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
+    limits: Array = np.empty((0, 2))
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
     # (c, n): What normal forces of compliant contacts do to the bodies; part of `forces`
     pushes: Array | None = None
@@ -111,10 +113,10 @@ class SnapshotTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self.states = states  # Of the controllers; those at the start where None
         self.size = len(mechanics.q)
-        self.count = len(mechanics.scene.contacts)
+        self.count = len(mechanics.scene.frictional)
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
         outputs.append(mechanics.energy)
-        names = [*mechanics.scene.contacts]
+        names = [*mechanics.scene.frictional]
         contacts = [mechanics.contact(name) for name in names]
         # Numbers of a kind stand side by side, so that arrays of them need no copy.
         for geometry in contacts:
@@ -148,6 +150,10 @@ class SnapshotTape:
             symbols = mechanics.contact(name).symbols
             mass, _ = mechanics.inertia(body, mechanics.scene.bodies[body])
             outputs += [mass, symbols.compliance, symbols.gap_rate]
+        couplings = mechanics.scene.couplings
+        self._limits = 2 * len(couplings)
+        for name in couplings:
+            outputs += mechanics.limits(name)
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -184,9 +190,11 @@ class SnapshotTape:
             ),
             jacobians,
             numbers[end : end + further].reshape(count, 2),
+            limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
         if self._pads:
-            whole = self._padded(whole, numbers[len(numbers) - 3 * len(self._pads) :])
+            end = len(numbers) - self._limits
+            whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
         if not self.joints:
             return whole, None
         gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
@@ -251,6 +259,7 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         jacobians,
         biases,
         Held(whole, joints, basis, allowed.acceleration),
+        whole.limits,
         whole.pads,
         None if whole.pushes is None else whole.pushes @ basis,
     )

@@ -136,6 +136,23 @@ def _solid(surface: Surface) -> str:
     return ""
 
 
+def check_limits(names: Sequence[str], limits: Array) -> None:
+    """Refuse limits (k, 2) of couplings, static and kinetic, that are none at the start."""
+    for name, (static, kinetic) in zip(names, limits.tolist(), strict=True):
+        loc = ("couplings", name, "limit")
+        if not (math.isfinite(static) and math.isfinite(kinetic)):
+            problem, advice = "it has no finite value at the start", "write a limit that has one"
+        elif kinetic < 0.0:
+            problem = f"must be zero or positive, not {kinetic:g} at the start"
+            advice = "a coupling that lets go is one with enabled: RELATION"
+        elif static < kinetic:
+            problem = f"the static limit {static:g} is below the kinetic one, {kinetic:g}"
+            advice = "exchange them, or write one formula for both"
+        else:
+            continue
+        raise DeclarationProblem(problem, advice=advice, loc=loc)
+
+
 def check_joints(
     mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup, allowed: float
 ) -> None:

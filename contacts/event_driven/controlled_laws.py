@@ -274,7 +274,9 @@ class ControlledLaws:
         accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
         captured = np.array([role.captured for role in flow.roles[: self._count]])
         forces = np.where(captured[:, None], 0.0, solved.forces)
-        return np.concatenate([accelerations, forces.ravel(), joints])
+        first = len(self._mechanics.forces)
+        couples = forces[first:, 1]
+        return np.concatenate([accelerations, forces[:first].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""

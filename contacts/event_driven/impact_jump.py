@@ -15,12 +15,12 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
-from contacts.impacts.jamming import Jam, listed, without_collision
+from contacts.impacts.jamming import Jam, listed, struck, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
 from contacts.scene.parts import Resolution, Simultaneous
-from contacts.states import OFF, OPEN
+from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
@@ -52,12 +52,13 @@ class Rules(NamedTuple):
             return hidden(found, at.flow.mode)
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
+        off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
         others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
         fell = [
             i
             for i, name in enumerate(names)
             if any(
-                f.startswith(f"{name}.") and f not in others and not f.startswith(f"{name}.{OFF}:")
+                f.startswith(f"{name}.") and f not in others and not f.startswith(off)
                 for f in at.fired
             )
         ]
@@ -199,7 +200,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
         if jam is not None:
             result = without_collision(snapshot, laws, jam.places)
         else:
-            result = impacts(snapshot, laws, closed, rules.simultaneous)
+            result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
         after = snapshot.moved(state, result.velocity)
         following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, following, rests)
@@ -242,7 +243,7 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     )
     check_listed(setup, following, touching)
     if not any(touching):
-        flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
+        flying = tuple(name if name in INACTIVE else "free" for name in here.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
     uncertainty = rules.uncertainty(here, struck.state)
     before = Before.flow(here.at.flow.roles)

@@ -69,8 +69,8 @@ def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, Fo
 
 
 _SECTIONS = frozenset(
-    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "forces", "collisions")
-)
+    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "couplings", "forces")
+) | {"collisions"}
 
 
 def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
@@ -84,7 +84,10 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
     section, name, key, *_ = (*map(str, loc), "", "")
     match section, key:
         case "bodies", "angle" | "position":
-            return parameters | {*scene.coordinates}
+            if not scene.bodies[name].prescribed:
+                return parameters | {*scene.coordinates}
+            numbered = {INDEX} if scene.bodies[name].copies is not None else set()
+            return parameters | {TIME, *scene.controlled.memory, *scene.controls} | numbered
         case "bodies", "start" if scene.bodies[name].copies is not None:
             return parameters | {INDEX}
         case "surfaces", "height":
@@ -99,7 +102,10 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
             # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
             own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
-            return scene.kinematic_names | {*scene.controls, *own, *map(scene.rate_name, own)}
+            rates = map(scene.rate_name, own)
+            return scene.kinematic_names | {*scene.controls, *own, *rates} | scene.placed_names
+        case "couplings", "limit":
+            return scene.kinematic_names | {*scene.controls} | scene.placed_names
     return parameters
 
 
@@ -152,6 +158,7 @@ def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
     found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
     found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
+    found |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
@@ -188,9 +195,10 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
     """Yield the limits of masses, inertias, friction, restitution, radii and inclines."""
     for name, body in scene.bodies.items():
         at: Loc = ("bodies", name)
-        yield Limit((*at, "mass"), body.mass, *_POSITIVE)
-        yield Limit((*at, "mass"), body.mass, *_LIGHT)
-        yield Limit((*at, "mass"), body.mass, *_HEAVY)
+        if not body.prescribed:
+            yield Limit((*at, "mass"), body.mass, *_POSITIVE)
+            yield Limit((*at, "mass"), body.mass, *_LIGHT)
+            yield Limit((*at, "mass"), body.mass, *_HEAVY)
         if body.inertia is not None:
             yield Limit((*at, "inertia"), body.inertia, 0.0, _MAX_NUMBER)
         for place, shape in enumerate(body.shape):
@@ -343,7 +351,8 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in scene_formulas(scene):
         if loc[0] not in ("surfaces", "joints") and loc[2:3] not in (("position",), ("angle",)):
             continue
-        variables = names_for(scene, loc) - {*scene.parameters, *scene.controlled.memory}
+        constant = {*scene.parameters, *scene.controlled.memory, *scene.controls, INDEX}
+        variables = names_for(scene, loc) - constant
         if variables:
             ground = loc[-1] == "height"
             advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
@@ -384,6 +393,7 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
     for name, force in scene.forces.items():
         found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
         found.append((("forces", name, "moment"), force.moment))
+    found += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
     used = set[str]().union(*(parse(text).names for _, text in found))
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
@@ -574,6 +584,24 @@ def check_copies(scene: SceneFields) -> None:
             )
 
 
+def check_coupled(scene: SceneFields, name: str) -> None:
+    """Check that the bodies of a coupling turn, and that something can be known of its limit."""
+    coupling = scene.couplings[name]
+    if coupling.joint is not None and coupling.joint not in scene.joints:
+        return
+    if scene.along_guide(name):
+        return
+    for place, body in enumerate(scene.coupled(name)):
+        declared = scene.bodies.get(body)
+        if declared is not None and declared.inertia is None and declared.angle is None:
+            loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
+            raise DeclarationProblem(
+                f"body {body!r} does not turn: it has no inertia and no angle",
+                advice="give it an inertia, or name a body that turns",
+                loc=("couplings", name, *loc),
+            )
+
+
 def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
     """Check that a surface is carried by one body, not by copies."""
     if body in scene.bodies and scene.bodies[body].copies is not None:
@@ -591,6 +619,7 @@ def check_collisions(scene: SceneFields) -> None:
     absent = {
         "contacts": scene.contacts,
         "coordinates": scene.coordinates,
+        "couplings": scene.couplings,
         "modes": scene.initial_modes,
     }
     for section, declared in absent.items():
@@ -612,12 +641,22 @@ def check_collisions(scene: SceneFields) -> None:
                 )
     _check_memory(scene)
     for name, body in scene.bodies.items():
-        if body.coordinates != ("x", "y", "angle"):
+        if not body.prescribed and body.coordinates != ("x", "y", "angle"):
             raise DeclarationProblem(
                 "a body that collides is free and has an inertia",
-                advice="give it an inertia, and no position",
+                advice="give it an inertia, and no position; or a path, position and angle, and no "
+                "mass",
                 loc=("bodies", name),
             )
+        if body.prescribed:
+            _check_path(scene, name)
+    if all(body.prescribed for body in scene.bodies.values()):
+        raise DeclarationProblem(
+            "all bodies are fixed or led, and nothing moves by itself",
+            advice="declare a body with a mass, an inertia and a shape",
+            loc=("bodies",),
+            key=True,
+        )
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for place, one in enumerate(collision.bodies):
@@ -639,11 +678,67 @@ def check_collisions(scene: SceneFields) -> None:
                 raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
 
 
+def _check_path(scene: SceneFields, name: str) -> None:
+    """Check that the path of a fixed or led body is known ahead, and that nothing pulls at it."""
+    moving = _moving_names(scene)
+    for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
+        for control in parse(text).names.intersection(scene.controls):
+            used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
+            if found := [n for n in used if n in moving]:
+                raise DeclarationProblem(
+                    f"the path uses {control!r}, which depends on {found[0]!r}, on how bodies move",
+                    advice="let it depend on time, controls and variables; a force follows bodies",
+                    loc=("bodies", name, "angle" if key == "angle" else "position"),
+                )
+    for force, declared in scene.forces.items():
+        if scene.owners().get(declared.body, declared.body) == name:
+            raise DeclarationProblem(
+                f"{name!r} moves as prescribed, and no force moves it",
+                advice="remove the force, or give the body a mass and no path",
+                loc=("forces", force, "body"),
+            )
+    for joint, held in scene.joints.items():
+        for key, point in (("point", held.point), ("to", held.to)):
+            if isinstance(point, Point) and scene.owners().get(point.body) == name:
+                raise DeclarationProblem(
+                    f"{name!r} moves as prescribed, and joints hold bodies that move by themselves",
+                    advice="hold the other body to the place, to: [0, 1], or along the path, "
+                    'to: ["v*time", 1]',
+                    loc=("joints", joint, key, "body"),
+                )
+
+
+def _moving_names(scene: SceneFields) -> set[str]:
+    """Return the names of what impulses of contacts change."""
+    return {*scene.variables, *map(scene.rate_name, scene.variables)}
+
+
+def check_prescribed(scene: SceneFields, found: Findings) -> None:
+    """Check that fixed and led bodies are in a scene with collisions."""
+    for name, body in scene.bodies.items():
+        with found:
+            if body.prescribed and not scene.collisions:
+                if not body.fixed:
+                    raise DeclarationProblem(
+                        "a body needs a mass",
+                        advice="write mass: 1; a body without one is led along its position in a "
+                        "scene with collisions",
+                        loc=("bodies", name),
+                    )
+                raise DeclarationProblem(
+                    "a fixed body takes part in collisions, and the scene has none",
+                    advice="declare collisions; what points touch is a surface: "
+                    "surfaces: {wall: {line: [[1, 0], [1, 1]]}}",
+                    loc=("bodies", name, "fixed"),
+                    key=True,
+                )
+
+
 def _check_memory(scene: SceneFields) -> None:
     """Check that what controllers remember is known ahead of the steps."""
     if not any(region.variables for region in scene.regions.values()):
         return
-    moving = {*scene.variables, *map(scene.rate_name, scene.variables)}
+    moving = _moving_names(scene)
     for region, declared in scene.regions.items():
         for state, at in scene.controlled.states(region):
             for variable, text in state.flows.items():

@@ -12,6 +12,7 @@ from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any
 
 from contacts.scene.controls import Controller, ControlState
+from contacts.scene.couplings import Coupling
 from contacts.scene.joints import Joint, Path
 from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.states import CLOSED, OFF
@@ -118,14 +119,24 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     _check_names(scene, {*contacts, *controllers}.difference(scene.joints))
     return {
         "joints": joints,
+        "couplings": {name: _in_joint(scene, one) for name, one in scene.couplings.items()},
         "surfaces": {**scene.surfaces, **surfaces},
         "contacts": {**scene.contacts, **contacts},
         "regions": {**scene.regions, **controllers},
     }
 
 
+def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
+    """Return a coupling that is open while the joint that it is in is off."""
+    joint = scene.joints.get(coupling.joint or "")
+    if joint is None or not switched(joint):
+        return coupling
+    closed = f"in({coupling.joint}.{CLOSED})"
+    return coupling.model_copy(update={"enabled": (*coupling.enabled, closed)})
+
+
 def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
-    for section in ("bodies", "contacts", "joints", "regions"):
+    for section in ("bodies", "contacts", "joints", "couplings", "regions"):
         for name in added & getattr(scene, section).keys():
             raise DeclarationProblem(
                 f"{name!r} is a region of joint {name.rpartition('_')[0]!r}",

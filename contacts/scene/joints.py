@@ -117,9 +117,8 @@ class Joint(Part):
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(
-            ("friction", "damping"), "a moment among the forces: {body: arm, moment: -c*arm.dangle}"
-        ),
+        "friction": "couplings: {bearing: {joint: NAME, limit: M_max}}",
+        "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
         **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
         "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
         **JOINT_WORDS,

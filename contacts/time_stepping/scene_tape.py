@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, memory_rates, values_in
+from contacts.dynamics.controllers import given, values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
@@ -86,7 +86,7 @@ class SteppedTape:
         outputs += [known[symbol] for symbol in given(mechanics)]
         self.given = len(given(mechanics))
         self.tape: Tape = mechanics.whole_tape(outputs)
-        flows = [known.get(rate, rate) for rate in memory_rates(mechanics).values()]
+        flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(

@@ -106,7 +106,7 @@ MISTAKES = {
     "key of another part": ("{height: 0}", "{height: 0, friction: mu}", "9:23: unknown key 'frict"
                             "ion'; 'friction' is a key of collisions and of contacts"),
     "key of a part of it": ("point: {body: rod, at: [0, -L]}", "body: rod", "unknown key 'body'; "
-                            "'body' is a key of contacts.point and of forces; known keys here: damping"),
+                            "'body' is a key of contacts.point and of forces; known keys here: da"),
     "start beside start": ("start: {y: h, angle: 0.3}", "y: h", "'y' is a key of bodies.start and"),
     "setting outside": ("outputs:", "step: 0.001\noutputs:", "'step' is a key of settings; known"),
     "colon without a blank": ("mass: m", "mass:m", "unknown key 'mass:m'; a colon has a"),
@@ -188,7 +188,7 @@ MISTAKES = {
     "friction of a joint": (
         "stop:",
         "joints: {j: {point: {body: rod}, to: [0, 1], friction: 0.1}}\nstop:",
-        "write a moment among the forces: {body: arm, moment: -c*arm.dangle}",
+        "write couplings: {bearing: {joint: NAME, limit: M_max}}",
     ),
     "stiffness in a force": (
         "stop:", "forces: {f: {body: rod, stiffness: 3}}\nstop:", "write force: [-k*rod.x, 0]"
@@ -275,6 +275,9 @@ OF_CHARTS = {
                        "s.switch.states: must be a mapping, not a list; such as {flight: {flows:"),
     "assignment": ("{n: n + 1}", "n = n + 1",
                    "must be a mapping, not 'n = n + 1'; such as {v: -k*v}"),
+    "a delay": ("{T: 1}", "{T: -T(time - 1)}",
+                "formulas read the present, and equations with delays are not solved; write a lag"),
+    "a delay in words": ("{T: 1}", '{T: "delay(T, 1)"}', "equations with delays are not solved"),
     "guard left out": (", guard: T >= 20", "",
                        "needs one of guard, on, after, every; write guard: x <="),
     "capital": ("to: off", "to: Off",
