@@ -19,6 +19,7 @@ from contacts.impacts.jamming import Jam, listed, struck, without_collision
 from contacts.impacts.rolling import resisted
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
+from contacts.scene.modes import INSIDE, OUTSIDE
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
@@ -26,6 +27,9 @@ from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
+
+# Margins of a contact that are none of its forces.
+_NO_FORCES = ("gap", "slip", INSIDE, OUTSIDE)
 
 
 class Rules(NamedTuple):
@@ -50,7 +54,7 @@ class Rules(NamedTuple):
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
         off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
+        others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
         fell = [
             i
             for i, name in enumerate(names)

@@ -228,6 +228,11 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     "the circle has to be the larger one",
                     (contact.radius, surface.radius or 0),
                 )
+    for name, contact in scene.contacts.items():
+        if contact.stiffness is not None:
+            yield Limit(("contacts", name, "stiffness"), contact.stiffness, *_POSITIVE)
+        if contact.damping is not None:
+            yield Limit(("contacts", name, "damping"), contact.damping, 0.0, _MAX_NUMBER)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
             if law.friction is not None:

@@ -41,8 +41,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that no contact point is inside its surface, unless off, by more than gap_tol.
 
-    What is closed is held at the ends of steps. In between dense output, which may be of a lower
-    order than a step, leaves the surface by no more than what its slopes miss of the rates.
+    Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
+    dense output, which may be of a lower order than a step, leaves the surface by no more than what
+    its slopes miss of the rates.
 
     Parameters
     ----------
@@ -50,12 +51,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
         What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
+    rigid = [contact.stiffness is None for contact in scene.contacts.values()]
     for arc, tau in dense(trace):
         states = arc.mode[: len(gaps)]
         size = float(np.abs(arc.coefficients[:, :, 0]).max())
         allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF) + ROUND_OFF * size
-        closed = [state not in OPEN for state in states]
-        free = [state == "free" for state in states]
+        closed = [s not in OPEN and hard for s, hard in zip(states, rigid, strict=True)]
+        free = [s == "free" and hard for s, hard in zip(states, rigid, strict=True)]
         between = (
             allowed + missed_by_slopes(subject, trace, arc, tau, gaps) if any(closed) else allowed
         )
