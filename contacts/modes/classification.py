@@ -145,7 +145,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     the cones explain its motion; of those with one motion, the one that keeps most contacts closed,
     then most of them pinned, stands for all.
     """
-    return _solved_combinations(case, *_combinations(tuple(options)))
+    return _solved_combinations(case, *_combinations(tuple(options), _loads(tuple(case.laws))))
 
 
 def _solved_combinations(
@@ -165,7 +165,7 @@ def _solved_combinations(
         edges,
         carriers(tuple(laws)),
         codes,
-        _flags(tuple(closed)),
+        _flags(tuple(shut and not law.coupling for shut, law in zip(closed, laws, strict=True))),
         _flags(tuple(still)),
         scales.force,
         scales.acceleration,
@@ -242,11 +242,23 @@ def _flags(marks: tuple[bool, ...]) -> Bools:
 
 
 @lru_cache(maxsize=1024)
+def _loads(laws: tuple[ContactLaw, ...]) -> tuple[tuple[int, int], ...]:
+    return tuple((i, law.carrier) for i, law in enumerate(laws) if law.carrier >= 0)
+
+
+@lru_cache(maxsize=1024)
 def _combinations(
-    options: tuple[Sequence[str], ...],
+    options: tuple[Sequence[str], ...], loads: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[tuple[str, ...], ...], Ints]:
-    """Return every combination of states, in names and as the kernel numbers them."""
-    combinations = tuple(product(*options))
+    """Return every combination of states, in names and as the kernel numbers them.
+
+    `loads` are rolling resistances and their contacts, which are open together.
+    """
+    combinations = tuple(
+        states
+        for states in product(*options)
+        if all((states[i] in OPEN) == (states[carrier] in OPEN) for i, carrier in loads)
+    )
     return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
 
 
@@ -326,6 +338,9 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
                 states[i] = "slide"
             else:
                 states[i] = "slide+" if along > 0.0 else "slide-"
+        for i, carrier in _loads(tuple(laws)):
+            if states[carrier] in OPEN:
+                states[i] = "free"
         if all(state in several for state, several in zip(states, options, strict=True)):
             found.append(tuple(states))
     combinations = tuple(dict.fromkeys(found))
@@ -668,6 +683,8 @@ def choose(
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
+    for i, carrier in _loads(tuple(laws)):
+        options[i] = options[i] if closed[carrier] else ("free",)
     case = Case(snapshot, laws, closed, still, scales, tie)
     before = before or Before(bearing=frozenset(range(len(laws))))
     tried: list[Candidate] = []

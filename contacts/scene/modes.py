@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
+INSIDE, OUTSIDE = "inside", "outside"
+"""Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
 
 
 class FrictionSymbols(NamedTuple):
@@ -57,6 +59,15 @@ class ContactSymbols:
     # move
     closing: Hold
     sticking: Hold
+    # Normal force of a closed compliant contact, in positions and rates; None if it is rigid
+    compliance: sp.Expr | None = None
+
+    @property
+    def normal_law(self) -> sp.Expr:
+        """What is zero along the normal while the contact is closed."""
+        if self.compliance is None:
+            return self.normal_acceleration
+        return self.V - self.compliance
 
 
 class Free(Part):
@@ -66,11 +77,23 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
+        import sympy as sp
+
         from statechart.formulas.writer import Difference
 
         gap = Difference(contact.gap, contact.gap_offset)
-        margins = (Margin(f"{contact.name}.gap", gap, "gap"),)
-        return State((contact.V, contact.H), margins, values=contact.friction.used.get(0, {}))
+        margins = [Margin(f"{contact.name}.gap", gap, "gap")]
+        if contact.compliance is not None:
+            # It may lift off while it is inside, and press again there.
+            relation = f"{contact.name}.free"
+            whole = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            margins = [
+                Margin(margins[0].name, gap, "gap", relation, whole),
+                Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
+            ]
+        values = contact.friction.used.get(0, {})
+        return State((contact.V, contact.H), tuple(margins), values=values)
 
 
 class Slide(Part):
@@ -89,9 +112,10 @@ class Slide(Part):
         margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
-        equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
+        equations = (contact.normal_law, t * contact.V + n * contact.H)
+        holds = () if contact.compliance is not None else (contact.closing,)
         values = contact.friction.used.get(direction, {})
-        return State(equations, tuple(margins), values=values, holds=(contact.closing,))
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 class Pin(Part):
@@ -107,9 +131,10 @@ class Pin(Part):
             kind: MarginKind = "hold" if contact.friction.used else "force"
             margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, kind))
             margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, kind))
-        equations = (contact.normal_acceleration, contact.tangential_acceleration)
+        equations = (contact.normal_law, contact.tangential_acceleration)
+        holds = () if contact.compliance is not None else (contact.sticking,)
         values = contact.friction.used.get(0, {})
-        return State(equations, tuple(margins), values=values, holds=(contact.sticking,))
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
@@ -152,7 +177,7 @@ def share_of(
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
-    constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
+    constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
@@ -189,6 +214,8 @@ def share_of(
             # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
             balances[y[i]] += row[i] * (reaction + parted)
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
+    if contact.compliance is not None:
+        kept = tuple(equation.xreplace(carried) for equation in kept)
     return State(kept, margins, values=own.values, loads=loads)
 
 
