@@ -16,7 +16,7 @@ from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
-from contacts.scene.couplings import CouplingSymbols
+from contacts.scene.couplings import CouplingSymbols, Rolling
 from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
@@ -358,13 +358,19 @@ class Mechanics(Geometry):
         return self._contacts[name]
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
-        """Return the bounds of a coupling's couple, at rest and in motion."""
+        """Return the bounds of a coupling's couple, at rest and in motion.
+
+        Of rolling resistance, those over the normal force of its contact.
+        """
         static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
         return static, kinetic
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""
-        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
+        static, kinetic = self.limits(name)
+        coupling = self.scene.couplings[name]
+        load = self.forces[coupling.contact][0] if isinstance(coupling, Rolling) else sp.S.One
+        return CouplingSymbols(self.contact(name).symbols, static * load, kinetic * load)
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
@@ -577,6 +583,8 @@ class Mechanics(Geometry):
         if along:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
             turn = self.point(joint.point)["XY".index(along)]
+        elif isinstance(coupling := self.scene.couplings[name], Rolling):
+            turn = self._rim(self.scene.contacts[coupling.contact]).turn
         else:
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])

@@ -16,6 +16,7 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, listed, struck, without_collision
+from contacts.impacts.rolling import resisted
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.modes import INSIDE, OUTSIDE
@@ -201,6 +202,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
             result = without_collision(snapshot, laws, jam.places)
         else:
             result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
+        result = resisted(snapshot, laws, result, 2.0 * here.slow)
         after = snapshot.moved(state, result.velocity)
         following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, following, rests)
@@ -252,7 +254,10 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
     # A contact whose bounces are skipped is still free, and moves as if closed.
-    target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
+    target = tuple(
+        "free" if not struck.rests.keys().isdisjoint((i, law.carrier)) else name
+        for i, (name, law) in enumerate(zip(moving, struck.laws, strict=True))
+    )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
     said = choice.considered, (choice.warning,), choice.notes, choice.doubted

@@ -403,7 +403,9 @@ class SceneLaws:
             if f"{name}.slip" in fired
             and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1]) @ rounding)
             else state
-            for name, state, contact in zip(self._names, moving, snapshot.contacts, strict=True)
+            for name, state, contact in zip(
+                self._names, moving, snapshot.whole.contacts, strict=True
+            )
         )
 
     def accumulate(

@@ -214,6 +214,10 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         at, surface = ("contacts", name), scene.surfaces[contact.surface]
         if contact.radius is not None:
             yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
+            if contact.rolling_resistance is not None:
+                yield Limit(
+                    (*at, "rolling_resistance"), contact.rolling_resistance, 0.0, _MAX_NUMBER
+                )
             if surface.hollow:
                 yield Limit(
                     (*at, "radius"),

@@ -423,6 +423,15 @@ class Contact(Part):
         examples=["r"],
         json_schema_extra=unit("length"),
     )
+    rolling_resistance: FiniteText | None = Field(
+        default=None,
+        description=(
+            "Of a disc that rolls: a couple against its rolling of at most this length times the "
+            "normal force V."
+        ),
+        examples=["0.02*r"],
+        json_schema_extra=unit("length"),
+    )
     surface: str = Field(description="What it may touch.", examples=["floor"])
     modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(
         default=(Free(), Slide(), Pin()),
@@ -488,6 +497,13 @@ class Contact(Part):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
+        if self.rolling_resistance is not None and self.radius is None:
+            raise DeclarationProblem(
+                "rolling resistance is of a disc that rolls",
+                advice="give the contact a radius, or remove it",
+                loc=("rolling_resistance",),
+                key=True,
+            )
         if len({mode.mode for mode in self.modes}) != len(self.modes):
             raise DeclarationProblem(
                 "a mode is listed twice", advice="list each once", loc=("modes",)

@@ -15,7 +15,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.states import DISENGAGED, OPEN
+from contacts.states import OPEN
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -108,17 +108,27 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     expressions = [
         expression
         for name in scene.couplings
-        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.limits(name))
+        for expression in (
+            known[f"{name}.M"],
+            known[f"{name}.slip"],
+            *mechanics.coupling(name)[1:],
+        )
     ]
     first = len(scene.contacts)
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
         rows = zip(
-            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+            scene.couplings,
+            moving_mode(arc.roles)[first:],
+            columns,
+            columns,
+            columns,
+            columns,
+            strict=False,
         )
         for name, state, couple, slip, static, kinetic in rows:
-            limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
+            limit = np.zeros_like(couple) if state in OPEN else kinetic
             if state == "locked":
                 limit = static
             allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
@@ -126,7 +136,7 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
             slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
             if state == "locked":
                 _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
-            elif state != DISENGAGED:
+            elif state not in OPEN:
                 _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
 
 
