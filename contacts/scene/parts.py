@@ -409,7 +409,14 @@ Relations = Annotated[
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "k": "stiffness", "d": "damping"}
+    OTHER_WORDS: ClassVar = {
+        **LAW_WORDS,
+        "r": "radius",
+        "k": "stiffness",
+        "d": "damping",
+        "spring": "stiffness, and damping",
+        "rolling_friction": "rolling_resistance: LENGTH",
+    }
 
     point: Point = Field(
         description="Point of a body that may touch the surface.",
