@@ -15,8 +15,14 @@ import sympy as sp
 from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
-from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
-from contacts.scene.couplings import CouplingSymbols
+from contacts.dynamics.parameters import (
+    GAP_OFFSET,
+    friction_cones,
+    friction_symbols,
+    kinetic_friction,
+    scene_parameters,
+)
+from contacts.scene.couplings import CouplingSymbols, Rolling
 from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
@@ -60,7 +66,6 @@ class Mechanics(Geometry):
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
         super().__init__(scene, {**symbols, **controls, **self.memory})
         self.parameters = given
-        cones = friction_cones(scene, symbols)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
@@ -69,12 +74,20 @@ class Mechanics(Geometry):
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
-        self._cones = cones
         self._controls = controlled
-        self._coefficients = {
-            name: sp.Symbol(f"mu{i}", real=True)
-            for i, (name, contact) in enumerate(scene.contacts.items())
-            if self._controls.region_of(contact.friction) is not None
+        self._coefficients = friction_symbols(scene, symbols)
+        # Contacts whose coefficients states of a region set.
+        self._switched = {
+            name: region
+            for name in self._coefficients
+            if (law := scene.friction_of(name)) is not None
+            and (region := controlled.region_of(law.both)) is not None
+        }
+        # Those that are in use, where contacts have a static and a kinetic one.
+        self.used_friction = {
+            name: sp.Symbol(f"{name}.friction", real=True)
+            for name, coefficients in self._coefficients.items()
+            if "static" in coefficients
         }
         self._asked = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
@@ -100,10 +113,10 @@ class Mechanics(Geometry):
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts, the scene's controls, and how they move surfaces.
         self.controls = (
-            *self._coefficients.values(),
-            *(s for name in self._coefficients for s in cones[name]),
+            *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
             *self._asked.values(),
+            *self.used_friction.values(),
             *self._closed.values(),
             *(rate for rate, _ in self._led.values()),
             *(acceleration for _, acceleration in self._led.values()),
@@ -339,7 +352,11 @@ class Mechanics(Geometry):
             for name, forces in self.forces.items()
             for force, rate in zip(forces, self.surface_rate(name), strict=True)
         )
-        return sp.Add(*applied, *pushed, *(row.force * row.path_rate for row in self.joint_rows))
+        # Springs of compliant contacts keep no energy that counts.
+        soft = [self.contact(name).symbols for name in self.pads]
+        pressed = (symbols.V * symbols.gap_rate for symbols in soft)
+        led = (row.force * row.path_rate for row in self.joint_rows)
+        return sp.Add(*applied, *pushed, *led, *pressed)
 
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""
@@ -366,21 +383,38 @@ class Mechanics(Geometry):
             )
         return self._contacts[name]
 
+    def sliding_edges(self, contact: ContactSymbols) -> tuple[sp.Expr, ...]:
+        """Return the unit edges of a contact's cone in slide+ and slide-, at the slip's size."""
+        law = self.scene.friction_of(contact.name)
+        if law is None or not law.varies:
+            return (*contact.friction.edges[1], *contact.friction.edges[-1])
+        found: list[sp.Expr] = []
+        for direction in (1, -1):
+            mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
+            found += [1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)]
+        return tuple(found)
+
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
-        """Return the bounds of a coupling's couple, at rest and in motion."""
+        """Return the bounds of a coupling's couple, at rest and in motion.
+
+        Of rolling resistance, those over the normal force of its contact.
+        """
         static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
         return static, kinetic
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""
-        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
+        static, kinetic = self.limits(name)
+        coupling = self.scene.couplings[name]
+        load = self.forces[coupling.contact][0] if isinstance(coupling, Rolling) else sp.S.One
+        return CouplingSymbols(self.contact(name).symbols, static * load, kinetic * load)
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
         found: dict[sp.Symbol, sp.Expr] = {}
-        for name, friction in self._coefficients.items():
-            if self._controls.region_of(self.scene.contacts[name].friction) == region:
-                for key, symbol in zip(COEFFICIENTS, (friction, *self._cones[name]), strict=True):
+        for name, setting in self._switched.items():
+            if setting == region:
+                for key, symbol in self._coefficients[name].items():
                     found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             found[self.known[control]] = self._formula(text)
@@ -406,7 +440,9 @@ class Mechanics(Geometry):
         states : mapping, optional
             Controller -> its state; those at the start by default.
         """
-        found: dict[sp.Symbol, sp.Expr] = {}
+        found = {
+            used: self._coefficients[name]["static"] for name, used in self.used_friction.items()
+        }
         for region, state in (states or self._controls.initial).items():
             found |= self.sets(region, state)
         return [(symbol, found[symbol]) for symbol in self.controls]
@@ -426,12 +462,13 @@ class Mechanics(Geometry):
         for name, couple in self.couples.items():
             result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
+        result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
+        for name in self._switched.keys() - self.used_friction.keys():
+            result[f"{name}.friction"] = self._coefficients[name]["friction"]
         for name, joint in self.scene.joints.items():
             if joint.limits is not None:
                 low, high = (self.forces[stop][0] for stop in stops(name))
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
-        for name, friction in self._coefficients.items():
-            result[f"{name}.friction"] = friction
         result["energy"] = self.energy
         return result
 
@@ -555,12 +592,45 @@ class Mechanics(Geometry):
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
+    @cached_property
+    def pads(self) -> dict[str, int]:
+        """Compliant contacts -> numbers of their pads.
+
+        A pad is a coordinate behind those of the scene: the normal force of its contact holds it
+        against the spring, so that forces are found as those of rigid contacts.
+        """
+        soft = (n for n, one in self.scene.contacts.items() if one.stiffness is not None)
+        return {name: k for k, name in enumerate(soft)}
+
+    @property
+    def _no_pads(self) -> tuple[sp.Expr, ...]:
+        return (sp.S.Zero,) * len(self.pads)
+
+    def _padded(
+        self, name: str, normal: Sequence[sp.Expr], along: Sequence[sp.Expr]
+    ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
+        """Return what forces of a contact do to every coordinate, pads included."""
+        pads = [*self._no_pads]
+        if name in self.pads:
+            normal = (sp.S.Zero,) * len(normal)
+            pads[self.pads[name]] = sp.S.One
+        return (*normal, *pads), (*along, *self._no_pads)
+
+    def _compliance(self, contact: Contact, around: _Surroundings) -> sp.Expr | None:
+        """Return the normal force of a compliant contact that is closed."""
+        if contact.stiffness is None:
+            return None
+        k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
+        return -k * around.gap - d * around.gap_rate
+
     def _turning(self, name: str) -> ContactGeometry:
         """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
         along = self.scene.along_guide(name)
         if along:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
             turn = self.point(joint.point)["XY".index(along)]
+        elif isinstance(coupling := self.scene.couplings[name], Rolling):
+            turn = self._rim(self.scene.contacts[coupling.contact]).turn
         else:
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
@@ -572,8 +642,10 @@ class Mechanics(Geometry):
         anchor = sp.Symbol(f"{name}.angle0", real=True)
         couple = self.couples[name]
         symbols = ContactSymbols(
-            name, zero, zero, zero, slip, zero, acceleration, zero, couple, zero, sp.S.One,
-            (none, jacobian), tuple(row.jacobian for row in self.joint_rows),
+            name, zero, zero, zero, slip, zero, acceleration, zero, couple,
+            friction_cones(self.scene, name, None, self.known, slip),
+            self._padded(name, none, jacobian),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
@@ -603,8 +675,9 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
-            *self._cones[name], (jacobian, zeros),
-            tuple(row.jacobian for row in self.joint_rows),
+            friction_cones(self.scene, name, None, self.known, sp.S.Zero),
+            self._padded(name, jacobian, zeros),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), hold, hold,
         )  # fmt: skip
         x, y = self.point(contact.point)
@@ -648,12 +721,14 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
-            *self._cones[name], (jacobian_n, jacobian_t),
-            tuple(row.jacobian for row in self.joint_rows),
+            friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
+            self._padded(name, jacobian_n, jacobian_t),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
             # Not its distance: of the height of a ground y follows with a factor of 1.
             Hold((around.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
+            self._compliance(contact, around),
         )  # fmt: skip
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         return ContactGeometry(

@@ -57,11 +57,12 @@ class ControlledLaws:
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time
         )
-        region_of = mechanics.scene.controlled.region_of
+        scene = mechanics.scene
         self._varying = any(
-            region_of(text) is not None
-            for contact in mechanics.scene.contacts.values()
-            for text in (contact.friction, contact.restitution)
+            scene.controlled.region_of(text) is not None
+            for name, contact in scene.contacts.items()
+            for law in (scene.friction_of(name),)
+            for text in (law and law.both, contact.restitution)
         )
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._leads = bool(mechanics.scene.leading)
@@ -317,7 +318,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
-        own = self._at(states).conditions.at(inner, motion, clock.high).tolerances()
+        laws = self._at(states)
+        own = laws.conditions.at(inner, motion, clock.high).tolerances()
+        if laws.compliance is not None:
+            mode = moving_mode(flow.roles)
+            own |= laws.compliance.tolerances(inner, mode, motion, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
 from contacts.scene.couplings import Coupling
+from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
@@ -296,6 +297,8 @@ class SceneFields(Declaration):
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
         if name in rates:
             return Quantity(f"rate of {rates[name]}")
+        if name == SLIP:
+            return Quantity("slip velocity", "length/time")
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
     def facts(self) -> Iterator[Fact]:
@@ -325,12 +328,15 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         body = self.bodies[declared.point.body]
         rubs = "slide" in declared.kinds and not declared.frictionless
+        rubs = rubs and declared.stiffness is None
         turns = body.inertia is not None or body.position is not None
         return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
         """Return whether impacts may accumulate: its own, or in turn with others that feel them."""
         declared = self.contacts[contact]
+        if declared.stiffness is not None:
+            return False
         if "free" not in declared.kinds or declared.restitution != 0:
             return "free" in declared.kinds
         moved = self._moved_with(declared.point.body)
@@ -368,6 +374,13 @@ class SceneFields(Declaration):
     def controlled(self) -> Controls:
         """The controls and the regions that set them."""
         return Controls(self.controls, self.regions)
+
+    def friction_of(self, contact: str) -> FrictionLaw | None:
+        """Return the coefficients of a contact; None where none is declared."""
+        if contact not in self.contacts:  # A coupling
+            return None
+        declared = self.contacts[contact].friction
+        return friction_law(declared, contact, {*self.parameters, *self.controls})
 
     @property
     def frictional(self) -> tuple[str, ...]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from statechart.automaton.regions import Hold, Loads, Margin, State
+from statechart.automaton.regions import Hold, Loads, Margin, MarginKind, State
 from statechart.documents.fields import Part
 
 if TYPE_CHECKING:
@@ -15,6 +17,18 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
+INSIDE, OUTSIDE = "inside", "outside"
+"""Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
+
+
+class FrictionSymbols(NamedTuple):
+    """Friction of a contact by direction: 0 at rest, 1 and -1 in motion."""
+
+    # The cone's unit edges (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values. Plain
+    # numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide
+    edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
+    # The coefficient that a mode uses, and its values; empty where all are one
+    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +49,7 @@ class ContactSymbols:
     # `V`, `H`: Normal and tangential force on the body
     V: sp.Symbol
     H: sp.Symbol
-    # `cone_n`, `cone_t`: The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are
-    # ordinary values. Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1)
-    # without slide
-    cone_n: sp.Expr
-    cone_t: sp.Expr
+    friction: FrictionSymbols
     # (tuple of Expr, tuple of Expr): d(normal, tangential velocity)/d(rates): what the forces do to
     # each coordinate
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
@@ -49,6 +59,15 @@ class ContactSymbols:
     # move
     closing: Hold
     sticking: Hold
+    # Normal force of a closed compliant contact, in positions and rates; None if it is rigid
+    compliance: sp.Expr | None = None
+
+    @property
+    def normal_law(self) -> sp.Expr:
+        """What is zero along the normal while the contact is closed."""
+        if self.compliance is None:
+            return self.normal_acceleration
+        return self.V - self.compliance
 
 
 class Free(Part):
@@ -58,10 +77,23 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
+        import sympy as sp
+
         from statechart.formulas.writer import Difference
 
         gap = Difference(contact.gap, contact.gap_offset)
-        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", gap, "gap"),))
+        margins = [Margin(f"{contact.name}.gap", gap, "gap")]
+        if contact.compliance is not None:
+            # It may lift off while it is inside, and press again there.
+            relation = f"{contact.name}.free"
+            whole = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            margins = [
+                Margin(margins[0].name, gap, "gap", relation, whole),
+                Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
+            ]
+        values = contact.friction.used.get(0, {})
+        return State((contact.V, contact.H), tuple(margins), values=values)
 
 
 class Slide(Part):
@@ -75,12 +107,15 @@ class Slide(Part):
         The force is ``edge (cone_n n - direction cone_t t)``; the margin `V` is that edge, so
         that it still has a sign where V itself is zero (mu = inf, equation 13).
         """
-        name, n, t = contact.name, contact.cone_n, direction * contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[direction]
+        t = direction * t
         margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
-        equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
-        return State(equations, tuple(margins), holds=(contact.closing,))
+        equations = (contact.normal_law, t * contact.V + n * contact.H)
+        holds = () if contact.compliance is not None else (contact.closing,)
+        values = contact.friction.used.get(direction, {})
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 class Pin(Part):
@@ -90,18 +125,21 @@ class Pin(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        name, n, t = contact.name, contact.cone_n, contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[0]
         margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
-            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, "force"))
-            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, "force"))
-        equations = (contact.normal_acceleration, contact.tangential_acceleration)
-        return State(equations, tuple(margins), holds=(contact.sticking,))
+            kind: MarginKind = "hold" if contact.friction.used else "force"
+            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, kind))
+            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, kind))
+        equations = (contact.normal_law, contact.tangential_acceleration)
+        holds = () if contact.compliance is not None else (contact.sticking,)
+        values = contact.friction.used.get(0, {})
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come `back`."""
-    return State((contact.V, contact.H), back)
+    return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
 class Bearing(NamedTuple):
@@ -139,12 +177,12 @@ def share_of(
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
-    constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
+    constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
-        return State((*kept, *rest), own.margins)
-    n, t = contact.cone_n, contact.cone_t
+        return State((*kept, *rest), own.margins, values=own.values)
+    n, t = contact.friction.edges[0 if pinned else direction]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     # Along the edge, where there is but one.
@@ -176,7 +214,9 @@ def share_of(
             # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
             balances[y[i]] += row[i] * (reaction + parted)
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
-    return State(kept, margins, loads=loads)
+    if contact.compliance is not None:
+        kept = tuple(equation.xreplace(carried) for equation in kept)
+    return State(kept, margins, values=own.values, loads=loads)
 
 
 def _on_cone(

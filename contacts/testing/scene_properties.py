@@ -7,16 +7,17 @@ automaton that was run. See `statechart.testing` for how to use them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.contact_law import edges
 from contacts.dynamics.controllers import values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.states import DISENGAGED, OPEN
+from contacts.states import OPEN
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -42,8 +43,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that no contact point is inside its surface, unless off, by more than gap_tol.
 
-    What is closed is held at the ends of steps. In between dense output, which may be of a lower
-    order than a step, leaves the surface by no more than what its slopes miss of the rates.
+    Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
+    dense output, which may be of a lower order than a step, leaves the surface by no more than what
+    its slopes miss of the rates.
 
     Parameters
     ----------
@@ -51,12 +53,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
         What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
+    rigid = [contact.stiffness is None for contact in scene.contacts.values()]
     for arc, tau in dense(trace):
         states = arc.mode[: len(gaps)]
         size = float(np.abs(arc.coefficients[:, :, 0]).max())
         allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF) + ROUND_OFF * size
-        closed = [state not in OPEN for state in states]
-        free = [state == "free" for state in states]
+        closed = [s not in OPEN and hard for s, hard in zip(states, rigid, strict=True)]
+        free = [s == "free" and hard for s, hard in zip(states, rigid, strict=True)]
         between = (
             allowed + missed_by_slopes(subject, trace, arc, tau, gaps) if any(closed) else allowed
         )
@@ -82,14 +85,18 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    cones = cache(partial(cone_edges, scene, trace))
-    for arc, name, state, times, V, H in _sampled_forces(scene, subject, trace):
+    for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
         # A mode of steps that all hold an impulse has no force of its own.
         known = ~np.isnan(V) | (trace.step is None)
         V, H, times = V[known], H[known], times[known]
-        n, t = cones(arc.mode)[name]
+        law = scene.friction_of(name)
+        if trace.step is not None and law is not None and law.splits:
+            # A step knows the slip at its start alone.
+            n, t = edges(used[known])
+        else:
+            n, t = cone_edges(scene, trace, arc.mode, name, state, slips[known])
         allowed = trace.tolerances["force"] + ROUND_OFF * np.hypot(V, H)
         _no_less(V, -allowed, f"{name}.V", times, state)
         _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
@@ -107,17 +114,27 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     expressions = [
         expression
         for name in scene.couplings
-        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.limits(name))
+        for expression in (
+            known[f"{name}.M"],
+            known[f"{name}.slip"],
+            *mechanics.coupling(name)[1:],
+        )
     ]
     first = len(scene.contacts)
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
         rows = zip(
-            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+            scene.couplings,
+            moving_mode(arc.roles)[first:],
+            columns,
+            columns,
+            columns,
+            columns,
+            strict=False,
         )
         for name, state, couple, slip, static, kinetic in rows:
-            limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
+            limit = np.zeros_like(couple) if state in OPEN else kinetic
             if state == "locked":
                 limit = static
             allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
@@ -125,7 +142,7 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
             slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
             if state == "locked":
                 _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
-            elif state != DISENGAGED:
+            elif state not in OPEN:
                 _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
 
 
@@ -137,7 +154,7 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    for _, name, state, times, V, H in _sampled_forces(scene, subject, trace):
+    for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
@@ -152,9 +169,19 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
-        edges = cone_edges(scene, trace, jump.source)
         for name, impulse in jump.impulse.items():
-            assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.6g}")
+            slip = subject.automaton.observables[f"{name}.slip"]
+            slips = subject.values(trace, [slip], jump.before[None], np.array([jump.t]))[0]
+            # A path may slip either way and stick.
+            n, t = max(
+                (
+                    cone_edges(scene, trace, jump.source, name, state, size * np.abs(slips))
+                    for state, size in (("pin", 0.0), ("slide+", 1.0), ("slide-", -1.0))
+                ),
+                key=lambda edge: edge[1],
+            )
+            edge = float(n[0]), float(t[0])
+            assert_in_cone(impulse, edge, largest, f"of {name} at t = {jump.t:.6g}")
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
@@ -335,15 +362,20 @@ def properties(declared: Scene) -> tuple[Property, ...]:
 
 def _sampled_forces(
     scene: Scene, subject: Subject, trace: Trace
-) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
-    """Yield every contact in every arc: its name and mode, times, and V and H at them."""
+) -> Iterator[tuple[Arc, str, str, Array, Array, Array, Array, Array]]:
+    """Yield every contact in every arc: name, mode, times, and V, H, slip, friction at them."""
     known = subject.automaton.observables
-    expressions = [known[f"{name}.{force}"] for name in scene.contacts for force in ("V", "H")]
+    expressions = [
+        known.get(f"{name}.{one}", sp.S.Zero)
+        for name in scene.contacts
+        for one in ("V", "H", "slip", "friction")
+    ]
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
-        for (name, state), V, H in zip(_states(scene, arc), forces, forces, strict=True):
-            yield arc, name, state, times, V, H
+        for name, state in _states(scene, arc):
+            V, H, slips, used = (next(forces) for _ in range(4))
+            yield arc, name, state, times, V, H, slips, used
 
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
@@ -126,11 +126,15 @@ class SteppedScene(SteppedSystem):
         memory, now = self._memory.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
-        for i in np.flatnonzero(~memory.off & (deep > near)).tolist():
+        # Forces of compliant contacts follow whatever a surface does.
+        rigid = np.array(
+            [was.scene.contacts[name].stiffness is None for name in was.names], np.bool_
+        )
+        for i in np.flatnonzero(rigid & ~memory.off & (deep > near)).tolist():
             surface = was.scene.contacts[was.names[i]].surface
             raise jumped_in(surface, was.names[i], -float(now[i, 0]))
         # What a surface strikes, or leaves, does not last.
-        parts = (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
+        parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
         opened = parts & (self._memory.codes != FREE) & ~memory.off
         for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
@@ -141,8 +145,11 @@ class SteppedScene(SteppedSystem):
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
         self._source = source
-        self._cones = smoothed(cones(tuple(contacts)))
+        edges = [(law.cone_n, law.cone_t) for law in contacts]
+        self._cones = smoothed(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
+        nowhere = np.zeros(source.soft.n_variables)
+        self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
         self._undeclared = np.array(
             [[code not in codes for code in range(len(STATES))] for codes in allowed],
@@ -206,9 +213,9 @@ class SteppedScene(SteppedSystem):
         memory = self._memory.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            self._restitution, source.plastic, source.bodies, source.pairs, source.held,
-            source.slips, r, self._near, self._still, ROUNDING * self._speed, self._speed,
-            _SLOWEST * self._speed, self._negligible,
+            source.used, self._restitution, source.plastic, source.bodies, source.pairs,
+            source.held, source.slips, r, self._near, self._still, ROUNDING * self._speed,
+            self._speed, _SLOWEST * self._speed, self._negligible, self._soft,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
@@ -225,7 +232,7 @@ class SteppedScene(SteppedSystem):
             return self.steps(start, h, state, followed)
         chunk = chunk.first(done)
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
-        self._note(chunk.gaps, forces, chunk.codes)
+        self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._look_between(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
@@ -235,7 +242,7 @@ class SteppedScene(SteppedSystem):
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`."""
         n, found = self._source.size, self._source.rows(self._values, state, time)
-        on = ~self._memory.contacts.off
+        on = ~self._memory.contacts.off & (self._soft[:, 0] == 0.0)
         return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
@@ -344,7 +351,7 @@ class SteppedScene(SteppedSystem):
             "among its modes; add it, or end the run before"
         )
 
-    def _note(self, gaps: Array, forces: Array, codes: Ints) -> None:
+    def _note(self, gaps: Array, forces: Array, codes: Ints, given: Array) -> None:
         if not len(gaps):
             return
         memory = self._memory
@@ -352,7 +359,10 @@ class SteppedScene(SteppedSystem):
         normal, tangential = forces[..., 0], np.abs(forces[..., 1])
         cone_n, cone_t = self._cones.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
+            mu = np.tile(cone_t / cone_n, (len(gaps), 1))
+            split = self._source.used >= 0
+            mu[:, split] = given[:, self._source.used[split]]
+            inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)
@@ -434,6 +444,8 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
+            if self._scene.contacts[law.name].stiffness is not None:
+                continue
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)

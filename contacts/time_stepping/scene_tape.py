@@ -16,6 +16,7 @@ from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
 from statechart.errors import Unsupported
+from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 
 
@@ -31,12 +32,18 @@ class Rows(NamedTuple):
     @property
     def gaps(self) -> Array:
         """Gaps (c,)."""
-        return self.contacts[:, -5]
+        return self.contacts[:, 2 * len(self.mass) + 2]
 
     @property
     def velocities(self) -> Array:
         """Rates of gaps, and slips (c, 2)."""
-        return self.contacts[:, -4:-2]
+        return self.contacts[:, 2 * len(self.mass) + 3 : 2 * len(self.mass) + 5]
+
+    def cones(self, at_rest: Array) -> Array:
+        """Return unit edges (c, 2) of cones by the slips' directions; `at_rest` without slip."""
+        plus, minus = self.contacts[:, -4:-2], self.contacts[:, -2:]
+        slips = self.velocities[:, 1:]
+        return np.where(slips > 0.0, plus, np.where(slips < 0.0, minus, at_rest))
 
 
 class SteppedTape:
@@ -68,6 +75,7 @@ class SteppedTape:
             holds = sp.S.One if gate is None else gate.by_steps(known)
             valleys = mechanics.valleys(name)
             outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
+            outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
         rows = mechanics.joint_rows
         for row in rows:
             # The row of a joint that is off couples nothing.
@@ -88,15 +96,22 @@ class SteppedTape:
         )
         outputs += [known[symbol] for symbol in given(mechanics)]
         self.given = len(given(mechanics))
+        used = mechanics.used_friction
+        self.used = np.array(
+            [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
+        )
         self.tape: Tape = mechanics.whole_tape(outputs)
         flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(
             [
-                2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0
+                0
+                if contact.stiffness is not None
+                else 2
+                if contact.kinds == {"pin"}
+                else int(contact.kinds == {"slide"} and contact.frictionless)
                 for contact in mechanics.scene.contacts.values()
-                for smooth in (contact.frictionless,)
             ],
             dtype=np.int64,
         )
@@ -104,6 +119,14 @@ class SteppedTape:
         self.slips = np.array(
             [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
             dtype=np.int64,
+        )
+        # (c, 2): stiffness and damping, 0 of rigid contacts.
+        self.soft: Tape = mechanics.whole_tape(
+            [
+                parse(text or 0).to_sympy(mechanics.known)
+                for contact in declared
+                for text in (contact.stiffness, contact.damping)
+            ]
         )
         self.size = len(mechanics.q)
         self.bodies, self.pairs = _touching_bodies(mechanics.scene)
@@ -124,7 +147,8 @@ class SteppedTape:
 
     def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) in a state, which may be the start."""
-        return self.rows(values, state, time).contacts[:, -5:-1]
+        first = 2 * self.size + 2
+        return self.rows(values, state, time).contacts[:, first : first + 4]
 
 
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:

@@ -26,6 +26,7 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from contacts.time_stepping.equations import (
+    EDGES,
     HOLDING,
     JOINT,
     LANDED,
@@ -254,6 +255,14 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
+        if scene.soft[i, 0] > 0.0:
+            # Implicit Euler: h times the force at the gap at the start plus h times the rate at
+            # the end, never below 0. It takes energy from steps longer than a contact lasts.
+            start = gap - 0.5 * h * before[0]
+            met.active[i] = min(start, gap) <= 0.0
+            met.wanted[i, 0] = h * scene.soft[i, 0] * start / _yielding(scene, i, h)
+            met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+            continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), BESIDE * h * nearing
@@ -276,6 +285,13 @@ def find_active(
             met.wanted[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
+
+
+@kernel
+def _yielding(scene: StepConstants, i: int, h: float) -> float:
+    """Return the impulse per velocity of a compliant contact in a step, implicitly."""
+    found: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
+    return found
 
 
 @kernel
@@ -336,9 +352,43 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 
 
 @kernel
+def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
+    """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
+    put(scene.cones[i], cone)
+    if direction != 0 and scene.used[i] >= 0:
+        at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
+        cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
+        if cone[1] <= ROUNDING * cone[0]:
+            cone[1] = 0.0
+
+
+@kernel
+def change_friction(
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array,
+    began: Bools,
+) -> bool:  # fmt: skip
+    """Change the friction of contacts whose slip begins or turns; return whether there are.
+
+    A slip that would turn in the step is stopped, as long as static friction holds it. What that
+    does not hold slips under kinetic friction (`began`, in place): each changes twice at most.
+    """
+    changes = False
+    for a in range(len(problem.which)):
+        i, direction = problem.which[a], problem.directions[a]
+        slip = velocity_after(problem.delassus, least, pushes, a, 1)
+        if scene.used[i] < 0 or began[a] or slip == 0.0 or slip * direction > 0.0:
+            continue
+        began[a] = direction == 0
+        problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
+        write_cone(scene, tape, i, problem.directions[a], problem.cones[a])
+        changes = True
+    return changes
+
+
+@kernel
 def contact_problem(
-    scene: StepConstants, tape: TapeValues, equations: FactoredEquations, which: Ints,
-    met: ContactRoles,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    which: Ints, met: ContactRoles, h: float,
 ) -> ContactProblem:  # fmt: skip
     """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
     m = len(which)
@@ -348,21 +398,30 @@ def contact_problem(
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
+    directions = np.zeros(m, np.int64)
+    yields = np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
+        slip = met.before[i, 1]
+        if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
+            directions[a] = 1 if slip > 0.0 else -1
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
         if scene.plastic and rebounds[a] and not _is_alone(groups, a):
             rebounds[a], met.wanted[i, 0] = False, 0.0
-        put(scene.cones[i], cones[a])
+        write_cone(scene, tape, i, directions[a], cones[a])
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
+        yields[a] = scene.soft[i, 0] > 0.0
+        if yields[a]:
+            delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
     for a in range(m):
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
     return ContactProblem(
-        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
+        which, columns, delassus, groups[:m], directions, cones, before, free, wanted, rebounds,
+        sudden, yields,
     )  # fmt: skip
 
 
@@ -418,7 +477,8 @@ def largest_energy_gain(
     work, moving, rows = np.empty(m), np.empty(m), np.empty(m, np.int64)
     for a in range(m):
         work[a], rows[a] = 0.0, tape.first + tape.per * problem.which[a]
-        for d in range(2):
+        # The spring of a compliant contact gives energy back.
+        for d in range(1 if problem.yields[a] else 0, 2):
             both = problem.before[a, d] + problem.free[a, d]
             for b in range(2 * m):
                 both += delassus[2 * a + d, b] * pushes[b // 2, b % 2]
@@ -440,6 +500,7 @@ def mixed_with_impacts(
         late = _LATE * abs(problem.free[a, 0] + nearing)
         bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
         arrives = nearing > late or abs(problem.wanted[a, 0] - bias) > late
+        arrives = arrives and not problem.yields[a]
         if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
             for b in range(m):
                 if groups[b] == groups[a]:
@@ -461,6 +522,7 @@ def write_modes(
     m, sudden, cones = len(problem.which), problem.sudden, problem.cones
     pushes, steady = answer.pushes, answer.steady
     modes = np.full(m, FREE)
+    used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(m):
         i = problem.which[a]
         for u in range(UNKNOWNS):
@@ -472,6 +534,9 @@ def write_modes(
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
             put(into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
         pressed, directed = pushes[a, 0] > 0.0, scene.slips[i] == 2
+        if scene.used[i] >= 0:
+            mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
+            chunk.solved[k, used_at + scene.used[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
         chunk.struck[k, i] = sudden[a] and pressed
@@ -546,7 +611,8 @@ def share_forces(
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""
     m, n = len(problem.which), tape.size
-    if m < 2:
+    # Compliant contacts share a load by their depths.
+    if m < 2 or problem.yields.any():
         return steady
     reach, struck = np.empty((m, 2, n)), False
     for a in range(m):
