@@ -15,7 +15,13 @@ import sympy as sp
 from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
-from contacts.dynamics.parameters import COEFFICIENTS, GAP_OFFSET, friction_cones, scene_parameters
+from contacts.dynamics.parameters import (
+    COEFFICIENTS,
+    GAP_OFFSET,
+    HELD_FORCE,
+    friction_cones,
+    scene_parameters,
+)
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
@@ -82,6 +88,12 @@ class Mechanics(Geometry):
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
+
+    @cached_property
+    def held_forces(self) -> list[int]:
+        """Places of the parameters of `contacts.dynamics.held_forces`; none without switches."""
+        found = enumerate(self.parameters.names)
+        return [place for place, name in found if name.startswith(HELD_FORCE)]
 
     def tape(
         self,

@@ -108,7 +108,10 @@ class SnapshotTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.contacts)
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
+        forces = list(mechanics.generalised_forces)
+        for i, place in enumerate(mechanics.held_forces):
+            forces[i] += mechanics.parameters.ordered[place]
+        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         outputs.append(mechanics.energy)
         contacts = [mechanics.contact(name) for name in mechanics.scene.contacts]
         # Numbers of a kind stand side by side, so that arrays of them need no copy.
