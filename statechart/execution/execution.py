@@ -439,6 +439,8 @@ class Execution:
         moved = False
         if fired and is_of_switch(fired[0]):
             self._livelock.rearranged(self.clock, fired)
+            if self.certificate is not None:
+                self.certificate.switch(self._instant(*fired))
             self._switch(fired)
             fired = ()
         for _ in range(JUMPS_AT_ONCE):
