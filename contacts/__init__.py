@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contacts.scene.controls import Controller, ControlRegion, ControlState
+    from contacts.scene.couplings import Coupling, StaticKinetic
     from contacts.scene.joints import Force, Joint, Path
     from contacts.scene.modes import Free, Pin, Slide
     from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
@@ -23,6 +24,7 @@ __all__ = [
     "ControlState",
     "Controller",
     "Coordinate",
+    "Coupling",
     "Force",
     "Free",
     "Joint",
@@ -32,11 +34,13 @@ __all__ = [
     "Scene",
     "Shape",
     "Slide",
+    "StaticKinetic",
     "Surface",
 ]
 
 _HOMES = {
     "scene.controls": ("ControlRegion", "ControlState", "Controller"),
+    "scene.couplings": ("Coupling", "StaticKinetic"),
     "scene.joints": ("Force", "Joint", "Path"),
     "scene.modes": ("Free", "Pin", "Slide"),
     "scene.scene": ("Scene",),

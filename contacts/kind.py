@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
+from statechart.errors import Unsupported
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from contacts.scene.modes import ContactSymbols
     from statechart.automaton.regions import Margin, Region
     from statechart.automaton.time_stepper import TimeStepper
+    from statechart.automaton.trace import Role
     from statechart.pictures.stage import Stage
 
 
@@ -32,7 +35,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import given, memory_rates
+    from contacts.dynamics.controllers import given
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -41,18 +44,23 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
+        if scene.couplings:
+            raise Unsupported(
+                f"coupling {next(iter(scene.couplings))!r}: steps have no couplings yet; run with "
+                "--engine taylor or scipy"
+            )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)
 
-    mechanics, switching = Mechanics(scene), has_switches(scene)
+    mechanics, switching = Mechanics(scene.expanded), has_switches(scene)
     parameters, observables = mechanics.parameters, mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)
     regions = _regions(mechanics)
     numbers = SceneNumbers(mechanics, stops)
     contact_laws = SceneLaws(mechanics, numbers)
     laws: Laws = contact_laws
-    if scene.regions:
+    if mechanics.scene.regions:
         from contacts.event_driven.controlled_laws import ControlledLaws
 
         laws = ControlledLaws(contact_laws, mechanics, regions)
@@ -65,7 +73,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a, *memory_rates(mechanics).values()),
+        rates=(*mechanics.v, *mechanics.a, *mechanics.memory_rates.values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,
@@ -82,9 +90,12 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
 
 
 def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
-    """Return a region for every contact, then one for every controller."""
+    """Return a region for every contact, then for every coupling, then for every controller."""
     from contacts.dynamics.controllers import controller
+    from contacts.scene.couplings import coupling_region, coupling_state
     from contacts.scene.regions import edges, region
+    from contacts.states import DISENGAGED
+    from statechart.automaton.regions import State
 
     scene = mechanics.scene
 
@@ -117,7 +128,23 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
         )
         for name, contact in scene.contacts.items()
     )
-    return (*of_contacts, *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()))
+
+    def coupling(name: str, role: Role) -> State:
+        gate, symbols = mechanics.gate(name), mechanics.coupling(name)
+        if role.state == DISENGAGED:
+            return State((mechanics.couples[name],), back(name))
+        built = coupling_state(symbols, role)
+        return built if gate is None else replace(built, margins=(*built.margins, *gate.margins))
+
+    of_couplings = (
+        coupling_region(name, one, partial(coupling, name), (mechanics.couples[name],))
+        for name, one in scene.couplings.items()
+    )
+    return (
+        *of_contacts,
+        *of_couplings,
+        *(controller(n, r, mechanics) for n, r in scene.controlled.flat.items()),
+    )
 
 
 def stage(automaton: Automaton) -> Stage:

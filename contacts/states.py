@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE = range(6)
+FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE, LOCKED, SLIP_PLUS, SLIP_MINUS = range(9)
 
 
 OFF = "off"
 """The state of a contact whose conditions fail; no mode that a contact lists."""
+
+
+DISENGAGED = "open"
+"""The state of a coupling whose conditions fail."""
+
+
+INACTIVE = (OFF, DISENGAGED)
+"""States of what its conditions have taken off."""
 
 
 CODES = {
@@ -18,23 +26,45 @@ CODES = {
     "slide": SLIDE,
     "slide+": SLIDE_PLUS,
     "slide-": SLIDE_MINUS,
+    DISENGAGED: FREE,
+    "locked": LOCKED,
+    "slip+": SLIP_PLUS,
+    "slip-": SLIP_MINUS,
 }
 
 
-OPEN = ("free", OFF)
+OPEN = ("free", *INACTIVE)
 """States without force."""
+
+
+STICKING = ("pin", "locked")
+"""States of a contact, and of a coupling, that hold their slip at zero."""
 
 
 SLIDING = ("slide", "slide+", "slide-")
 """Slip without friction, along the tangent, and against it."""
 
 
+SLIPPING = ("slip+", "slip-")
+"""States of a coupling that slips: its first body turns ahead of the other, or behind it."""
+
+
 CLOSED = "closed"
 """The superstate of those that touch the surface."""
 
 
-SUPERSTATES = {"slide+": "slide", "slide-": "slide", "slide": CLOSED, "pin": CLOSED}
-"""State -> what it is in: ``free | closed { pin | slide { slide+ | slide- } }``."""
+COUPLING_STATES = ("locked", *SLIPPING)
+"""States of a coupling that is not open."""
+
+
+SUPERSTATES = {
+    "slide+": "slide",
+    "slide-": "slide",
+    "slide": CLOSED,
+    "pin": CLOSED,
+} | dict.fromkeys(SLIPPING, "slipping")
+"""State -> what it is in: ``free | closed { pin | slide { slide+ | slide- } }`` of a contact,
+``open | locked | slipping { slip+ | slip- }`` of a coupling."""
 
 
 def superstates_of(states: Iterable[str]) -> dict[str, str]:
@@ -48,19 +78,23 @@ def superstates_of(states: Iterable[str]) -> dict[str, str]:
 
 
 def declared_state(state: str) -> str:
-    """Return a state as a contact lists it: `slide` whatever its direction."""
-    return "slide" if state in SLIDING else state
+    """Return a state as a contact lists it: `slide`, or `slipping`, whatever its direction."""
+    return "slide" if state in SLIDING else "slipping" if state in SLIPPING else state
 
 
 def cause_of(before: str, after: str) -> str:
     """Return what the change of a contact's state is called that no impact makes."""
+    if DISENGAGED in (before, after):
+        return "close" if before == DISENGAGED else "open"
+    if after == "locked":
+        return "lock"
     if OFF in (before, after):
         return "enable" if before == OFF else "disable"
     if before == "free":
         return "touchdown"
     if after in ("free", "pin"):
         return "liftoff" if after == "free" else "stick"
-    return "slip" if before == "pin" else "reverse"
+    return "slip" if before in STICKING else "reverse"
 
 
 STATES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ _LASTS = 0.95
 class ActiveContacts(NamedTuple):
     """Contacts that take part in a step."""
 
-    bodies: Ints  # (c, 2): which touch; -1: a surface.
+    bodies: Ints  # (c, 2): which touch; -1: a surface, or a body that moves as prescribed.
     rows: Array  # (c, 2, 6): velocities, normal and tangential, per unit rates of the two.
     keys: Ints  # (c, 2): see `Memory`.
     # (c, 4): the level at which each is kept; how far above that it is, or, where it is struck,
@@ -84,6 +85,18 @@ def write_contact(
             rows[m, d, 3], rows[m, d, 4], rows[m, d, 5] = -ux, -uy, -(rx * uy - ry * ux)
         active.before[m, d] = velocity(bodies, rows, mid.old, m, d)
         active.free[m, d] = velocity(bodies, rows, mid.loose, m, d)
+
+
+@kernel
+def take_motion_of(mid: Midpoint, c: int, found: Array, m: int, active: ActiveContacts) -> float:
+    """Take the motion of a prescribed body from the velocities of a contact; return its pull."""
+    nx, ny, x, y = found[0], found[1], found[2] - mid.places[c, 0], found[3] - mid.places[c, 1]
+    for rates, velocities in ((mid.old, active.before), (mid.loose, active.free)):
+        u, v = rates[c, 0] - rates[c, 2] * y, rates[c, 1] + rates[c, 2] * x
+        velocities[m, 0] -= nx * u + ny * v
+        velocities[m, 1] -= ny * u - nx * v
+    u, v, turning = mid.loose[c] - mid.old[c]
+    return math.hypot(u - turning * y, v + turning * x)
 
 
 @kernel

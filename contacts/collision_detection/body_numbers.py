@@ -47,11 +47,15 @@ class JointNumbers(NamedTuple):
 
 
 class BodyNumbers(NamedTuple):
-    """Constants of a run of colliding bodies."""
+    """Constants of a run of colliding bodies.
+
+    First the bodies that move by themselves, then those that are led along a path, then fixed ones.
+    """
 
     pieces: PieceNumbers
     sizes: Array  # (b,): how far a body reaches from its centre; 0 of those without a shape.
-    inverse: Array  # (b, 3): 1/mass, 1/mass, 1/moment of inertia.
+    inverse: Array  # (m, 3): 1/mass, 1/mass, 1/moment of inertia of those that move.
+    fixed: Array  # (f, 3): where fixed bodies are.
     gravity: Array  # shape (2,)
     surfaces: SurfaceNumbers
     kinds: Ints  # (b,): what bodies are copies of.
@@ -88,8 +92,8 @@ class Memory(NamedTuple):
             np.zeros((most, MEMORY)),
             np.zeros(1, dtype=np.int64),
             np.zeros(3),
-            np.zeros((len(numbers.sizes), 2), dtype=np.int64),
-            np.zeros((len(numbers.sizes), 6)),
+            np.zeros((len(numbers.inverse), 2), dtype=np.int64),
+            np.zeros((len(numbers.inverse), 6)),
         )
 
     def copy(self) -> Memory:

@@ -9,6 +9,7 @@ import numpy as np
 
 from contacts.collision_detection.active_contacts import (
     ActiveContacts,
+    take_motion_of,
     turning_change,
     warm_start,
     write_contact,
@@ -54,7 +55,8 @@ class CandidatePair(NamedTuple):
     # The piece; another, or a surface, which stand behind all pieces.
     p: int
     q: int
-    # The piece's body; the other body, also one that carries a surface, or -1.
+    # The piece's body, which moves by itself; the other body, also one that carries a surface, or
+    # -1.
     body: int
     other: int
     key: int  # See `Memory`.
@@ -298,7 +300,11 @@ def _takes_part(
     gap = point[4]
     known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair.key
     level, lasting, place = warm_start(memory, at_old, pair.key, feature, h, m, active)
-    write_contact(mid, pair.body, pair.other, point, m, active)
+    prescribed = pair.other >= len(numbers.inverse)
+    write_contact(mid, pair.body, -1 if prescribed else pair.other, point, m, active)
+    if prescribed:
+        pull = take_motion_of(mid, pair.other, point, m, active)
+        mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     if pair.moves:
         s = pair.q - len(numbers.pieces.sizes)
         pull = carried_along(ground, numbers.surfaces, s, point, h, m, active)
@@ -394,7 +400,9 @@ def find_contacts(
     )  # fmt: skip
     if corners:
         sort_pairs(pairs, max(many, 0), count, near)
-    for p in range(count if many >= 0 else 0):
+    # Bodies that move as prescribed stand behind those that do not, and touch none of their own.
+    moving = numbers.pieces.begins[len(numbers.inverse)]
+    for p in range(moving if many >= 0 else 0):
         begin = end
         while end < many and pairs[end, 0] == p:
             end += 1

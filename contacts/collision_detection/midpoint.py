@@ -33,6 +33,7 @@ class Prescribed(NamedTuple):
     # steps, of the step before and of the one after.
     frames: Array  # shape (k + 2, s, 3)
     places: Array  # shape (k + 2, j, 2)
+    poses: Array  # (k + 2, l, 3): led bodies, then.
     memories: Array  # (k + 2, w): what controllers remember then.
     forces: ForceProgram
 
@@ -41,6 +42,7 @@ class Prescribed(NamedTuple):
         return self._replace(
             frames=self.frames[count:],
             places=self.places[count:],
+            poses=self.poses[count:],
             memories=self.memories[count:],
         )
 
@@ -52,7 +54,8 @@ TOUCHING = 1e-12
 class Midpoint(NamedTuple):
     """Bodies in the middle of a step."""
 
-    # (b, 3): where they are; their rates before the step, and after it without contacts.
+    # (b, 3): where they are; their rates before the step, and after it without contacts. Rates of
+    # led bodies take them from midpoint to midpoint.
     places: Array
     old: Array
     loose: Array
@@ -64,7 +67,7 @@ class Midpoint(NamedTuple):
     # touch.
     reach: Array
     gaps: Array  # (b,): to what is nearest, where that is found.
-    # (b,): how much faster gravity, or a surface that moves, makes a body within the step.
+    # (b,): how much faster gravity, or what moves as prescribed, makes a body within the step.
     pull: Array
 
     @classmethod
@@ -86,22 +89,32 @@ class Midpoint(NamedTuple):
 
 @kernel
 def move_to_midpoint(
-    numbers: BodyNumbers, state: Array, h: float, past: float, mid: Midpoint
+    numbers: BodyNumbers, state: Array, poses: Array, h: float, past: float, mid: Midpoint
 ) -> None:
     """Move bodies to the middle of a step, in place, and write what they are there.
 
     The step before was `past` long: what they have passed since its middle is within their reach.
+    `poses` (3, l, 3) are those of led bodies at the midpoint before, at this one and at the next.
     """
     places, old, loose, centres, drifts, world, reach, gaps, pull = mid
-    count, pieces = len(numbers.sizes), numbers.pieces
+    count, pieces = len(numbers.inverse), numbers.pieces
     gx, gy = numbers.gravity
     fall = norm(gx, gy) * h
-    for b in range(count):
+    for b in range(len(numbers.sizes)):
+        led = b - count
         for d in range(3):
             at = 3 * b + d
-            old[b, d] = loose[b, d] = state[3 * count + at]
-            state[at] += 0.5 * h * old[b, d]
-            places[b, d] = state[at]
+            if led < 0:
+                old[b, d] = loose[b, d] = state[3 * count + at]
+                state[at] += 0.5 * h * old[b, d]
+                places[b, d] = state[at]
+            elif led < poses.shape[1]:
+                places[b, d] = poses[1, led, d]
+                old[b, d] = (places[b, d] - poses[0, led, d]) / h
+                loose[b, d] = (poses[2, led, d] - places[b, d]) / h
+            else:
+                places[b, d] = numbers.fixed[led - poses.shape[1], d]
+                old[b, d] = loose[b, d] = 0.0
         x, y, angle = places[b]
         first, end = pieces.begins[b], pieces.begins[b + 1]
         c, s = 1.0, 0.0
@@ -110,15 +123,21 @@ def move_to_midpoint(
             c, s = math.cos(angle), math.sin(angle)
         placed(pieces.middles, first, end, x, y, c, s, centres)
         placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world)
-        loose[b, 0] += h * gx
-        loose[b, 1] += h * gy
+        sped = 0.0
+        if led < 0:
+            loose[b, 0] += h * gx
+            loose[b, 1] += h * gy
+            sped = fall
         fast = norm(old[b, 0], old[b, 1])
         for p in range(first, end):
             drifts[p, 0] = old[b, 0] - old[b, 2] * (centres[p, 1] - y)
             drifts[p, 1] = old[b, 1] + old[b, 2] * (centres[p, 0] - x)
-            speed = fast + pieces.spans[p] * abs(old[b, 2]) + fall
+            speed = fast + pieces.spans[p] * abs(old[b, 2]) + sped
+            if led >= 0:
+                next_speed = norm(loose[b, 0], loose[b, 1]) + pieces.spans[p] * abs(loose[b, 2])
+                speed = max(speed, next_speed)
             reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCHING * pieces.sizes[p]
-        gaps[b], pull[b] = math.inf, fall
+        gaps[b], pull[b] = math.inf, sped
 
 
 @kernel
@@ -133,7 +152,7 @@ def apply_forces(
     """
     (base, values), at = registers, 0
     for source in (mid.places, mid.old):
-        for b in range(len(source)):
+        for b in range(len(numbers.inverse)):
             for d in range(3):
                 values[at, 0] = source[b, d]
                 at += 1

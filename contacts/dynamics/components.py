@@ -22,7 +22,7 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 from statechart.errors import StatechartError
 
-_REGIONS = ("contacts", "regions")
+_REGIONS = ("contacts", "couplings", "regions")
 _MOVING = ("coordinates", "bodies", *_REGIONS, "joints", "forces", "controls")
 
 # In the names of the parameters that say whether rows of joints are redundant, in their order.
@@ -40,7 +40,8 @@ def components(
     scene: Scene, compose: Callable[[Scene], tuple[Automaton, SceneNumbers]]
 ) -> tuple[Component, ...]:
     """Return the components of a scene, none where all of it belongs together."""
-    if scene.collisions or any(body.copies is not None for body in scene.bodies.values()):
+    copied = any(body.copies is not None for body in scene.bodies.values())
+    if scene.collisions or copied or scene.expanded is not scene:
         return ()
     data = scene.model_dump(by_alias=True, exclude_unset=True)
     if "energy" in json.dumps([data.get(key) for key in (*_MOVING, "stop")], default=str):

@@ -37,7 +37,7 @@ from contacts.dynamics.gates import (
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.scene.parts import Contact
-from contacts.states import OFF
+from contacts.states import INACTIVE
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.laws import roles_in
 from statechart.automaton.margin_derivatives import (
@@ -72,7 +72,7 @@ class Conditions:
     """
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
-        contacts = tuple(mechanics.scene.contacts)
+        contacts = mechanics.scene.frictional
         self._count = len(contacts)
         initial = mechanics.scene.controlled.initial
         known = values_in(mechanics, initial if states is None else states)
@@ -84,9 +84,10 @@ class Conditions:
         )
         self.present = bool(self._conditions)
         # For every contact the first contact of the same point.
-        touching = [mechanics.scene.contacts[name] for name in contacts]
+        touching = [mechanics.scene.contacts.get(name) for name in contacts]
         self.points = tuple(
-            next(k for k, other in enumerate(touching) if _alike(other, one)) for one in touching
+            next(k for k, other in enumerate(touching) if k == place or _alike(other, one))
+            for place, one in enumerate(touching)
         )
         # The margins that fall as atoms cease to hold, as they begin to, and as the gap of a
         # contact opens that is off ("" without a gate).
@@ -312,8 +313,12 @@ class ConditionsAt:
         return of._derivatives.sign(inner, roles, margin, whole, sizes, self._time, setup.precision)
 
 
-def _alike(one: Contact, other: Contact) -> bool:
-    return (one.point, one.radius) == (other.point, other.radius)
+def _alike(one: Contact | None, other: Contact | None) -> bool:
+    return (
+        one is not None
+        and other is not None
+        and (one.point, one.radius) == (other.point, other.radius)
+    )
 
 
 def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
@@ -321,12 +326,12 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
 
     Their other numbers, which need not be finite, are 0.
     """
-    if OFF not in mode:
+    if not any(state in INACTIVE for state in mode):
         return snapshot
     jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
     contacts = [*snapshot.contacts]
     for i, state in enumerate(mode):
-        if state == OFF:
+        if state in INACTIVE:
             jacobians[i] = biases[i] = 0.0
             zeros = dict.fromkeys(PerContact._fields[1:-1], 0.0)
             contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)

@@ -15,6 +15,7 @@ import sympy as sp
 
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
+from contacts.states import CLOSED
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -37,11 +38,15 @@ from statechart.formulas.tape import Tape
 
 def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     """Return the region of a controller."""
+    joint = [row for row in mechanics.joint_rows if row.joint == name and row.closed is not None]
 
     def build(role: Role) -> State:
+        off = role.state != CLOSED
         return State(
+            tuple(row.force if off else row.equation(mechanics.a) for row in joint),
             margins=guard_margins(flat, role.state, mechanics.observables),
             values=mechanics.sets(name, role.state) | _flows(mechanics, name, role.state),
+            holds=() if off else tuple(row.hold(mechanics.a) for row in joint),
         )
 
     sets = {state: mechanics.scene.controlled.values(name, state) for state in flat.states}
@@ -69,18 +74,9 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
     )
 
 
-def memory_rates(mechanics: Mechanics) -> dict[str, sp.Expr]:
-    """Return the rates of what controllers remember: symbols that states set, or 0."""
-    flowing = mechanics.scene.controlled.flowing
-    return {
-        name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
-        for name, symbol in mechanics.memory.items()
-    }
-
-
 def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
     """Return what a state of a controller sets rates of its variables to."""
-    rates = memory_rates(mechanics)
+    rates = mechanics.memory_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
@@ -90,17 +86,17 @@ def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
     found: dict[sp.Symbol, sp.Expr] = {}
     for name, state in states.items():
         found |= _flows(mechanics, name, state)
-    return [found.get(rate, sp.S.Zero) for rate in memory_rates(mechanics).values()]
+    return [found.get(rate, sp.S.Zero) for rate in mechanics.memory_rates.values()]
 
 
 def given(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
     """Return what states of controllers give values: controls, and rates of what is remembered."""
-    return (*mechanics.controls, *(rate for rate in memory_rates(mechanics).values() if rate != 0))
+    return (*mechanics.controls, *(rate for rate in mechanics.memory_rates.values() if rate != 0))
 
 
 def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
     """Return the values of what is `given` in these states, each after those that it uses."""
-    flows = zip(memory_rates(mechanics).values(), flows_in(mechanics, states), strict=True)
+    flows = zip(mechanics.memory_rates.values(), flows_in(mechanics, states), strict=True)
     return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
 
 
@@ -116,7 +112,7 @@ def memory_rates_in(
     mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> dict[sp.Symbol, sp.Expr]:
     """Return the rates of what controllers remember, with the values of `values_in`."""
-    rates = memory_rates(mechanics)
+    rates = mechanics.memory_rates
     return {mechanics.memory[name]: rate.xreplace(known) for name, rate in rates.items()}
 
 
@@ -164,7 +160,7 @@ class ControlGuards:
             watched += made(place, region, states[name])
         names = set().union(*(guard.relation.names for guard in watched))
         forces = [force for pair in mechanics.forces.values() for force in pair]
-        forces += [row.force for row in mechanics.joint_rows]
+        forces += [*mechanics.couples.values(), *(row.force for row in mechanics.joint_rows)]
         unknown = sp.Symbol("unknown", real=True)
         self.watch = GuardWatch(
             watched,

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.states import OFF
 from statechart.arrays import Array, Ints, Ints32
 from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.automaton.regions import Margin
@@ -56,6 +55,7 @@ class Gate:
     """The gate of a contact."""
 
     contact: str
+    off: str  # Its state while the gate does not hold, as in ``tip.off``
     atoms: tuple[GateAtom, ...]
     root: Any  # Leaves are places in `atoms`
     wholes: Mapping[str, sp.Expr]  # Words of a relation of several atoms -> its margin
@@ -63,7 +63,7 @@ class Gate:
     @property
     def gap(self) -> str:
         """Name of the margin that falls as the gap opens while the contact is off."""
-        return f"{self.contact}.{OFF}: gap"
+        return f"{self.off}: gap"
 
     @property
     def margins(self) -> tuple[Margin, ...]:
@@ -82,11 +82,15 @@ class Gate:
         """Return the margins that bring the contact back: of its atoms, and of its gap."""
         parts = dict.fromkeys(atom.words for atom in self.atoms)
         margins = {atom.words: atom.margin for atom in self.atoms} | dict(self.wholes)
-        whole = -sp.Min(gap, *(margins[words] for words in parts), evaluate=False)
-        found = [*((atom.back, atom.margin) for atom in self.atoms), (self.gap, gap)]
+        found = [(atom.back, atom.margin) for atom in self.atoms]
+        limits = [margins[words] for words in parts]
+        if gap != 0:
+            # A coupling has none.
+            found.append((self.gap, gap))
+            limits.insert(0, gap)
+        whole = -sp.Min(*limits, evaluate=False)
         return tuple(
-            Margin(name, -margin, relation=f"{self.contact}.{OFF}", whole=whole)
-            for name, margin in found
+            Margin(name, -margin, relation=self.off, whole=whole) for name, margin in found
         )
 
     def by_steps(self, values: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -107,7 +111,7 @@ class Gate:
 
 
 def gate_of(
-    contact: str,
+    off: str,
     relations: Sequence[str],
     known: Mapping[str, sp.Expr],
     states: States,
@@ -115,10 +119,11 @@ def gate_of(
 ) -> Gate:
     """Return the gate of a contact: the conjunction of relations, and of `ends` of an edge.
 
-    `known` are the expressions of names; those of `states`, by controller and state, are above 0
-    while the state is active, below 0 else. Ends are words -> an expression that is >= 0.
+    `off` is the contact with its state while the gate does not hold, as in ``tip.off``. `known`
+    are the expressions of names; those of `states`, by controller and state, are above 0 while the
+    state is active, below 0 else. Ends are words -> an expression that is >= 0.
     """
-    atoms: list[GateAtom] = []
+    contact, atoms = off.rpartition(".")[0], list[GateAtom]()
     parts: list[Any] = []
     wholes: dict[str, sp.Expr] = {}
     for text in relations:
@@ -130,15 +135,15 @@ def gate_of(
         )
         if not condition.single:
             wholes[words] = -relation.margin(known, states)
-        backs = condition.names(f"{contact}.{OFF}: {text}")
+        backs = condition.names(f"{off}: {text}")
         for name, back, atom in zip(condition.names(words), backs, condition.atoms, strict=True):
             atoms.append(GateAtom(name, back, words, -atom.expression, not atom.strict))
         parts.append(replaced(condition.root, partial(operator.add, first)))
     for end, margin in ends.items():
         parts.append(len(atoms))
         words = f"{contact}: {end}"
-        atoms.append(GateAtom(words, f"{contact}.{OFF}: {end}", words, margin, True))
-    return Gate(contact, tuple(atoms), Every(tuple(parts)), wholes)
+        atoms.append(GateAtom(words, f"{off}: {end}", words, margin, True))
+    return Gate(contact, off, tuple(atoms), Every(tuple(parts)), wholes)
 
 
 def tree(gates: Sequence[Gate | None]) -> Ints:

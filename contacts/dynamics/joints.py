@@ -12,16 +12,19 @@ import sympy as sp
 from contacts.solvers.dependence import CANCELLING, DEAD_POINT, column_scales
 from contacts.solvers.redundancy import connected
 from statechart.arrays import Array, Bools
+from statechart.automaton.regions import Hold
 
+OFF_ROW = 2.0
+"""Status of a row of a joint that is off; see `JointRow.status`."""
 # A row with a smaller share of a unit combination takes no part.
 _SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class JointRow:
-    """One component of a joint: what it holds at zero, in every mode."""
+    """One component of a joint: what it holds at zero while the joint is closed."""
 
-    # `joint`, `component`: Its name; X or Y
+    # `joint`, `component`: Its name; X, Y, M (a couple), or T (along a rod)
     joint: str
     component: str
     # `gap`, `gap_rate`, `bias`: Point less place; its rate; the part of its second derivative that
@@ -34,6 +37,24 @@ class JointRow:
     # Velocity of the place, where it is driven in time; what the force works on from outside
     path_rate: sp.Expr
     redundant: sp.Symbol  # Parameter: 1 where the rows before imply this one in a run, else 0
+    # Control: 1 while the joint is closed, 0 while it is off; None where it is always closed
+    closed: sp.Symbol | None = None
+
+    @property
+    def status(self) -> sp.Expr:
+        """0 if the row holds, 1 if others imply it, `OFF_ROW` if its joint is off."""
+        if self.closed is None:
+            return self.redundant
+        return self.redundant * self.closed + OFF_ROW * (1 - self.closed)
+
+    def equation(self, accelerations: Sequence[sp.Symbol]) -> sp.Expr:
+        """Return what is zero while the joint is closed; the force of a row that others imply."""
+        terms = (j * a for j, a in zip(self.jacobian, accelerations, strict=True) if j != 0)
+        return sp.Add(self.bias, *terms) + self.redundant * self.force
+
+    def hold(self, accelerations: Sequence[sp.Symbol]) -> Hold:
+        """Return the row as what a mode holds in place."""
+        return Hold((self.gap,), (self.equation(accelerations),), (self.force,))
 
 
 class JointNumbers(NamedTuple):
@@ -45,7 +66,16 @@ class JointNumbers(NamedTuple):
     rates: Array
     biases: Array
     jacobian: Array  # (m, n)
-    redundant: Bools  # (m,): Rows that those before them imply
+    redundant: Bools  # (m,): Rows that those before them imply, and those of joints that are off
+    on: Bools  # (m,): Rows of joints that are closed
+
+    def closed(self) -> JointNumbers:
+        """Return the numbers of the joints that are closed."""
+        on = self.on
+        return JointNumbers(
+            self.gaps[on], self.rates[on], self.biases[on], self.jacobian[on],
+            self.redundant[on], on[on],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ simplified.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,9 +22,13 @@ from contacts.dynamics.parameters import (
     friction_cones,
     scene_parameters,
 )
+from contacts.scene.couplings import CouplingSymbols
+from contacts.scene.expansion import Stop, stops, switched
+from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
+from contacts.states import CLOSED, DISENGAGED, OFF
 from statechart.automaton.regions import Hold
 from statechart.formulas.linear import Definition
 from statechart.formulas.parameters import Parameters
@@ -67,6 +71,10 @@ class Mechanics(Geometry):
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
         }
+        # Couples M; the limits of couplings stand in the place of normal forces.
+        self.couples = {
+            name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
+        }
         self._cones = cones
         self._controls = controlled
         self._coefficients = {
@@ -78,6 +86,12 @@ class Mechanics(Geometry):
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
             for i, member in enumerate(scene.asked_states)
         }
+        # Joints that can be off: 1 while they are closed.
+        self._closed = {
+            name: sp.Symbol(f"on{i}", real=True)
+            for i, (name, joint) in enumerate(scene.joints.items())
+            if switched(joint)
+        }
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts and the scene's controls.
         self.controls = (
@@ -85,6 +99,7 @@ class Mechanics(Geometry):
             *(s for name in self._coefficients for s in cones[name]),
             *controls.values(),
             *self._asked.values(),
+            *self._closed.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
@@ -150,6 +165,34 @@ class Mechanics(Geometry):
             potential.append(-self._formula(body.mass) * (gx * x + gy * y))
         return sp.Add(*kinetic, *potential)
 
+    @cached_property
+    def memory_rates(self) -> dict[str, sp.Expr]:
+        """Rates of what controllers remember: symbols that states set, or 0."""
+        flowing = self._controls.flowing
+        return {
+            name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
+            for name, symbol in self.memory.items()
+        }
+
+    @cached_property
+    def placed(self) -> dict[str, sp.Expr]:
+        """Places and rates of bodies that formulas place, by their names in formulas."""
+        found: dict[str, sp.Expr] = {}
+        known = self.scene.placed_names
+        for name, body in self.scene.bodies.items():
+            if body.position is None:
+                continue
+            (x, y), angle = self.body_frame(name)
+            for part, place in (("x", x), ("y", y), ("angle", angle)):
+                remembered = (
+                    sp.diff(place, symbol) * self.memory_rates[key]
+                    for key, symbol in self.memory.items()
+                    if symbol in place.free_symbols
+                )
+                found[f"{name}.{part}"] = place
+                found[f"{name}.d{part}"] = sp.Add(self.rate(place), *remembered)
+        return {name: expression for name, expression in found.items() if name in known}
+
     def gradient(self, place: sp.Expr) -> list[sp.Expr]:
         """Return the derivatives (n,) by the coordinates; few of many bodies' move a place."""
         used = place.free_symbols
@@ -178,8 +221,8 @@ class Mechanics(Geometry):
         for force in self.scene.forces.values():
             point = self.point(Point(body=force.body, at=force.at))
             _, angle = self.body_frame(force.body)
-            components = [self._formula(text) for text in force.force]
-            moment = self._formula(force.moment)
+            components = [self._formula(text, **self.placed) for text in force.force]
+            moment = self._formula(force.moment, **self.placed)
             for i, q in enumerate(self.q):
                 work = [f * sp.diff(p, q) for f, p in zip(components, point, strict=True)]
                 total[i] += sp.Add(*work, moment * sp.diff(angle, q))
@@ -219,8 +262,8 @@ class Mechanics(Geometry):
 
     @cached_property
     def equations(self) -> tuple[sp.Expr, ...]:
-        """(n + joints,): each = 0, in the unknown accelerations and forces."""
-        geometry = [self.contact(name) for name in self.scene.contacts]
+        """(n + rows of joints that are never off,): each = 0, in accelerations and forces."""
+        geometry = [self.contact(name) for name in self.scene.frictional]
         result = []
         for i, right in enumerate(self.generalised_forces):
             left = sp.Add(*self._nonzero([self.mass_matrix[i, k] for k in range(len(self.q))]))
@@ -232,11 +275,8 @@ class Mechanics(Geometry):
                 *(row.jacobian[i] * row.force for row in self.joint_rows if row.jacobian[i] != 0)
             )
             result.append(left - right - contact_forces - joint_forces)
-        for row in self.joint_rows:
-            held = sp.Add(row.bias, *(j * a for j, a in zip(row.jacobian, self.a, strict=True)))
-            # A row that others imply leaves its force undetermined: it is taken as zero.
-            result.append(held + row.redundant * row.force)
-        return tuple(result)
+        lasting = (row for row in self.joint_rows if row.closed is None)
+        return (*result, *(row.equation(self.a) for row in lasting))
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
@@ -244,11 +284,7 @@ class Mechanics(Geometry):
         at_rest = dict.fromkeys(self.a, sp.S.Zero)
         rows: list[JointRow] = []
         for name, joint in self.scene.joints.items():
-            here, there = self.point(joint.point), self.joint_end(joint.to)
-            for component, one, other in zip(("X", "Y"), here, there, strict=True):
-                if component not in joint.components:
-                    continue
-                gap = one - other
+            for component, gap, path in self._held(name, joint):
                 rate = self.rate(gap)
                 rows.append(
                     JointRow(
@@ -257,19 +293,41 @@ class Mechanics(Geometry):
                         gap,
                         rate,
                         self.rate(rate).xreplace(at_rest),
-                        tuple(sp.diff(gap, q) for q in self.q),
+                        tuple(self.gradient(gap)),
                         sp.Symbol(f"{component}{len(rows)}", real=True),
-                        sp.diff(other, self.time),
+                        path,
                         self.parameters.symbols[f"{name}.redundant_{component.lower()}"],
+                        self._closed.get(name),
                     )
                 )
         return tuple(rows)
 
+    def _held(self, name: str, joint: Joint) -> Iterator[tuple[str, sp.Expr, sp.Expr]]:
+        """Yield the components of a joint: what it holds at zero, and the rate of its path."""
+        (x, y), (x0, y0) = self.point(joint.point), self.joint_end(joint.to)
+        if joint.rod is not None:
+            # Half the distance squared over the length: smooth, and the distance to first order.
+            length = self._formula(joint.rod)
+            apart = ((x - x0) ** 2 + (y - y0) ** 2 - length**2) / (2 * length)
+            toward = (
+                (x - x0) * sp.diff(x0, self.time) + (y - y0) * sp.diff(y0, self.time)
+            ) / length
+            yield "T", -apart, -toward
+            return
+        for component, here, there in (("X", x, x0), ("Y", y, y0)):
+            if component in joint.components:
+                yield component, here - there, sp.diff(there, self.time)
+        if joint.angle is not None:
+            ends = (joint.point, joint.to)
+            turns = [self.body_frame(e.body)[1] for e in ends if isinstance(e, Point)]
+            held = self.known.get(f"{name}.turn", self.known.get(f"{name}.turn0"))
+            yield "M", turns[0] - sp.Add(*turns[1:]) - held, sp.S.Zero
+
     @cached_property
     def unknown_forces(self) -> tuple[sp.Symbol, ...]:
-        """Those that modes are solved for beside the accelerations: of joints, then of contacts."""
+        """Unknowns of modes beside the accelerations: of joints, contacts, couplings."""
         of_contacts = (force for pair in self.forces.values() for force in pair)
-        return (*(row.force for row in self.joint_rows), *of_contacts)
+        return (*(row.force for row in self.joint_rows), *of_contacts, *self.couples.values())
 
     @cached_property
     def power(self) -> sp.Expr:
@@ -299,10 +357,22 @@ class Mechanics(Geometry):
         return n_x * moved[0] + n_y * moved[1], t_x * moved[0] + t_y * moved[1]
 
     def contact(self, name: str) -> ContactGeometry:
-        """Return the geometry of a contact, derived when first asked for."""
+        """Return the geometry of a contact or a coupling, derived when first asked for."""
         if name not in self._contacts:
-            self._contacts[name] = self._geometry(name, self.scene.contacts[name])
+            contact = self.scene.contacts.get(name)
+            self._contacts[name] = (
+                self._turning(name) if contact is None else self._geometry(name, contact)
+            )
         return self._contacts[name]
+
+    def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
+        """Return the bounds of a coupling's couple, at rest and in motion."""
+        static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
+        return static, kinetic
+
+    def coupling(self, name: str) -> CouplingSymbols:
+        """Return the quantities of a coupling."""
+        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
@@ -317,6 +387,8 @@ class Mechanics(Geometry):
         for (asked, name), symbol in self._asked.items():
             if asked == region:
                 found[symbol] = sp.Integer(1 if name in active else -1)
+        if region in self._closed:
+            found[self._closed[region]] = sp.Integer(state == CLOSED)
         return found
 
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
@@ -335,7 +407,7 @@ class Mechanics(Geometry):
     @property
     def observables(self) -> dict[str, sp.Expr]:
         """Quantities that outputs and stop conditions may use, name -> expression."""
-        result = dict(self.known)
+        result = {**self.known, **self.placed}
         for name in self.scene.contacts:
             symbols = self.contact(name).symbols
             result |= {
@@ -344,7 +416,13 @@ class Mechanics(Geometry):
                 f"{name}.V": symbols.V,
                 f"{name}.H": symbols.H,
             }
+        for name, couple in self.couples.items():
+            result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
+        for name, joint in self.scene.joints.items():
+            if joint.limits is not None:
+                low, high = (self.forces[stop][0] for stop in stops(name))
+                result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         for name, friction in self._coefficients.items():
             result[f"{name}.friction"] = friction
         result["energy"] = self.energy
@@ -352,16 +430,18 @@ class Mechanics(Geometry):
 
     def gate(self, name: str) -> Gate | None:
         """Return what keeps a contact on; None where it has no conditions and no ends."""
-        contact = self.scene.contacts[name]
+        scene = self.scene
+        coupling = scene.couplings.get(name)
+        contact = coupling or scene.contacts[name]
         if name not in self._gates:
             known = self.known | {
                 f"{other}.{quantity}": getattr(self.contact(other).symbols, quantity)
-                for other in self.scene.contacts
-                for quantity in ("gap", "slip")
+                for other in scene.frictional
+                for quantity in (("slip",) if other in scene.couplings else ("gap", "slip"))
                 if contact.enabled
             }
             ends: dict[str, sp.Expr] = {}
-            edge = self.scene.surfaces[contact.surface].edge
+            edge = None if coupling else scene.surface_of(name).edge
             if edge is not None:
                 (x0, y0), (x1, y1) = self._corners(edge)
                 x, y = self.contact(name).point
@@ -370,7 +450,15 @@ class Mechanics(Geometry):
                 ends = {"begin of its edge": along, "end of its edge": length - along}
             gated = contact.enabled or ends
             self._gates[name] = (
-                gate_of(name, contact.enabled, known, self._asked, ends) if gated else None
+                gate_of(
+                    f"{name}.{DISENGAGED if coupling else OFF}",
+                    contact.enabled,
+                    known,
+                    self._asked,
+                    ends,
+                )
+                if gated
+                else None
             )
         return self._gates[name]
 
@@ -434,8 +522,68 @@ class Mechanics(Geometry):
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
+    def _turning(self, name: str) -> ContactGeometry:
+        """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
+        along = self.scene.along_guide(name)
+        if along:
+            joint = self.scene.joints[self.scene.couplings[name].joint or ""]
+            turn = self.point(joint.point)["XY".index(along)]
+        else:
+            angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
+            turn = angles[0] - sp.Add(*angles[1:])
+        zero, none = sp.S.Zero, (sp.S.Zero,) * len(self.q)
+        slip = self.rate(turn)
+        jacobian = tuple(self.gradient(turn))
+        bias = self.rate(slip).xreplace(dict.fromkeys(self.a, zero))
+        acceleration = sp.Add(bias, *self._nonzero(jacobian))
+        anchor = sp.Symbol(f"{name}.angle0", real=True)
+        couple = self.couples[name]
+        symbols = ContactSymbols(
+            name, zero, zero, zero, slip, zero, acceleration, zero, couple, zero, sp.S.One,
+            (none, jacobian), tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), Hold((), (), ()),
+            Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
+        )  # fmt: skip
+        place, tangent = (turn, zero), (sp.S.One, zero)
+        return ContactGeometry(
+            place, place, tangent, (zero, sp.S.One), tangent, symbols, none, jacobian, zero, bias
+        )
+
+    def _arm(self, point: Point) -> sp.Expr:
+        """Return the length that makes lengths of angles: the radius of gyration about a point."""
+        mass, inertia = self.inertia(point.body, self.scene.bodies[point.body])
+        x, y = (self._formula(text) for text in point.at)
+        return sp.sqrt(inertia / mass + x**2 + y**2)
+
+    def _stop(self, name: str, contact: Contact, stop: Stop) -> ContactGeometry:
+        """Return the geometry of a limit of an angle: a gap that nothing slips along."""
+        turn = self.body_frame(contact.point.body)[1] - self._formula(stop.limit)
+        if stop.other is not None:
+            turn -= self.body_frame(stop.other)[1]
+        turn *= stop.side
+        gap, (V, H) = self._arm(contact.point) * turn, self.forces[name]
+        rate, zeros = self.rate(gap), (sp.S.Zero,) * len(self.q)
+        jacobian, none = tuple(self.gradient(gap)), (sp.S.Zero, sp.S.Zero)
+        bias = self.rate(rate).xreplace(dict.fromkeys(self.a, sp.S.Zero))
+        bearing = sp.Add(bias, *self._nonzero(jacobian))
+        hold = Hold((turn,), (bearing,), (V,))
+        offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
+        symbols = ContactSymbols(
+            name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
+            *self._cones[name], (jacobian, zeros),
+            tuple(row.jacobian for row in self.joint_rows),
+            tuple(row.force for row in self.joint_rows), hold, hold,
+        )  # fmt: skip
+        x, y = self.point(contact.point)
+        return ContactGeometry(
+            (x, y), none, (sp.S.One, sp.S.Zero), (sp.S.Zero, sp.S.One), (sp.S.One, sp.S.Zero),
+            symbols, jacobian, zeros, bias, sp.S.Zero,
+        )  # fmt: skip
+
     def _geometry(self, name: str, contact: Contact) -> ContactGeometry:
         surface = self.scene.surfaces[contact.surface]
+        if isinstance(surface, Stop):
+            return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))
         rim = self._rim(contact)
         around = self._surroundings(surface, rim.radius, centre)

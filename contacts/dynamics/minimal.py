@@ -15,7 +15,6 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import MASS_UNIT
 from statechart.automaton.reduction import Coordinates, Elimination
-from statechart.automaton.regions import Hold
 from statechart.formulas.formula import parse
 
 _Terms = dict[sp.Expr, sp.Expr]
@@ -24,13 +23,13 @@ _Pair = tuple[sp.Expr, sp.Expr]
 
 def coordinates(mechanics: Mechanics) -> Coordinates:
     """Return the coordinates of a scene, and what their modes are reduced by."""
-    joints = zip(mechanics.joint_rows, mechanics.equations[len(mechanics.q) :], strict=True)
+    joints = (row for row in mechanics.joint_rows if row.closed is None)
     return Coordinates(
         mechanics.q,
         mechanics.v,
         mechanics.a,
         mechanics.time,
-        tuple(Hold((row.gap,), (equation,), (row.force,)) for row, equation in joints),
+        tuple(row.hold(mechanics.a) for row in joints),
         partial(motion, mechanics),
         _written(mechanics),
         mechanics.parameters.symbols.get(MASS_UNIT),
@@ -120,9 +119,10 @@ def _constraint_forces(
 ) -> list[tuple[sp.Expr, ...]]:
     """Return what those forces of contacts and joints that may do work do to every coordinate."""
     jacobians = {row.force: row.jacobian for row in mechanics.joint_rows}
-    for name in mechanics.scene.contacts:
+    for name in mechanics.scene.frictional:
         contact = mechanics.contact(name)
-        jacobians[contact.symbols.V] = contact.jacobian_n
+        if name not in mechanics.couples:
+            jacobians[contact.symbols.V] = contact.jacobian_n
         jacobians[contact.symbols.H] = contact.jacobian_t
     return [tuple(j * f for j in row) for f, row in jacobians.items() if f in working]
 

@@ -99,6 +99,10 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     for name, joint in scene.joints.items():
         # Found from the start of a run, see `contacts.solvers.dependence.implied`.
         result |= {f"{name}.redundant_{c.lower()}": sp.S.Zero for c in joint.components}
+        if joint.angle is not None and not joint.enabled:
+            ends = (joint.point, joint.to)
+            turns = [_turn(scene, e.body, known) for e in ends if isinstance(e, Point)]
+            result[f"{name}.turn0"] = turns[0] - sp.Add(*turns[1:])
     return result
 
 
@@ -117,11 +121,25 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
     return [*positions, *rates, *memory, *(_lever(scene, name, known) for name in scene.bodies)]
 
 
+def _turn(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
+    """Return the angle of a body at the start."""
+    body = scene.bodies[name]
+    if body.position is None:
+        return parse(body.start.get("angle", 0)).to_sympy(known)
+    starts = {n: parse(c.start).to_sympy(known) for n, c in scene.coordinates.items()}
+    return parse(body.angle or 0).to_sympy({**known, **starts})
+
+
 def _lever(scene: Scene, name: str, known: Mapping[str, sp.Symbol]) -> sp.Expr:
     """Return mass times the longest arm squared of the body's contact points and joints."""
     points = [(contact.point, contact.radius or 0) for contact in scene.contacts.values()]
     points += [(joint.point, 0) for joint in scene.joints.values()]
-    points += [(joint.to, 0) for joint in scene.joints.values() if isinstance(joint.to, Point)]
+    # A place that is captured is known when the joint closes.
+    points += [
+        (joint.to, 0)
+        for joint in scene.joints.values()
+        if isinstance(joint.to, Point) and joint.rest is None
+    ]
     arms = [
         sp.Add(*(parse(text).to_sympy(known) ** 2 for text in (*point.at, radius)))
         for point, radius in points

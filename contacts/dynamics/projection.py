@@ -13,7 +13,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape, answer
 from contacts.solvers.dependence import well_posed
-from contacts.states import OPEN
+from contacts.states import COUPLING_STATES, OPEN, STICKING
 from statechart.arrays import EPS, Array
 from statechart.automaton.constraints import Constraints
 from statechart.automaton.trace import Key
@@ -45,17 +45,21 @@ class Projection:
 
     def __init__(self, mechanics: Mechanics, snapshots: SnapshotTape) -> None:
         outputs: list[sp.Expr] = []
-        for name in mechanics.scene.contacts:
+        for name in mechanics.scene.frictional:
             geometry = mechanics.contact(name)
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += geometry.anchor
         for row in mechanics.joint_rows:
             outputs += [row.gap, row.gap_rate]
         self._joints = tuple(row.joint for row in mechanics.joint_rows)
+        # Controls that say which joints are closed -> 1 or 0.
+        states = dict(mechanics.controlled(snapshots.states))
+        closed = [row.closed for row in mechanics.joint_rows]
+        self._on = [on is None or states[on] != 0 for on in closed]
         self._snapshots = snapshots
         self._compile = mechanics.tape
         self.tape = mechanics.tape(outputs)
-        self._gaps = tuple(outputs[: 5 * len(mechanics.scene.contacts) : 5])
+        self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
         self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
         self._within: dict[Key, Tape | None] = {}
 
@@ -76,13 +80,13 @@ class Projection:
         surface's frame.
         """
         near, slow = 1.0 / tolerances["gap"], 1.0 / tolerances["speed"]
-        pinned = "pin" in flow
+        pinned = any(state in STICKING for state in flow)
         weights = self._weights(flow, near, slow)
         targets = np.zeros(len(weights))
         if pinned:
             then = self.tape.at(anchor, values, start)
             for i, name in enumerate(flow):
-                if name == "pin":
+                if name in STICKING:
                     targets[5 * i + 3 : 5 * i + 5] = then[5 * i + 3 : 5 * i + 5]
 
         def project(state: Array, time: float) -> Array:
@@ -111,7 +115,8 @@ class Projection:
                     if why:
                         raise SingularMode(why)
                     rows = self.tape.at(projected, values, time)[5 * len(flow) :].reshape(-1, 2)
-                    raise self._broken(np.abs(rows), near, slow, time)
+                    rows = np.where(joints.on[:, None], np.abs(rows), 0.0)
+                    raise self._broken(rows, near, slow, time)
             return projected
 
         room = unseen_room(tolerances, scales)
@@ -145,11 +150,12 @@ class Projection:
         for name in flow:
             if name in OPEN:
                 listed += _FREE
-            elif name == "pin":
+            elif name in STICKING:
                 listed += (near, slow, slow, near, near)
             else:
                 listed += (near, slow, 0.0, 0.0, 0.0)
-        listed += (near, slow) * len(self._joints)
+        for on in self._on:
+            listed += (near, slow) if on else (0.0, 0.0)
         return np.array(listed)
 
     def _broken(self, rows: Array, near: float, slow: float, time: float) -> NoConsistentMode:
@@ -178,11 +184,12 @@ def landed(key: Key, snapshot: Snapshot, state: Array, tolerances: Mapping[str, 
     near, slow = landing(tolerances)
     if snapshot.held is not None:
         joints = snapshot.held.joints
-        if np.abs(joints.gaps).max() > near or np.abs(joints.rates).max() > slow:
+        apart, parting = np.abs(joints.gaps[joints.on]), np.abs(joints.rates[joints.on])
+        if apart.max(initial=0.0) > near or parting.max(initial=0.0) > slow:
             return on_constraints(key, snapshot, state)
     for contact, name in zip(snapshot.contacts, key, strict=True):
         off = abs(contact.gap) > near or abs(contact.gap_rate) > slow
-        if name not in OPEN and (off or (name == "pin" and abs(contact.slip) > slow)):
+        if name not in OPEN and (off or (name in STICKING and abs(contact.slip) > slow)):
             return on_constraints(key, snapshot, state)
     return state
 
@@ -231,9 +238,10 @@ def _brought(
     for i, (contact, name) in enumerate(zip(whole.contacts, key, strict=True)):
         if name in OPEN and not (inside and inside[i]):
             continue
-        rows.append(contact.jacobian[0])
-        off.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
-        if name == "pin":
+        if name not in COUPLING_STATES:
+            rows.append(contact.jacobian[0])
+            off.append((-contact.gap, -contact.gap_rate if name not in OPEN else 0.0))
+        if name in STICKING:
             moved = 0.0
             if held is not None:
                 before = held.contacts[i]
@@ -260,7 +268,7 @@ def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, size
         (law.name, snapshot.jacobians[i, d])
         for i, (law, state) in enumerate(zip(laws, moving, strict=True))
         if state not in OPEN
-        for d in range(2 if state == "pin" else 1)
+        for d in range(state in COUPLING_STATES, 2 if state in STICKING else 1)
     ]
     if snapshot.held is None:
         rows = [(name, row * sizes) for name, row in rows]

@@ -240,7 +240,7 @@ def _extents(mechanics: Mechanics) -> list[sp.Expr]:
     texts = [contact.radius for contact in scene.contacts.values()]
     texts += [scene.surfaces[contact.surface].radius for contact in scene.contacts.values()]
     texts += [text for contact in scene.contacts.values() for text in contact.point.at]
-    texts += [text for joint in scene.joints.values() for text in joint.point.at]
+    texts += [t for joint in scene.joints.values() for t in (*joint.point.at, joint.rod)]
     found = [parse(text).to_sympy(mechanics.known) for text in texts if text is not None]
     return [extent for extent in found if extent != 0]
 

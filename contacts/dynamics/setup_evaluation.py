@@ -18,8 +18,9 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
-from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, captured, magnified, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
+from contacts.scene.couplings import coupling_states
 from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
@@ -67,7 +68,7 @@ class SceneNumbers:
         self._region_states = {
             name: states_of(contact, gate=scene.gate(name))
             for name, contact in scene.contacts.items()
-        }
+        } | {name: coupling_states(one) for name, one in scene.couplings.items()}
         margins = [margin for stop in stops for margin in stop.margins]
         self.stops = tuple(margin.name for margin in margins)
         # Every stop condition holds as soon as one of its margins falls.
@@ -82,7 +83,7 @@ class SceneNumbers:
             [margin.expression for margin in margins],
             definitions=[*mechanics.controlled(), *((force, sp.S.Zero) for force in forces)],
         )
-        rows = mechanics.joint_rows
+        rows = [row for row in mechanics.joint_rows if row.closed is None]
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
         self._joint_tape = mechanics.tape(
@@ -157,7 +158,8 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=doubtful(relative) * scales.speed,
+            capture=captured(relative) * scales.speed,
+            doubtful=magnified(relative),
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)
@@ -209,6 +211,9 @@ class SceneNumbers:
         return tuple(
             ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
             for (name, contact), (n, t, e) in zip(self.scene.contacts.items(), found, strict=True)
+        ) + tuple(
+            ContactLaw(name, self._region_states[name], 0.0, 1.0, 0.0, "newton", coupling=True)
+            for name in self.scene.couplings
         )
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.joints import JointGroup, JointNumbers, joint_groups, motions
+from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
@@ -59,6 +59,8 @@ class Snapshot(NamedTuple):
     jacobians: Array  # (c, 2, n)
     biases: Array  # (c, 2): Of all contacts
     held: Held | None = None  # None where there are no joints
+    # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
+    limits: Array = np.empty((0, 2))
 
     @property
     def whole(self) -> Snapshot:
@@ -106,14 +108,15 @@ class SnapshotTape:
     """Evaluates snapshots."""
 
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None = None) -> None:
+        self.states = states  # Of the controllers; those at the start where None
         self.size = len(mechanics.q)
-        self.count = len(mechanics.scene.contacts)
+        self.count = len(mechanics.scene.frictional)
         forces = list(mechanics.generalised_forces)
         for i, place in enumerate(mechanics.held_forces):
             forces[i] += mechanics.parameters.ordered[place]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         outputs.append(mechanics.energy)
-        contacts = [mechanics.contact(name) for name in mechanics.scene.contacts]
+        contacts = [mechanics.contact(name) for name in mechanics.scene.frictional]
         # Numbers of a kind stand side by side, so that arrays of them need no copy.
         for geometry in contacts:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
@@ -134,9 +137,13 @@ class SnapshotTape:
             )
         )
         for row in rows:
-            outputs += [row.gap, row.gap_rate, row.bias, row.redundant]
+            outputs += [row.gap, row.gap_rate, row.bias, row.status]
         for row in rows:
             outputs += row.jacobian
+        couplings = mechanics.scene.couplings
+        self._limits = 2 * len(couplings)
+        for name in couplings:
+            outputs += mechanics.limits(name)
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:
@@ -173,12 +180,13 @@ class SnapshotTape:
             ),
             jacobians,
             numbers[end : end + further].reshape(count, 2),
+            limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
         if not self.joints:
             return whole, None
-        gaps, rates, bias, redundant = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
-        rows = numbers[last + 4 * self.joints :].reshape(self.joints, n)
-        return whole, JointNumbers(gaps, rates, bias, rows, redundant != 0.0)
+        gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
+        rows = numbers[last + 4 * self.joints :][: n * self.joints].reshape(self.joints, n)
+        return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
 
 
 def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:
@@ -202,6 +210,7 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         jacobians,
         biases,
         Held(whole, joints, basis, allowed.acceleration),
+        whole.limits,
     )
 
 

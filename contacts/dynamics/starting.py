@@ -12,12 +12,13 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
+from contacts.scene.expansion import Reach, Stop
 from contacts.scene.parts import Point, Surface
 from contacts.scene.scene import Scene
-from contacts.solvers.dependence import least
+from contacts.solvers.dependence import implied, least
 from contacts.states import OFF
 from statechart.arrays import Array
-from statechart.errors import DeclarationProblem
+from statechart.errors import DeclarationProblem, NoConsistentMode
 from statechart.kernels.jit import kernel
 
 _ITERATIONS = 50
@@ -84,6 +85,16 @@ def check_start(
     `slow` are the tolerances of gap and speed.
     """
     gap, gap_rate, slip = moves
+    if gap < -depth and isinstance(surface, Reach | Stop):
+        rope = isinstance(surface, Reach)
+        joint = law.name if rope else law.name.rpartition("_")[0]
+        raise DeclarationProblem(
+            f"rope {joint!r} is {-gap:.6g} too short for the start"
+            if rope
+            else f"joint {joint!r} starts beyond a limit of its angle",
+            advice=f"change the start, or {'its length' if rope else 'the limits'}",
+            loc=("joints", joint),
+        )
     if gap < -depth:
         gated = f", or write modes: {{{law.name}: off}}" if OFF in law.states else ""
         raise DeclarationProblem(
@@ -125,6 +136,23 @@ def _solid(surface: Surface) -> str:
     return ""
 
 
+def check_limits(names: Sequence[str], limits: Array) -> None:
+    """Refuse limits (k, 2) of couplings, static and kinetic, that are none at the start."""
+    for name, (static, kinetic) in zip(names, limits.tolist(), strict=True):
+        loc = ("couplings", name, "limit")
+        if not (math.isfinite(static) and math.isfinite(kinetic)):
+            problem, advice = "it has no finite value at the start", "write a limit that has one"
+        elif kinetic < 0.0:
+            problem = f"must be zero or positive, not {kinetic:g} at the start"
+            advice = "a coupling that lets go is one with enabled: RELATION"
+        elif static < kinetic:
+            problem = f"the static limit {static:g} is below the kinetic one, {kinetic:g}"
+            advice = "exchange them, or write one formula for both"
+        else:
+            continue
+        raise DeclarationProblem(problem, advice=advice, loc=loc)
+
+
 def check_joints(
     mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup, allowed: float
 ) -> None:
@@ -140,6 +168,10 @@ def check_joints(
     held = snapshots.at(setup.values, setup.initial, 0.0).held
     assert held is not None
     joints = held.joints
+    if not joints.on.any():
+        return
+    names = [name for name, on in zip(names, joints.on.tolist(), strict=True) if on]
+    joints = joints.closed()
     apart = _distances(names, joints.gaps)
     worst = max(apart, key=lambda name: apart[name])
     if apart[worst] > max(allowed * scales.length, tolerances["gap"]):
@@ -169,6 +201,32 @@ def check_joints(
     largest = max(scales.acceleration, float(np.abs(joints.biases).max()))
     if np.abs(left).max() > _ACCELERATION * largest:
         raise _contradiction(names, left, "acceleration")
+
+
+def check_closing(
+    mechanics: Mechanics, snapshot: Snapshot, joint: str, near: float, late: float = 0.0
+) -> None:
+    """Raise `NoConsistentMode` if the points of a joint are apart that closes.
+
+    By more than `near` and what they move in a time `late`. Also if the other closed joints imply
+    a row of it, as forces would not be determined.
+    """
+    held = snapshot.held
+    assert held is not None
+    rows = [row.joint == joint for row in mechanics.joint_rows]
+    gaps, rates = np.abs(held.joints.gaps[rows]), np.abs(held.joints.rates[rows])
+    if (gaps > near + late * rates).any():
+        raise NoConsistentMode(
+            f"joint {joint!r} closes while {_ends(mechanics, joint)} {gaps.max():.6g} apart; write "
+            "rest: captured, or enable it where they meet"
+        )
+    names = np.array([row.joint for row in mechanics.joint_rows])[~held.joints.redundant]
+    spare = implied(held.joints.jacobian[~held.joints.redundant])
+    if spare.any():
+        raise NoConsistentMode(
+            f"joint {joint!r} closes, and closed joints imply a component of "
+            f"{' and '.join(dict.fromkeys(names[spare].tolist()))}; hold fewer components"
+        )
 
 
 def _distances(names: Sequence[str], gaps: Array) -> dict[str, float]:
@@ -209,14 +267,15 @@ def _nearest(mechanics: Mechanics, snapshots: SnapshotTape, setup: SceneSetup) -
     for _ in range(_ITERATIONS):
         held = snapshots.at(setup.values, state, 0.0).held
         assert held is not None
-        gaps = held.joints.gaps
+        on = held.joints.on
+        gaps = held.joints.gaps[on]
         if not np.isfinite(gaps).all():
             break
         closest = min(closest, float(np.abs(gaps).max()))
         if closest <= setup.tolerances["gap"]:
             shift = state[:size] - setup.initial[:size]
             return "a position that closes all: " + _listed(mechanics.names, state[:size], shift)
-        state[:size] += least(held.joints.jacobian, -gaps)[0]
+        state[:size] += least(held.joints.jacobian[on], -gaps)[0]
     return (
         f"no position near the start closes all joints (least distance found: {closest:.6g}); "
         "compare lengths and places"

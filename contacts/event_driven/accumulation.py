@@ -15,10 +15,10 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
 from contacts.event_driven.decision import decide
 from contacts.event_driven.impact_jump import flow_in
-from contacts.impacts.jamming import Jam
+from contacts.impacts.jamming import Jam, struck
 from contacts.impacts.simultaneous import impacts
 from contacts.scene.parts import Resolution
-from contacts.states import OFF, OPEN
+from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, moving_mode, roles_in
 from statechart.automaton.trace import Jump, Key
@@ -70,7 +70,9 @@ def closed_at_once(
     """
     state = jump.after
     snapshot = hidden(at(state), flow.mode)
-    took_part = [part and now != OFF for part, now in zip(took_part, flow.mode, strict=True)]
+    took_part = [
+        part and now not in INACTIVE for part, now in zip(took_part, flow.mode, strict=True)
+    ]
     rates = [c.gap_rate for c, part in zip(snapshot.contacts, took_part, strict=True) if part]
     if not rates:
         return None
@@ -94,13 +96,15 @@ def closed_at_once(
         state = snapshot.moved(state, sequence.velocity)
         snapshot = at(state)
     still = 2.0 * setup.tolerances["speed"]
-    left = _settled(snapshot, setup.contacts, shut, still)
+    left = _settled(snapshot, setup.contacts, struck(setup.contacts, shut), still)
     if left is not None:
         state = snapshot.moved(state, left)
     state = on_constraints(key, at(state), state)
     snapshot = hidden(at(state), flow.mode)
     slides = any(
-        abs(c.slip) > still for c, closed in zip(snapshot.contacts, shut, strict=True) if closed
+        abs(c.slip) > still
+        for c, closed in zip(snapshot.contacts, struck(setup.contacts, shut), strict=True)
+        if closed
     )
     lowest = _LOW_AT_REST if not slides else _LOW if left is not None else 0.0
     if rest > 0.0 and height > max(lowest * setup.scales.length, near):

@@ -21,7 +21,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.classification import Case, candidates
-from contacts.states import OPEN
+from contacts.states import CLOSED, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -64,6 +64,7 @@ class ControlledLaws:
             for contact in mechanics.scene.contacts.values()
             for text in (contact.friction, contact.restitution)
         )
+        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}
         self._listening = Listening(regions, self._controllers)
 
@@ -124,8 +125,10 @@ class ControlledLaws:
             return None, flow._replace(tolerances=tolerances)
         name, taken = self._names[firing.place], firing.taken
         states = (*own[: firing.place], taken.target, *own[firing.place + 1 :])
-        energy = laws.snapshot(inner, motion, clock.high).energy
         after = self._memory.updated(setup, clock, taken.name, taken.blocks, state)
+        if name in self._joints and taken.target == CLOSED:
+            return self._closed(at, name, taken.name, states, after)
+        energy = laws.snapshot(inner, motion, clock.high).energy
         jump = at.jump(
             name,
             taken.name,
@@ -142,6 +145,27 @@ class ControlledLaws:
             early = watch.early(rows, firing.due, fired)
             following = following._replace(warning=early or following.warning)
         return jump, self._joined(setup, clock, following, states, after, flow)
+
+    def _closed(
+        self, at: Instant, joint: str, cause: str, states: Key, state: Array
+    ) -> tuple[Jump, Flow]:
+        """Close a joint that is on in `states`; `state` is what it has captured."""
+        assert isinstance(at.setup, SceneSetup)
+        inner = self._within(at.setup, states, state)
+        motion = self._memory.parted(state)
+        parted = at._replace(setup=inner, flow=self._parted(at.flow), state=motion)
+        jump, flow = self._at(states).close(parted, joint, cause)
+        after = self._memory.joined(jump.after, state)
+        jump = replace(
+            jump,
+            source=at.flow.mode,
+            target=(*jump.target, *states),
+            before=at.state,
+            after=after,
+        )
+        pending = self._listening.heard(at.flow.pending, jump)
+        before = at.flow._replace(pending=pending)
+        return jump, self._joined(at.setup, at.clock, flow, states, after, before)
 
     def accumulate(
         self, setup: Setup, clock: Clock, flow: Flow, jumps: Sequence[Jump], rest: float
@@ -168,7 +192,9 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         inner = self._memory.within(setup, anchor)
         motion = self._memory.parted(anchor)
-        found = self._contacts.constraints(inner, roles[: self._count], start, motion)
+        # Which joints hold is a matter of the states.
+        laws = self._at(moving_mode(roles[self._count :])) if self._joints else self._contacts
+        found = laws.constraints(inner, roles[: self._count], start, motion)
         return self._memory.constraints(found)
 
     def feasibility(
@@ -252,7 +278,9 @@ class ControlledLaws:
         accelerations, joints = snapshot.solved(solved.accelerations, solved.forces)
         captured = np.array([role.captured for role in flow.roles[: self._count]])
         forces = np.where(captured[:, None], 0.0, solved.forces)
-        return np.concatenate([accelerations, forces.ravel(), joints])
+        first = len(self._mechanics.forces)
+        couples = forces[first:, 1]
+        return np.concatenate([accelerations, forces[:first].ravel(), couples, joints])
 
     def _parted(self, flow: Flow) -> Flow:
         """Return the flow as the contacts' laws know it."""

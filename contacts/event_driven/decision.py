@@ -13,7 +13,7 @@ from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.jamming import Jam, jammed, paradoxes
 from contacts.modes.classification import ENDLESS, Before, Choice, ForceUncertainty, choose
 from contacts.scene.parts import Resolution
-from contacts.states import OFF, cause_of, superstates_of
+from contacts.states import INACTIVE, OFF, cause_of, superstates_of
 from statechart.automaton.trace import Key
 from statechart.errors import DeclarationProblem, NoConsistentMode
 
@@ -73,7 +73,11 @@ def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]
     """
     close, still = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
     for law, contact, shut in zip(setup.contacts, snapshot.contacts, touching, strict=True):
-        if "free" in law.states or (contact.gap <= close and not shut and contact.gap_rate < 0.0):
+        if (
+            law.coupling
+            or "free" in law.states
+            or (contact.gap <= close and not shut and contact.gap_rate < 0.0)
+        ):
             continue
         if not shut:
             moves, lacks = f"leaves its surface at {contact.gap_rate:.3g}", "free"
@@ -113,7 +117,7 @@ def explained(
         if hit and not stays:
             rises = f"it leaves its surface at {contact.gap_rate:.3g}"
             for state in law.states:
-                if state != OFF:
+                if state not in INACTIVE:
                     label = f"{law.name}:{state}"
                     words = f"taken: {rises}" if state == "free" else rises
                     found[label] = "; ".join(filter(None, (words, found.get(label))))

@@ -78,7 +78,7 @@ class Handovers:
 
         Empty if no point is deeper than `near` in a surface while the conditions hold.
         """
-        count = len(self._mechanics.scene.contacts)
+        count = len(self._mechanics.scene.frictional)
         groups: dict[tuple[Key, int], list[int]] = {}
         for k, arc in enumerate(arcs):
             if any(arc.mode[i] == OFF for i in self._gated):
@@ -114,7 +114,7 @@ class Handovers:
 
     def _begin(self, setup: SceneSetup, arc: Arc, place: int, sample: int) -> float:
         """Return the gap where a condition begins to hold before a sample of an arc."""
-        tape = self._tape(arc.mode[len(self._mechanics.scene.contacts) :])
+        tape = self._tape(arc.mode[len(self._mechanics.scene.frictional) :])
 
         def at(local: float) -> Array:
             state = arc.states(np.array([local]))[0]

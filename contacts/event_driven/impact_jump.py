@@ -15,11 +15,11 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
-from contacts.impacts.jamming import Jam, listed, without_collision
+from contacts.impacts.jamming import Jam, listed, struck, without_collision
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
 from contacts.scene.parts import Resolution, Simultaneous
-from contacts.states import OFF, OPEN
+from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
@@ -48,12 +48,13 @@ class Rules(NamedTuple):
             return hidden(found, at.flow.mode)
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
+        off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
         others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
         fell = [
             i
             for i, name in enumerate(names)
             if any(
-                f.startswith(f"{name}.") and f not in others and not f.startswith(f"{name}.{OFF}:")
+                f.startswith(f"{name}.") and f not in others and not f.startswith(off)
                 for f in at.fired
             )
         ]
@@ -132,9 +133,12 @@ def shown_roles(mode: Key, roles: Roles) -> Roles:
 
 
 def impact_jump(
-    rules: Rules, here: Landing, hitting: list[int], jam: Jam | None = None
+    rules: Rules, here: Landing, event: tuple[str, str], jam: Jam | None = None
 ) -> tuple[Jump, Flow, Snapshot]:
-    """Return the jump of an impact, the flow after it, and the numbers there."""
+    """Return the jump of an impact, the flow after it, and the numbers there.
+
+    `event` is the region and the cause of the jump.
+    """
     at, setup, closed, slow = here.at, here.setup, here.closed, here.slow
     struck = _struck(rules, here, jam)
     laws, contacts, rests = struck.laws, struck.snapshot.contacts, struck.rests
@@ -146,8 +150,7 @@ def impact_jump(
     left = rules.tape.at(setup.values, entered.state, at.clock.high).energy
     rest = max(rests.values(), default=None)
     jump = at.jump(
-        laws[hitting[0]].name,  # whichever gap fell by a rounding earlier
-        "touchdown" if jam is None else "jam",
+        *event,
         target,
         entered.state,
         impulse={
@@ -193,7 +196,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
         if jam is not None:
             result = without_collision(snapshot, laws, jam.places)
         else:
-            result = impacts(snapshot, laws, closed, rules.simultaneous)
+            result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
         after = snapshot.moved(state, result.velocity)
         following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, following, rests)
@@ -236,7 +239,7 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     )
     check_listed(setup, following, touching)
     if not any(touching):
-        flying = tuple(OFF if name == OFF else "free" for name in here.at.flow.mode)
+        flying = tuple(name if name in INACTIVE else "free" for name in here.at.flow.mode)
         return _Entered(flying, roles_in(flying), struck.state, settled)
     uncertainty = rules.uncertainty(here, struck.state)
     before = Before.flow(here.at.flow.roles)

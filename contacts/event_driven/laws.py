@@ -16,7 +16,14 @@ from contacts.dynamics.projection import Projection, dead_point, in_contact, lan
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import Snapshot, SnapshotTape
-from contacts.dynamics.starting import check_joints, check_places, check_start, hovering
+from contacts.dynamics.starting import (
+    check_closing,
+    check_joints,
+    check_limits,
+    check_places,
+    check_start,
+    hovering,
+)
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
@@ -30,11 +37,12 @@ from contacts.event_driven.impact_jump import (
 )
 from contacts.event_driven.switching import Switching
 from contacts.impacts.bounces import opens_in_vain
-from contacts.impacts.jamming import Jam, listed, unbounded
+from contacts.impacts.jamming import Jam, listed, off_state, unbounded
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
+from contacts.scene.couplings import LIMIT_MARGINS
 from contacts.scene.modes import FORCE_MARGINS
-from contacts.states import OFF, OPEN
+from contacts.states import OFF, OPEN, SLIPPING
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -64,7 +72,8 @@ class SceneLaws:
         self._mechanics = mechanics
         self._modes = mechanics.scene.initial_modes
         self._paradox = mechanics.scene.paradox
-        self._names = tuple(mechanics.scene.contacts)
+        self._names = mechanics.scene.frictional
+        self._count = len(mechanics.scene.contacts)
         self.numbers = numbers
         self.conditions = self.numbers.conditions
         self._switching = Switching(self._names, self.conditions, self._paradox)
@@ -88,15 +97,19 @@ class SceneLaws:
     @cached_property
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws; None with joints, and where stop conditions overlap."""
-        if self._mechanics.joint_rows or not self.numbers.disjoint:
+        scene = self._mechanics.scene
+        if self._mechanics.joint_rows or scene.couplings or not self.numbers.disjoint:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
 
     def under(self, tape: SnapshotTape, conditions: Conditions) -> SceneLaws:
         """Return the laws with the forces of a tape, under other conditions."""
-        rules, projection = self._rules, self._projection
+        rules = self._rules
         laws = copy.copy(self)
-        laws._projection = projection
+        if any(row.closed is not None for row in self._mechanics.joint_rows):
+            laws._projection = Projection(self._mechanics, tape)
+        else:
+            laws._projection = self._projection
         laws._tape, laws.conditions = tape, conditions
         laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = rules._replace(tape=tape)
@@ -127,21 +140,29 @@ class SceneLaws:
         failing = self._switching.failing(setup, snapshot, state, 0.0)
         depth = max(_START_DEPTH * setup.scales.length, setup.tolerances["gap"])
         off = tuple(
-            OFF if why or (self._modes.get(name) == OFF and contact.gap < -depth) else "free"
-            for name, why, contact in zip(self._names, failing, snapshot.contacts, strict=True)
+            off_state(law)
+            if why or (self._modes.get(law.name) == OFF and contact.gap < -depth)
+            else "free"
+            for law, why, contact in zip(setup.contacts, failing, snapshot.contacts, strict=True)
         )
         snapshot = hidden(snapshot, off)
         check_places(self._names, snapshot)
         near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
         touched = self._mechanics.scene.surface_of
-        for law, contact in zip(setup.contacts, snapshot.contacts, strict=True):
+        for law, contact in list(zip(setup.contacts, snapshot.contacts, strict=True))[
+            : self._count
+        ]:
             check_start(touched(law.name), law, contact[:3], depth, near, slow)
+        check_limits(self._names[self._count :], snapshot.limits)
         closed = [c.gap <= near for c in snapshot.contacts]
         touching = [
             shut and abs(c.gap_rate) <= slow
             for shut, c in zip(closed, snapshot.contacts, strict=True)
         ]
-        key = tuple("slide" if shut else "free" for shut in touching)
+        key = tuple(
+            ("slip+" if law.coupling else "slide") if shut else "free"
+            for law, shut in zip(setup.contacts, touching, strict=True)
+        )
         inside = [c.gap < 0.0 for c in snapshot.contacts]
         if any(inside):
             state = on_constraints(key, snapshot, state, inside=inside)
@@ -167,7 +188,7 @@ class SceneLaws:
     def _hovering(self, setup: SceneSetup, state: Array, mode: Key) -> str:
         """Return the warnings about contacts that start off their surfaces by next to nothing."""
         contacts = self._tape.at(setup.values, state, 0.0).contacts
-        on = [i for i, name in enumerate(mode) if name != OFF]
+        on = [i for i, name in enumerate(mode[: self._count]) if name != OFF]
         return "; ".join(
             hovering(
                 self._mechanics.scene, setup.scales, setup.tolerances["gap"],
@@ -202,10 +223,11 @@ class SceneLaws:
         # The memory of controllers stands before the parameters here.
         parameters = setup.values[len(setup.values) - len(self.numbers.places) :]
         known = parameters if at.flow.values is None else at.flow.values
-        before, moving = moving_mode(at.flow.roles), moving_mode(flow.roles)
+        count = self._count
+        before, moving = moving_mode(at.flow.roles)[:count], moving_mode(flow.roles)[:count]
         began = [
             now == "free" and (name in jump.impulse or was not in OPEN)
-            for name, was, now in zip(self._names, before, moving, strict=True)
+            for name, was, now in zip(self._names[:count], before, moving, strict=True)
         ]
         flying = [state == "free" for state in moving]
         if not (any(began) or known[offsets].any()):
@@ -213,7 +235,7 @@ class SceneLaws:
         found = np.where(flying, known[offsets], 0.0)
         if any(began):
             contacts = self._tape.at(setup.values, jump.after, at.clock.high).contacts
-            gaps = np.array([contact.gap for contact in contacts])
+            gaps = np.array([contact.gap for contact in contacts[:count]])
             near = np.abs(gaps) <= setup.tolerances["gap"]
             found = np.where(began, np.where(near, gaps, 0.0), found)
         values = None
@@ -249,6 +271,32 @@ class SceneLaws:
             return self._impact(here, [*choice.places], choice)
         return self._enter(at, here, choice)
 
+    def close(self, at: Instant, joint: str, cause: str) -> tuple[Jump, Flow]:
+        """Close a joint: its points stop, and so do contacts that are closed, without rebound.
+
+        Raises `NoConsistentMode` if the points of the joint are apart.
+        """
+        setup = at.setup
+        assert isinstance(setup, SceneSetup)
+        snapshot = hidden(self._tape.at(setup.values, at.state, at.clock.high), at.flow.mode)
+        near = setup.tolerances["gap"]
+        apart = max(_START_DEPTH * setup.scales.length, near)
+        check_closing(self._mechanics, snapshot, joint, apart)
+        state = on_constraints(("free",) * len(self._names), snapshot, at.state)
+        after = hidden(self._tape.at(setup.values, state, at.clock.high), at.flow.mode)
+        plastic = tuple(law._replace(restitution=0.0) for law in setup.contacts)
+        here = Landing(
+            at._replace(state=state),
+            dataclasses.replace(setup, contacts=plastic),
+            after,
+            moving_mode(at.flow.roles),
+            [c.gap <= near for c in after.contacts],
+        )
+        jump, flow, _ = impact_jump(self._rules, here, (joint, cause))
+        _, left = jump.energy or (0.0, 0.0)
+        energy = snapshot.energy, left
+        return dataclasses.replace(jump, before=at.state, energy=energy), flow
+
     def _strike(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, mode: Key
     ) -> tuple[Array, Snapshot] | None:
@@ -257,7 +305,7 @@ class SceneLaws:
         here = self._landing(at, setup, hidden(snapshot, mode))
         if not here.hitting:
             return None
-        after = impact_jump(self._rules, here, here.hitting, None)[0].after
+        after = impact_jump(self._rules, here, self._struck(here.hitting))[0].after
         return after, self._tape.at(setup.values, after, at.clock.high)
 
     def _landing(self, at: Instant, setup: SceneSetup, snapshot: Snapshot) -> Landing:
@@ -333,7 +381,8 @@ class SceneLaws:
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Tell whether margins of contact forces alone fell."""
-        forces = {f"{name}.{force}" for name in self._names for force in FORCE_MARGINS}
+        kinds = (*FORCE_MARGINS, *LIMIT_MARGINS)
+        forces = {f"{name}.{force}" for name in self._names for force in kinds}
         return bool(fired) and forces.issuperset(fired)
 
     def _rested(
@@ -348,7 +397,7 @@ class SceneLaws:
             return moving
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
         return tuple(
-            "pin"
+            ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
             and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1]) @ rounding)
             else state
@@ -412,10 +461,14 @@ class SceneLaws:
         failing = self.conditions.at(setup, state, time).failing()
         return scene_feasibility(regions, setup, self.snapshot(setup, state, time), failing)
 
+    def _struck(self, hitting: list[int], jam: Jam | None = None) -> tuple[str, str]:
+        """Return the region and the cause of an impact: whichever gap fell a rounding earlier."""
+        return self._names[hitting[0]], "touchdown" if jam is None else "jam"
+
     def _impact(
         self, here: Landing, hitting: list[int], jam: Jam | None = None
     ) -> tuple[Jump, Flow]:
-        jump, flow, following = impact_jump(self._rules, here, hitting, jam)
+        jump, flow, following = impact_jump(self._rules, here, self._struck(hitting, jam), jam)
         setup, closed, (before, left) = here.setup, here.closed, jump.energy or (0.0, 0.0)
         idle = jam is None and sum(closed) > 1 and left >= before
         if idle and opens_in_vain(setup, following, closed):

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
-from contacts.dynamics.setup import FORCE_BAND, SHORT, TIE, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup import (
+    FORCE_BAND,
+    SHORT,
+    TIE,
+    SceneSetup,
+    captured,
+    magnified,
+    tolerated,
+)
 from contacts.dynamics.setup_evaluation import (
     LOOK_AHEAD,
     Numbers,
@@ -99,10 +107,12 @@ class SceneBatch(NamedTuple):
     # (b,): place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
     sources: Ints
     starts: Bools  # (c, 6): whether a contact may start in the state of that code.
-    # Tolerances of gaps and speeds, and what is near a bound, in the scene's scales.
+    # Tolerances of gaps and speeds, what is near a bound, and up to which speed rebounds are
+    # summed, in the scene's scales.
     gap: float
     speed: float
     doubtful: float
+    capture: float
     numbers: Numbers  # Buffer: the numbers of a run.
     series: Array  # (7 c, ..): of its jumps, for every contact and cause.
 
@@ -144,7 +154,7 @@ def _watches(
         instants.cones, instants.restitution, instants.meanings, instants.offsets,
         DRIFT * gap, CREEP * slow, gap, slow, TIE * weak / force, scene.doubtful, force,
         acceleration, SHORT,
-        scene.doubtful * speed,
+        scene.capture * speed,
     )  # fmt: skip
 
 
@@ -566,7 +576,9 @@ class SceneLoop:
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        return self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
+        return self._scene._replace(
+            gap=setup.precision, doubtful=setup.doubtful, capture=setup.capture / scales.speed
+        )
 
     def _call(
         self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
@@ -627,7 +639,8 @@ def _declared(
         _starts([law.name for law in laws], numbers.scene.initial_modes),
         gap,
         speed,
-        doubtful(relative),
+        magnified(relative),
+        captured(relative),
         run_buffer(len(numbers.parameters.names), len(loop.memory.state), rules),
         np.empty((max(len(CAUSES) * count, 4), WIDTH)),
     )

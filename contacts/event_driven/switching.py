@@ -11,10 +11,10 @@ from contacts.dynamics.conditions import Conditions, ConditionsAt, hidden
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
 from contacts.event_driven.decision import decide
-from contacts.impacts.jamming import Jam
+from contacts.impacts.jamming import Jam, engaged, off_state
 from contacts.modes.classification import Before
 from contacts.scene.parts import Resolution
-from contacts.states import OFF
+from contacts.states import INACTIVE, OFF, cause_of
 from statechart.arrays import Array
 from statechart.automaton.laws import Flow, Instant
 from statechart.automaton.trace import Jump, Key, Role, Roles
@@ -62,7 +62,9 @@ class Switching:
 
         def motion(failing: Sequence[bool]) -> Roles | None:
             off = tuple(
-                OFF if fails or (OFF in law.states and not contact.gap >= -close) else "free"
+                off_state(law)
+                if fails or (OFF in law.states and not contact.gap >= -close)
+                else "free"
                 for fails, law, contact, close in zip(
                     failing, setup.contacts, snapshot.contacts, near, strict=True
                 )
@@ -115,7 +117,12 @@ class Switching:
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
-            leaves = [i for i in places if doubtful[i] and contacts[i].gap_rate <= slow]
+            # A contact that has gone off here stays off: it would go off again at once.
+            leaves = [
+                i
+                for i in places
+                if doubtful[i] and contacts[i].gap_rate <= slow and (not on or on[i])
+            ]
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
                 kept.update(leaves)
             kept.update(i for i in places if doubtful[i] and on and on[i])
@@ -129,7 +136,7 @@ class Switching:
             return {}
         here = self._conditions.at(setup, at.state, at.clock.high)
         near = _closed_below(setup, snapshot, here)
-        on = [state != OFF for state in at.flow.mode]
+        on = [state not in INACTIVE for state in at.flow.mode]
         self._verdicts = self._judged(setup, snapshot, here, near, at.fired, on)
         failing = self._conditions.first(self._verdicts)
         if any(failing) and here.on_boundary:
@@ -137,9 +144,9 @@ class Switching:
         result: dict[int, str] = {}
         for i, (why, now) in enumerate(zip(failing, at.flow.mode, strict=True)):
             gap = snapshot.contacts[i].gap
-            if why and now != OFF:
+            if why and now not in INACTIVE:
                 result[i] = why
-            elif not why and now == OFF:
+            elif not why and now in INACTIVE:
                 if math.isnan(gap):
                     raise NonFinite(
                         f"the conditions of contact {self._names[i]!r} hold where its surface "
@@ -165,9 +172,13 @@ class Switching:
         """
         slow = setup.tolerances["speed"]
         mode = tuple(
-            OFF if why else "free" if state == OFF and contact.gap >= -close else state
-            for why, state, contact, close in zip(
-                failing, at.flow.mode, snapshot.contacts, near, strict=True
+            off_state(law)
+            if why
+            else engaged(law, contact, 2.0 * slow)
+            if state in INACTIVE and contact.gap >= -close
+            else state
+            for why, state, contact, close, law in zip(
+                failing, at.flow.mode, snapshot.contacts, near, setup.contacts, strict=True
             )
         )
         found = strike(mode)
@@ -187,16 +198,19 @@ class Switching:
         flow = at.flow
         mode, roles = list(flow.mode), list(flow.roles)
         for place, why in switched.items():
-            mode[place] = OFF if why else "free"
+            law, contact = setup.contacts[place], snapshot.contacts[place]
+            still = 2.0 * setup.tolerances["speed"]
+            mode[place] = off_state(law) if why else engaged(law, contact, still)
             roles[place] = Role(mode[place])
         place, why = next(iter(switched.items()))
         name = self._names[place]
-        reason = "its conditions hold, and its gap is open"
+        coupling = setup.contacts[place].coupling
+        reason = "its conditions hold" + ("" if coupling else ", and its gap is open")
         if why:
             reason = f"does not hold: {why.removeprefix(f'{name}: ')}"
         jump = at.jump(
             name,
-            "disable" if why else "enable",
+            cause_of(flow.mode[place], mode[place]),
             tuple(mode),
             considered={
                 f"{name}:{flow.mode[place]}": reason,
@@ -216,8 +230,8 @@ class Switching:
         beside = [abs(contact.gap) <= room for contact in snapshot.contacts]
         for i, point in enumerate(points):
             corner = [j for j, other in enumerate(points) if other == point and beside[j]]
-            left = before[i] != OFF and i in corner
-            if left and len(corner) > 1 and all(after[j] == OFF for j in corner):
+            left = before[i] not in INACTIVE and i in corner
+            if left and len(corner) > 1 and all(after[j] in INACTIVE for j in corner):
                 names = ", ".join(self._names[j] for j in corner)
                 return f"{names} meet here, and all are off: the point may fall between them"
         return ""

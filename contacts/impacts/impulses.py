@@ -219,8 +219,8 @@ def solve_impacts(
     status, judged = np.empty(total, np.int64), np.zeros(count, np.bool_)
     solve_modes(
         problem.mass, np.zeros(problem.mass.shape[0]), problem.jacobians, problem.start,
-        problem.cones, codes, judged, judged, 1.0, 1.0, status, changes, impulses,
-        np.empty((total, 4)), 0.0,
+        problem.cones, np.full(count, -1), codes, judged, judged, 1.0, 1.0, status, changes,
+        impulses, np.empty((total, 4)), 0.0,
     )  # fmt: skip
     for k in range(total):
         violations[k] = edges[k] = math.inf

@@ -21,7 +21,7 @@ from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
 from contacts.impacts.impulses import Impulses, collisions
 from contacts.impacts.simultaneous import Impacts, groups
-from contacts.states import OFF, SLIDING
+from contacts.states import DISENGAGED, OFF, SLIDING
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode
 
@@ -71,6 +71,8 @@ def paradoxes(
     found: dict[int, Paradox] = {}
     for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True)):
         if not touching[i] or abs(contact.slip) <= still_below or law.cone_t == 0.0:
+            continue
+        if law.coupling:
             continue
         sign = math.copysign(1.0, contact.slip)
         p = _response(snapshot, contact, law.cone_n, -sign * law.cone_t)
@@ -127,13 +129,26 @@ class Jam:
 
 
 def closed_state(law: ContactLaw, contact: PerContact, still_below: float) -> str:
-    """Return the state in which an impact without rebound leaves a contact."""
+    """Return the state in which an impact without rebound leaves a contact or a coupling."""
+    if law.coupling:
+        slips = abs(contact.slip) > still_below
+        return ("slip+" if contact.slip > 0.0 else "slip-") if slips else "locked"
     sliding = [name for name in law.states if name in SLIDING]
     if not sliding and "pin" not in law.states:
         return "free"
     if "pin" in law.states and (abs(contact.slip) <= still_below or not sliding):
         return "pin"
     return sliding[0] if len(sliding) == 1 or contact.slip > 0.0 else sliding[-1]
+
+
+def off_state(law: ContactLaw) -> str:
+    """Return the state of a contact or a coupling whose conditions fail."""
+    return DISENGAGED if law.coupling else OFF
+
+
+def engaged(law: ContactLaw, contact: PerContact, still_below: float) -> str:
+    """Return the state in which a contact or a coupling begins whose conditions hold again."""
+    return closed_state(law, contact, still_below) if law.coupling else "free"
 
 
 def listed(
@@ -152,7 +167,7 @@ def jammed(
 ) -> Jam | None:
     """Return the jam of a state that no mode agrees with; None: an impact would change nothing."""
     found = paradoxes(snapshot, laws, touching, still_below)
-    for group in groups(snapshot, touching):
+    for group in groups(snapshot, struck(laws, touching)):
         why = ""
         if len(group) == 1:
             why = str(found.get(group[0], ""))
@@ -171,7 +186,7 @@ def unbounded(
 ) -> Jam | None:
     """Return the jam that a flow has come to the brink of: p falls to zero, and b < 0."""
     found = paradoxes(snapshot, laws, closed, still_below, _HARDLY)
-    for group in groups(snapshot, closed):
+    for group in groups(snapshot, struck(laws, closed)):
         paradox = found.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
             why = f"the force of {paradox.contact} grows without bound; {paradox}"
@@ -209,13 +224,18 @@ def without_collision(
     return Impacts(velocity, impulses, (path,), 1.0, unknown)
 
 
+def struck(laws: Sequence[ContactLaw], closed: Sequence[bool]) -> list[bool]:
+    """Return which contacts take part in an impact; a couple that is bounded has no impulse."""
+    return [shut and not law.coupling for law, shut in zip(laws, closed, strict=True)]
+
+
 def _sliding(
     snapshot: Snapshot, laws: Sequence[ContactLaw], places: Sequence[int], still_below: float
 ) -> Key:
     return tuple(
         closed_state(law, contact, still_below)
-        if i in places
-        else OFF if contact.gap == np.inf else "free"
+        if i in places or (law.coupling and contact.gap < np.inf)
+        else off_state(law) if contact.gap == np.inf else "free"
         for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
     )  # fmt: skip
 

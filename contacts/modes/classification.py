@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot
@@ -26,11 +26,23 @@ from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, 
 from contacts.scene.modes import OWN
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.lcp import LcpStatus, solve_lcp
-from contacts.solvers.mode_solver import AGAINST, INTO, OUTSIDE, PULLS, judge_forces, solve_modes
+from contacts.solvers.mode_solver import (
+    AGAINST,
+    BEYOND,
+    INTO,
+    NEGATIVE,
+    OUTSIDE,
+    PULLS,
+    judge_forces,
+    solve_modes,
+)
 from contacts.solvers.saddle_point import CONTRADICTORY, REDUNDANT, SOLVED, UNDETERMINED
 from contacts.states import (
     CODES,
+    DISENGAGED,
     FREE,
+    INACTIVE,
+    LOCKED,
     OFF,
     OFF_CODE,
     OPEN,
@@ -39,6 +51,7 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
+    STICKING,
     declared_state,
     undetermined,
 )
@@ -54,6 +67,8 @@ _WORDS = {
     PULLS: "V = {:.3g} < 0",
     OUTSIDE: "|H| = {:.6g} > mu V",
     AGAINST: "slip would accelerate at {:.3g} against it",
+    BEYOND: "|M| = {:.6g} > its limit",
+    NEGATIVE: "its limit is {:.6g} < 0",
 }
 SINGULAR = "its equations do not determine the motion"
 """Why a mode is undetermined in which a body without mass or inertia is held by nothing."""
@@ -136,7 +151,7 @@ def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
     snapshot, laws, closed, still, scales, tie = case
-    edges = cones(tuple(laws))
+    edges = bounds(laws, snapshot.limits)
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
     accelerations = np.empty((count, len(snapshot.forces)))
@@ -147,6 +162,7 @@ def _solved_combinations(
         snapshot.jacobians,
         snapshot.biases,
         edges,
+        carriers(tuple(laws)),
         codes,
         _flags(tuple(closed)),
         _flags(tuple(still)),
@@ -197,7 +213,9 @@ def _explain(
             _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
             for one, code in failed
         ):
-            given = share(codes[k], snapshot, edges, candidate.forces, inward)
+            given = share(
+                codes[k], snapshot, edges, carriers(tuple(case.laws)), candidate.forces, inward
+            )
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
             found[k] = _refused(candidate, _UNEXPLAINED)
@@ -212,7 +230,7 @@ def _explain(
 
 def _within(code: Ints, other: Ints) -> bool:
     """Whether what every contact may bear in one mode it may bear in the other."""
-    return bool(((code == other) | (code == FREE) | (other == PIN)).all())
+    return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 
 @lru_cache(maxsize=1024)
@@ -243,7 +261,7 @@ def openness(candidate: Candidate) -> tuple[int, int, str]:
     states = candidate.states
     return (
         sum(state == "free" for state in states),
-        sum(state != "pin" for state in states),
+        sum(state not in STICKING for state in states),
         " ".join(states),
     )
 
@@ -257,10 +275,20 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """
     snapshot, laws, closed, still, scales, _ = case
     group = [i for i, shut in enumerate(closed) if shut]
-    edges = cones(tuple(laws[i] for i in group))
+    edges = cones(tuple(laws))[group]
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
+    for k, i in enumerate(group):
+        if laws[i].coupling:
+            # Its limit is the normal force of a contact that nothing else presses.
+            static, kinetic = snapshot.limits[i - len(laws)].tolist()
+            limit, edges[k] = static if still[i] else kinetic, math.sqrt(0.5)
+            contacts[2 * k, 2 * k] = 1.0
+            if laws[i].carrier < 0:
+                free[k, 0] = -limit
+            elif laws[i].carrier in group:
+                contacts[2 * k, 2 * group.index(laws[i].carrier)] = -limit
     solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
     # A candidate that its residual does not verify may still name the right modes.
     if solution.status not in (LcpStatus.SOLVED, LcpStatus.UNVERIFIED):
@@ -272,7 +300,10 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     found = []
     # What bears no force may be closed, what is on the edge of its cone may be pinned.
     for closer, firmer in product((True, False), repeat=2):
-        states = [several[0] if len(several) == 1 else "free" for several in options]
+        states = [
+            several[0] if len(several) == 1 or law.coupling else "free"
+            for several, law in zip(options, laws, strict=True)
+        ]
         for k, i in enumerate(group):
             V, H = forces[k].tolist()
             bears = max(V, abs(H)) > least
@@ -280,8 +311,11 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
                 continue
             inside = edges[k, 1] * V - edges[k, 0] * abs(H) > least
             along = slides[k] or (-H if bears and at_rest[k, 1] else after[k, 1])
-            if still[i] and at_rest[k, 1] and (firmer or inside) and "pin" in options[i]:
-                states[i] = "pin"
+            sticking = next((state for state in options[i] if state in STICKING), "")
+            if still[i] and at_rest[k, 1] and (firmer or inside) and sticking:
+                states[i] = sticking
+            elif laws[i].coupling:
+                states[i] = "slip+" if along > 0.0 else "slip-"
             elif edges[k, 1] == 0.0:
                 states[i] = "slide"
             else:
@@ -295,7 +329,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     return _solved_combinations(case, combinations, codes)
 
 
-_NAMES = {code: name for name, code in CODES.items() if name != OFF}
+_NAMES = {code: name for name, code in CODES.items() if name not in INACTIVE}
 
 
 class ModeRules(NamedTuple):
@@ -322,7 +356,7 @@ def allowed(states: tuple[tuple[str, ...], ...]) -> Bools:
     allowed = np.zeros((len(states), len(_NAMES)), np.bool_)
     for i, several in enumerate(states):
         for name in several:
-            if name != OFF:
+            if name not in INACTIVE:
                 allowed[i, CODES[name]] = True
     return allowed
 
@@ -429,6 +463,7 @@ def classify(
         numbers[at:biases_at].reshape((contacts, 2, n)),
         numbers[biases_at:scalars].reshape((contacts, 2)),
         rules.cones,
+        np.full(contacts, -1),
         codes,
         closed,
         still,
@@ -496,7 +531,7 @@ class ForceUncertainty(NamedTuple):
         if one.share is not None:
             return True
         verdict, codes = np.full(4, -np.inf), np.array([CODES[one.states[i]] for i in fell])
-        edges = cones(tuple(case.laws))[fell]
+        edges = bounds(case.laws, case.snapshot.limits)[fell]
         judge_forces(verdict, one.forces[fell], edges, codes, case.scales.force)
         return bool(verdict[0] > case.tie)
 
@@ -515,7 +550,8 @@ class ForceUncertainty(NamedTuple):
 
 
 def _comes_to_rest(may: Collection[str] | str, was: str) -> bool:
-    return "pin" in may and was != "pin"
+    states = (may,) if isinstance(may, str) else may
+    return was not in STICKING and any(state in STICKING for state in states)
 
 
 # Enumeration can prove that there is no mode, one, or several; beyond this it costs too much.
@@ -633,7 +669,7 @@ def choose(
             f"{law.name} comes to rest where that takes just the force that friction gives, as far "
             "as the tolerance tells: it sticks, and might slip on"
             for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
-            if state == "pin" and was != "pin"
+            if _comes_to_rest(state, was)
         )
     considered = LazyMapping(partial(_verdicts, laws, tried, taken, tie))
     return Choice(taken, considered, warning, notes, doubted is not None)
@@ -721,7 +757,8 @@ def _without_new_loads(
     moving = [c for c in without if rank(c.states, jacobians) < rank(one.states, jacobians)]
     if len(moving) == len(without):
         return min(moving, key=openness, default=one), ""
-    both = pressed_together(jacobians, cones(tuple(case.laws)), sorted(_bearing(one)))
+    pressing = [i for i in sorted(_bearing(one)) if not case.laws[i].coupling]
+    both = pressed_together(jacobians, cones(tuple(case.laws)), pressing)
     if not new <= both:
         return one, ""
     names = ", ".join(case.laws[i].name for i in sorted(both))
@@ -751,7 +788,7 @@ def _advice(
         kinds = {declared_state(state) for state in law.states}
         wanted = ("free", "slide", "pin") if law.cone_t > 0.0 else ("free", "slide")
         lacks = [kind for kind in wanted if kind not in kinds]
-        if shut and lacks and law.name not in rough:
+        if shut and lacks and law.name not in rough and not law.coupling:
             unlisted = True
             yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
@@ -789,7 +826,7 @@ def _carried(
     names = [
         law.name
         for law, shut, state, here, all_of_it in zip(laws, closed, states, left, whole, strict=True)
-        if shut and state in OPEN and here <= _IMPLIED * all_of_it
+        if shut and state in OPEN and here <= _IMPLIED * all_of_it and not law.coupling
     ]
     if not names:
         return ()
@@ -803,18 +840,19 @@ def _options(
     contact: PerContact, law: ContactLaw, touching: bool, at_rest: bool
 ) -> tuple[str, ...]:
     if not touching:
-        return (OFF if contact.gap == math.inf else "free",)
+        off = DISENGAGED if law.coupling else OFF
+        return (off if contact.gap == math.inf else "free",)
     return _open(law.states, contact.slip > 0.0, at_rest)
 
 
 @lru_cache(maxsize=1024)
 def _open(states: tuple[str, ...], forward: bool, at_rest: bool) -> tuple[str, ...]:
     """Return the states that a touching contact may be in, from the sense of its slip."""
-    direction = "slide+" if forward else "slide-"
+    direction = ("slide+", "slip+") if forward else ("slide-", "slip-")
     return tuple(
         state
         for state in states
-        if state != OFF and (state in ("free", "slide") or at_rest or state == direction)
+        if state not in INACTIVE and (state in ("free", "slide") or at_rest or state in direction)
     )
 
 

@@ -45,6 +45,10 @@ _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "slide": ((0, 0),),
     "slide+": ((0, 0), (1, 1)),
     "slide-": ((0, 0), (1, -1)),
+    "open": (),
+    "locked": ((1, 0),),
+    "slip+": ((1, 1),),
+    "slip-": ((1, -1),),
 }
 # What the conditions leave to a row of length 1 counts from here on: equations that are next to
 # dependent (`GIVEN`) leave it with an error as large.
@@ -352,13 +356,17 @@ def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> t
     found = []
     for law, contact, why in zip(setup.contacts, snapshot.contacts, failing, strict=True):
         if why:
-            found.append(f"{law.name} is off, as {why!r} does not hold: judged as if it were on")
+            off, on = ("open", "closed") if law.coupling else ("off", "on")
+            found.append(
+                f"{law.name} is {off}, as {why!r} does not hold: judged as if it were {on}"
+            )
         elif contact.gap > near:
             found.append(f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did")
         elif contact.gap < -near:
             found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
     if snapshot.held is not None:
-        apart = float(np.abs(snapshot.held.joints.gaps).max(initial=0.0))
+        joints = snapshot.held.joints
+        apart = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
         if apart > near:
             found.append(f"joints are apart by up to {apart:.6g}")
     return tuple(found)

@@ -18,16 +18,28 @@ import numpy as np
 from contacts.dynamics.snapshot import Snapshot
 from contacts.scene.modes import OWN, Bearing
 from contacts.solvers.dependence import independent
-from contacts.solvers.mode_solver import judge_forces
+from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, sharing
 from contacts.solvers.smallest_forces import APEX, INSIDE, LOWER, UPPER, springs
-from contacts.states import CODES, FREE, OFF, OPEN, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import (
+    CODES,
+    FREE,
+    LOCKED,
+    OPEN,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIP_MINUS,
+    SLIP_PLUS,
+    SLIPPING,
+)
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Role, Roles
 
 _ZONES = {INSIDE: "inside", UPPER: "upper", LOWER: "lower", APEX: "apex"}
-_LETTERS = {FREE: "", PIN: "nt"}
-_SLIDING = {PIN: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
+_LETTERS = {FREE: "", PIN: "nt", LOCKED: "t", SLIP_PLUS: "", SLIP_MINUS: ""}
+_SLIDING = {PIN: 0.0, LOCKED: 0.0, SLIDE_PLUS: 1.0, SLIDE_MINUS: -1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +62,7 @@ class Share:
 
     def roles(self, states: Sequence[str]) -> Roles:
         """Return the roles of contacts in `states`, with what of their equations to use."""
-        whole = {"pin": "nt", "free": "", OFF: ""}
+        whole = {"pin": "nt", "locked": "t"} | dict.fromkeys((*OPEN, *SLIPPING), "")
         first = next(k for k, zone in enumerate(self.zones) if zone != OWN)
         result = []
         parts = zip(states, self.zones, self.rows, self.carriers, strict=True)
@@ -70,14 +82,24 @@ _PRESSED = 1e-6
 
 
 def share(
-    code: Ints, snapshot: Snapshot, cones: Array, forces: Array, inward: float
+    code: Ints,
+    snapshot: Snapshot,
+    cones: Array,
+    loaded_by: Ints,
+    forces: Array,
+    inward: float,
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 
     The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
     their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
     looked for: on the boundary of what can be explained the zones then still determine the forces.
+    Locked couplings bear as contacts inside their cones; `loaded_by` are the carriers of
+    `solve_modes`.
     """
+    limits, cones = cones, cones.copy()
+    couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
+    cones[couplings] = 0.0, 1.0
     jacobians = snapshot.jacobians
     flat, owners = mode_columns(code, cones, jacobians, -1)
     count, order, _ = independent(flat)
@@ -101,13 +123,18 @@ def share(
             explained, borne, places, violation = again
     if not explained:
         return None
+    if np.isin(loaded_by[couplings], shared).any():
+        # The couple of a coupling that slips would follow from the share.
+        return None
     given, zones = forces.copy(), [OWN] * len(code)
     given[shared] = borne
+    write_limits(given, limits, loaded_by, code)
     for k, place in zip(shared.tolist(), places.tolist(), strict=True):
         zones[k] = _ZONES[place]
     alone = ~np.isin(np.arange(len(code)), shared)
     verdict = np.array([violation, 0.0, 0.0, 0.0])
     judge_forces(verdict, forces[alone], cones[alone], code[alone], 1.0)
+    judge_forces(verdict, given[couplings], cones[couplings], code[couplings], 1.0)
     kept = set(order[:count].tolist())
     letters = [letter for mode in code.tolist() for letter in _LETTERS.get(mode, "e")]
     carriers = tuple(
@@ -151,7 +178,7 @@ def rank(states: Sequence[str], jacobians: Array) -> int:
 
 def _own(code: Iterable[int]) -> list[tuple[int, int]]:
     """Return the constraints of every contact: which, and along its normal or tangent."""
-    return [(k, d) for k, c in enumerate(code) if c != FREE for d in range(2 if c == PIN else 1)]
+    return [(k, "nt".index(row)) for k, c in enumerate(code) for row in _LETTERS.get(c, "n")]
 
 
 def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:

@@ -10,14 +10,17 @@ import sympy as sp
 import contacts.scene.shapes as declared
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.links import SAME, Links
-from contacts.scene.joints import Path
+from contacts.scene.joints import Joint, Path
 from contacts.scene.parts import Body, Contact, Point
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.documents.declaration import TIME
 from statechart.formulas.formula import parse
-from statechart.pictures.film import Shape, ShapeKind
+from statechart.pictures.film import WORLD, Shape, ShapeKind
+
+# Of more bodies that are fixed or led none has its name in the picture.
+_NAMED = 5
 
 
 class BodyShapes:
@@ -51,23 +54,25 @@ class BodyShapes:
         fixed = self._fixed(bare) if bare else {}
         found: list[Shape] = []
         regions = {name: k for k, name in enumerate(self._scene.bodies)}
+        many = sum(body.prescribed for body in self._scene.bodies.values()) > _NAMED
         for name, body in self._scene.bodies.items():
             if body.shape:
-                region = regions[name] if self._scene.collisions else -1
-                found += [self._shape(name, part, region) for part in body.shape]
+                region = regions[name] if self._scene.collisions and not body.prescribed else -1
+                shown = "" if many and body.prescribed else name
+                found += [self._shape(name, part, region, shown) for part in body.shape]
             elif name in fixed:
                 points = self._points(name, idle) or self._points(name, frozenset())
                 rims = self._rims(name)
                 found += [*rims, *self._inferred(name, body, [*points, *fixed[name]], rims)]
-        return (*self._links.shapes(), *found, *self._joints())
+        return (*self._links.shapes(), *found, *self._joints(), *self._couplings())
 
-    def _shape(self, name: str, part: declared.Shape, region: int) -> Shape:
+    def _shape(self, name: str, part: declared.Shape, region: int, shown: str) -> Shape:
         frame = self._frames[name]
         if part.disc is not None:
             centre, radius = np.array([self._pair(part.at)]), self._number(part.disc)
-            return Shape("disc", centre, frame, frame, radius, region, name)
+            return Shape("disc", centre, frame, frame, radius, region, shown)
         points = np.array([self._pair(corner) for corner in part.polygon or ()])
-        return Shape("outline", points, frame, frame, region=region, name=name)
+        return Shape("outline", points, frame, frame, region=region, name=shown)
 
     def _points(self, name: str, idle: frozenset[str]) -> list[tuple[float, float]]:
         scene = self._scene
@@ -175,12 +180,49 @@ class BodyShapes:
         for name, joint in self._scene.joints.items():
             frame = self._frames[joint.point.body]
             kind: ShapeKind = "joint"
-            if isinstance(joint.to, Path) and len(joint.components) == 2:
+            if isinstance(joint.to, Path) and None not in (joint.to.x, joint.to.y):
                 texts = (joint.to.x or 0, joint.to.y or 0)
                 kind = "joint" if any(TIME in parse(text).names for text in texts) else "pivot"
-            points = np.array([self._pair(joint.point.at)])
-            found.append(Shape(kind, points, frame, frame, name=name))
+            at = self._pair(joint.point.at)
+            if joint.rod is not None or joint.rope is not None:
+                found += self._line(name, joint, at, frame, kind)
+                kind = "joint"
+            found.append(Shape(kind, np.array([at]), frame, frame, name=name))
         return found
+
+    def _couplings(self) -> list[Shape]:
+        """Return couplings, at the joint of their bodies where there is one, else between them."""
+        scene, found = self._scene, []
+        for region, name in enumerate(scene.couplings, len(scene.contacts)):
+            bodies = scene.coupled(name)
+            own = scene.couplings[name].joint
+            joint = next(
+                (
+                    one
+                    for key, one in scene.joints.items()
+                    if key == own or (own is None and {*bodies} == _held_by(one))
+                ),
+                None,
+            )
+            first = self._frames[bodies[0] if joint is None else joint.point.body]
+            ends, other = np.zeros((2, 2)), self._frames[bodies[-1]]
+            if joint is not None:
+                ends, other = np.array([self._pair(joint.point.at)] * 2), first
+            found.append(Shape("coupling", ends, first, other, region=region, name=name))
+        return found
+
+    def _line(
+        self, name: str, joint: Joint, at: tuple[float, float], frame: int, kind: ShapeKind
+    ) -> list[Shape]:
+        """Return a rod or a rope, up to an end that does not move in time."""
+        if isinstance(joint.to, Point):
+            end, other = self._pair(joint.to.at), self._frames[joint.to.body]
+            return [Shape("link", np.array([at, end]), frame, other, name=name)]
+        if kind != "pivot":
+            return []
+        end = self._number(joint.to.x or 0), self._number(joint.to.y or 0)
+        line = Shape("link", np.array([at, end]), frame, WORLD, name=name)
+        return [line, Shape("pivot", np.array([end]), WORLD, WORLD, name=name)]
 
     def _number(self, text: str | int | float) -> float:
         return parse(text).value(self._known)
@@ -201,6 +243,11 @@ def disc_of(scene: Scene, contact: Contact, number: Callable[[str | int | float]
         if shape.disc is not None and at == tuple(map(number, shape.at)):
             return number(shape.disc)
     return 0.0
+
+
+def _held_by(joint: Joint) -> set[str]:
+    """Return the bodies that a joint holds."""
+    return {joint.point.body} | ({joint.to.body} if isinstance(joint.to, Point) else set())
 
 
 def _distinct(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

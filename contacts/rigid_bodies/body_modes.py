@@ -177,7 +177,7 @@ def settle_bodies(
     chunk : Chunk
         Its step k is changed in place.
     """
-    counts = space.local
+    counts = space.local[: len(memory.shown)]
     _count_contacts(numbers, space.active, count, counts)
     for b in range(len(counts)):
         if memory.shown[b, 1] == 0:

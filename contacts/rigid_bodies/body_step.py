@@ -64,7 +64,7 @@ def _store(
     """Remember a step's contacts, and write how bodies touch."""
     active, pressed = space.active, space.pressed
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * chunk.h
-    for b in range(len(numbers.sizes)):
+    for b in range(len(numbers.inverse)):
         chunk.gaps[k, b] = space.mid.gaps[b]
         chunk.struck[k, b] = False
         chunk.codes[k, b] = FREE
@@ -179,8 +179,8 @@ def _store_joints(
 
     And what these add to the energy beyond the bound of the scheme; see `RigidBodyRun`.
     """
-    holds, at, active, mid = numbers.joints.holds, 3 * len(numbers.sizes), space.active, space.mid
-    for b in range(len(numbers.sizes)):
+    holds, at, active, mid = numbers.joints.holds, 3 * len(numbers.inverse), space.active, space.mid
+    for b in range(len(numbers.inverse)):
         space.local[b] = 0
     for j in range(len(holds)):
         i = first + j
@@ -252,16 +252,20 @@ def _remember(memory: Memory, kept: Memory) -> None:
 
 
 @kernel
-def _hurry(numbers: BodyNumbers, state: Array, h: float) -> bool:
-    """Whether a body goes far in a step, beside the smallest."""
-    count, least, most = len(numbers.sizes), math.inf, 0.0
-    for b in range(count):
-        size, at = numbers.sizes[b], 3 * (count + b)
+def _hurry(numbers: BodyNumbers, state: Array, poses: Array, h: float) -> bool:
+    """Whether a body goes far in a step, beside the smallest; led ones between `poses`."""
+    count, least, most = len(numbers.inverse), math.inf, 0.0
+    for b in range(len(numbers.sizes)):
+        size, at, led = numbers.sizes[b], 3 * (count + b), b - count
         if size > 0.0:
             least = min(least, size)
-            speed = math.hypot(state[at], state[at + 1]) + size * abs(state[at + 2])
-            most = max(most, speed)
-    return h * most > _FAR * least
+            if led < 0:
+                way = h * math.hypot(state[at], state[at + 1]) + h * size * abs(state[at + 2])
+                most = max(most, way)
+            elif led < poses.shape[1]:
+                x, y, turn = poses[1, led] - poses[0, led]
+                most = max(most, math.hypot(x, y) + size * abs(turn))
+    return most > _FAR * least
 
 
 @kernel
@@ -283,7 +287,7 @@ def step_bodies(
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
         forces of joints, and are not written where forces are not read.
     """
-    h, n, (law, forces, allowed, deepest) = chunk.h, 3 * len(numbers.sizes), options
+    h, n, (law, forces, allowed, deepest) = chunk.h, 3 * len(numbers.inverse), options
     state = chunk.states[0].copy()
     old, loose, active = space.mid.old, space.mid.loose, space.active
     surfaces = numbers.surfaces
@@ -296,10 +300,11 @@ def step_bodies(
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides whether that could be taken.
     for k in range(steps + 1):
-        if k == steps and not (deepest < math.inf and _hurry(numbers, state, h)):
+        poses = around.poses[k : k + 3]
+        if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, h)):
             break
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
-        move_to_midpoint(numbers, state, h, memory.past[0], space.mid)
+        move_to_midpoint(numbers, state, poses, h, memory.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
             apply_forces(numbers, applied, acting, around.memories[k + 1], time, h, space.mid)
@@ -312,7 +317,7 @@ def step_bodies(
             return k, FULL
         coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
         if deepest < math.inf and coarse:
-            if k == 0 or not _hurry(numbers, state, h):
+            if k == 0 or not _hurry(numbers, state, poses, h):
                 return k, COARSE
             _remember(space.earlier, memory)
             return k - 1, COARSE
@@ -357,7 +362,7 @@ def step_bodies(
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
             _store_joints(numbers, memory, space, seen.contacts, k, rates, chunk)
-        for b in range(len(numbers.sizes)):
+        for b in range(len(numbers.inverse)):
             for d in range(3):
                 at = 3 * b + d
                 if forces:

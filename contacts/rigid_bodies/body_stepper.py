@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.dynamics.controllers import Controllers, controller, given, memory_rates
+from contacts.dynamics.controllers import Controllers, controller, given
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.rigid_bodies.body_step import StepOptions
@@ -26,7 +26,7 @@ from contacts.rigid_bodies.declared_numbers import (
 )
 from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
 from contacts.rigid_bodies.mechanics import BodyMechanics
-from contacts.rigid_bodies.own_step import forced_speed, own_step
+from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
@@ -65,11 +65,11 @@ def bodies_automaton(scene: Scene) -> Automaton:
             blow=BODY_BLOW,
             default="free",
         )
-        for name in scene.bodies
+        for name in declared.moving()
     )
     controllers = scene.controlled.flat
     regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
-    rates = memory_rates(mechanics)
+    rates = mechanics.memory_rates
 
     def stepper() -> BodyStepper:
         return BodyStepper(declared, mechanics, stops, regions)
@@ -113,7 +113,7 @@ class BodyStepper(Stepper):
             Controllers(mechanics),
             again=BODY_BLOW,
             forces=None,
-            sticks=np.zeros(len(mechanics.scene.bodies), dtype=np.bool_),
+            sticks=np.zeros(len(declared.moving()), dtype=np.bool_),
         )
         self._declared, self._bodies = declared, mechanics
         self._paths = Paths(mechanics.scene)
@@ -130,14 +130,18 @@ class BodyStepper(Stepper):
         each = [controlled.initial]
         for name, region in controlled.flat.items():
             each += [{**controlled.initial, name: state} for state in region.states]
+        known = self._constants.values({})
+        until = math.inf if end is None else parse(end).value(known)
         forced = forced_speed(
             [self._bodies.forces_at(states, setup.values) for states in each],
             bodies.numbers,
             setup.initial,
-            math.inf if end is None else parse(end).value(self._constants.values({})),
+            until,
             setup.scales.length,
         )
-        return own_step(bodies.numbers, setup.scales, forced)
+        remembered = setup.initial[len(self._mechanics.variables) :]
+        led = led_speed(self._paths, bodies.numbers, known, remembered, until)
+        return own_step(bodies.numbers, setup.scales, max(forced, led))
 
     def setup(self, overrides: Mapping[str, float]) -> SceneSetup:
         """Return the numbers of a run.
@@ -162,7 +166,7 @@ class BodyStepper(Stepper):
                 f"bodies fall by {fall:.3g} in one step of {step:g}, in a scene of size "
                 f"{size:.3g}; take {longest:.1g} or less"
             )
-        free = np.full(len(self._scene.bodies), FREE)
+        free = np.full(len(bodies.numbers.inverse), FREE)
         control = None
         if self._scene.regions:
             control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
@@ -201,11 +205,12 @@ class BodyStepper(Stepper):
         check_range(float(bodies.sizes[largest]), "its size", ("bodies", owners[largest], "shape"))
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
-        length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + bodies.sizes.max())
+        own = bodies.sizes[: len(bodies.inverse)]
+        length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + own.max())
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
         speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
         initial = np.concatenate([moved, remembered])
-        places = np.tile([length, length, 1.0], len(bodies.sizes))
+        places = np.tile([length, length, 1.0], len(bodies.inverse))
         sizes = np.concatenate([places, places * (speed / length)])
         acceleration = speed**2 / length
         force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
@@ -240,7 +245,7 @@ class BodyStepper(Stepper):
         what is said of that.
         """
         scene, owners = self._scene, self._bodies.owners
-        moved, remembered = np.split(setup.initial, [6 * len(bodies.sizes)])
+        moved, remembered = np.split(setup.initial, [6 * len(bodies.inverse)])
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
@@ -251,7 +256,15 @@ class BodyStepper(Stepper):
                     "has no value at the start, or an infinite one",
                     loc=("surfaces", surface, "turn" if turns else "displacement"),
                 )
-        check_inside(scene, owners, bodies, moved, begun.frames[0])
+        for name, pose in zip(self._paths.led, begun.poses[0], strict=True):
+            if not np.isfinite(pose).all():
+                turns = not np.isfinite(pose[2])
+                owner = owners[self._names.index(name)]
+                raise DeclarationProblem(
+                    "has no value at the start, or an infinite one",
+                    loc=("bodies", owner, "angle" if turns else "position"),
+                )
+        check_inside(scene, owners, bodies, moved, begun)
         # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
         joints = closed_joints(

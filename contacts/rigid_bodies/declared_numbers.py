@@ -22,11 +22,12 @@ from contacts.collision_detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, RO
 from contacts.dynamics.contact_law import edge
 from contacts.scene.parts import Body, Point, Surface
 from contacts.scene.scene import Scene
+from contacts.scene.shapes import INDEX
 from contacts.solvers.dependence import column_scales, implied, rank
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import implied_joints
 from statechart.arrays import Array, Ints
-from statechart.documents.fields import FormulaText
+from statechart.documents.fields import FormulaText, value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
@@ -250,12 +251,17 @@ def body_numbers(
     outlines = [_outline(body, number) for body in scene.bodies.values()]
     pieces = _pieces(outlines, kinds)
     sizes = [max((piece.span for piece in outline), default=0.0) for outline in outlines]
-    inverse = [_inverse(owner, body, number) for owner, body in scene.bodies.items()]
+    inverse = [
+        [0.0] * 3 if body.prescribed else _inverse(owner, body, number)
+        for owner, body in scene.bodies.items()
+    ]
+    prescribed = np.array([body.prescribed for body in scene.bodies.values()])
     declared = scene.gravity
     return BodyNumbers(
         pieces,
         np.array(sizes)[kinds],
-        np.array(inverse)[kinds],
+        np.array(inverse)[kinds[~prescribed[kinds]]],
+        _fixed(scene, owners, known),
         np.array(
             [number(part) for part in declared]
             if isinstance(declared, tuple)
@@ -324,6 +330,23 @@ def _runs(firsts: Ints, counts: Ints) -> Ints:
     ends = np.cumsum(counts)
     found: Ints = np.arange(counts.sum()) + np.repeat(firsts - ends + counts, counts)
     return found
+
+
+def _fixed(scene: Scene, owners: Mapping[str, str], known: Mapping[str, float]) -> Array:
+    """Return where fixed bodies are (f, 3), with the numbers of their copies."""
+    found = []
+    for name, owner in owners.items():
+        if scene.bodies[owner].fixed:
+            body = scene.bodies[owner]
+            numbered = known
+            if body.copies is not None:
+                numbered = {**known, INDEX: float(name.removeprefix(owner))}
+            keys = ("x", "y", "angle")
+            at = ("bodies", owner, "start")
+            found.append(
+                [value_of(t, numbered, *at, k) for k, t in zip(keys, body.path, strict=True)]
+            )
+    return np.array(found, dtype=float).reshape(-1, 3)
 
 
 def _inverse(owner: str, body: Body, number: _Number) -> list[float]:

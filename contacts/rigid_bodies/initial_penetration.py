@@ -10,6 +10,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.surfaces import HOLLOW
 from contacts.rigid_bodies.declared_numbers import touched
+from contacts.rigid_bodies.prescribed_motion import Positions
 from contacts.rigid_bodies.rigid_body_run import DetectedContacts
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
@@ -58,11 +59,11 @@ def check_apart(
     found = detect(numbers, initial)
 
     def deepest_of(b: int) -> str:
-        return found.deepest_of(b, len(numbers.pieces.sizes), names, surfaces)
+        return found.deepest_of(b, numbers.pieces.bodies, names, surfaces)
 
     cores = np.full(len(names), np.inf)
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
-    gaps = found.gaps
+    cores, gaps = cores[: len(numbers.inverse)], found.gaps[: len(numbers.inverse)]
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
@@ -97,10 +98,11 @@ def _check_places(
     numbers: BodyNumbers, names: Sequence[str], owners: Sequence[str], initial: Array
 ) -> None:
     """Check that no copies that collide with each other start in one place."""
-    poses = np.column_stack([numbers.kinds, initial[: 3 * len(names)].reshape(-1, 3)])
+    moving = len(numbers.inverse)
+    poses = np.column_stack([numbers.kinds[:moving], initial[: 3 * moving].reshape(-1, 3)])
     _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
     firsts = places[which.reshape(-1)]
-    for b in np.flatnonzero(firsts != np.arange(len(names))).tolist():
+    for b in np.flatnonzero(firsts != np.arange(moving)).tolist():
         kind = numbers.kinds[b]
         if numbers.laws[kind, kind] >= 0:
             raise DeclarationProblem(
@@ -119,11 +121,11 @@ def _check_crowd(
     whose inner circles have their centres in one cell of this size are too deep in each other.
     """
     pieces = numbers.pieces
-    members = np.flatnonzero(np.diff(pieces.begins))
+    members = np.flatnonzero(np.diff(pieces.begins[: len(numbers.inverse) + 1]))
     if len(members) < _CROWD or len(numbers.joints.bodies):
         return
     one = pieces.begins[:-1][members]
-    x, y, angle = initial[: 3 * len(names)].reshape(-1, 3)[members].T
+    x, y, angle = initial[: 3 * len(numbers.inverse)].reshape(-1, 3)[members].T
     (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
     centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
     cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
@@ -209,21 +211,37 @@ def _covered(
         gap = detect(numbers, state).gaps[b]
         return gap <= (1.0 - _SAME_GAP) * margin
 
-    places = initial[: 3 * len(names)].reshape(-1, 3)[:, :2]
+    moving, kinds = len(numbers.inverse), len(numbers.laws)
+    places = initial[: 3 * moving].reshape(-1, 3)[:, :2]
     apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
     away = np.hypot(*(places - places[b]).T)
     reach = numbers.sizes[b] + numbers.sizes
-    for other in np.flatnonzero(away < reach).tolist():
+
+    def left_with(other: int) -> Array:
+        """Return the state with all away that move but the two."""
         state = initial.copy()
-        for i in range(len(names)):
+        for i in range(moving):
             if i not in (b, other):
                 state[3 * i] += (i + 2.0) * apart
+        return state
+
+    prescribed = np.unique(numbers.kinds[moving:])
+    for kind in prescribed.tolist():
+        laws = numbers.laws.copy()
+        laws[:, np.arange(laws.shape[1]) != kind] = -1
+        if as_deep(numbers._replace(laws=laws), left_with(b)):
+            owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
+            return b, f"body {owner!r} or a copy of it", _NO_ROOM
+    laws = numbers.laws.copy()
+    laws[:, prescribed] = -1
+    numbers = numbers._replace(laws=laws)
+    for other in np.flatnonzero(away < reach[:moving]).tolist():
+        state = left_with(other)
         if other != b and as_deep(numbers, state):
             one, whole = sorted((b, other), key=lambda i: float(numbers.sizes[i]))
             far = f"start it {reach[other]:.6g} from the centre of {names[whole]!r}, or move it out"
             return one, f"body {names[whole]!r}", far
     far = f"start its centre {numbers.sizes[b]:.6g} from it, or move it out"
-    kinds = len(numbers.laws)
     for s, surface in enumerate(surfaces):
         laws = numbers.laws.copy()
         laws[:, :kinds] = -1
@@ -236,11 +254,12 @@ def _covered(
 
 
 def check_inside(
-    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, frames: Array
+    scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, begun: Positions
 ) -> None:
     """Check that bodies that collide with a hollow circle start in it, at `initial` (6 b,).
 
-    The scene has its bodies one by one, which `owners` declare; surfaces have `frames` (s, 3).
+    The scene has its bodies one by one, which `owners` declare; what has a path is where that has
+    `begun`.
 
     Raises
     ------
@@ -248,7 +267,8 @@ def check_inside(
         If a body is too large, or starts outside.
     """
     names, surfaces = list(scene.bodies), numbers.surfaces
-    places = initial[: 3 * len(names)].reshape(-1, 3)
+    moving, frames = len(numbers.inverse), begun.frames[0]
+    places = np.concatenate([initial[: 3 * moving].reshape(-1, 3), begun.poses[0], numbers.fixed])
     for s, name in enumerate(touched(scene)):
         if surfaces.kinds[s] != HOLLOW:
             continue
@@ -257,7 +277,7 @@ def check_inside(
         u, v, angle = (frames[s] if carrier < 0 else places[carrier]).tolist()
         cos, sin = math.cos(angle), math.sin(angle)
         centre = np.array([u + cos * x - sin * y, v + sin * x + cos * y])
-        meets = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
+        meets = numbers.laws[numbers.kinds[:moving], len(numbers.laws) + s] >= 0
         members = [b for b in np.flatnonzero(meets).tolist() if b != carrier]
         outside = []
         for b in members:

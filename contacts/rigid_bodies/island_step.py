@@ -269,10 +269,11 @@ def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     """Return a number of the two things that touch at a contact, whichever pieces of them do."""
     one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
-    if other >= 0:
-        return int(min(one, other) * bodies + max(one, other))
     surfaces = len(numbers.surfaces.kinds)
-    return int((bodies + one) * (bodies + surfaces) + active.keys[i, 0] % (pieces + surfaces))
+    if other < 0:
+        q = active.keys[i, 0] % (pieces + surfaces)
+        other = numbers.pieces.bodies[q] if q < pieces else bodies + q - pieces
+    return int(min(one, other) * (bodies + surfaces) + max(one, other))
 
 
 @kernel

@@ -17,6 +17,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
 from contacts.scene.fields import copies
+from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
 from contacts.time_stepping.stability import Stiffness, stiffness
@@ -57,8 +58,11 @@ class Starts:
 
     def __init__(self, scene: Scene, parameters: Parameters) -> None:
         self._scene = scene
-        counts = [1 if n is None else n for n in copies(scene, scene.values()).values()]
-        # The declared body of every body, and its number among the copies.
+        counts = [
+            0 if scene.bodies[name].prescribed else 1 if n is None else n
+            for name, n in copies(scene, scene.values()).items()
+        ]
+        # The declared body of every body that moves, and its number among the copies.
         self._kinds = np.repeat(np.arange(len(counts)), counts)
         self._numbers = np.concatenate([np.arange(count) for count in counts])
         index = sp.Symbol("index", real=True)
@@ -122,7 +126,12 @@ class BodyMechanics(Mechanics):
             name: body.model_copy(update={"copies": None, "start": {}})
             for name, body in scene.bodies.items()
         }
-        single = {name: kinds[owner] for name, owner in owners.items()}
+        single = {
+            name: _at_its_place(scene.bodies[owner], name.removeprefix(owner))
+            if scene.bodies[owner].prescribed
+            else kinds[owner]
+            for name, owner in owners.items()
+        }
         parameters = body_parameters(scene)
         super().__init__(scene.model_copy(update={"bodies": single}), parameters)
         self.starts = Starts(scene, parameters)
@@ -137,7 +146,8 @@ class BodyMechanics(Mechanics):
         gx, gy = self.gravity
         alike: dict[str, list[str]] = {}
         for name, owner in zip(self.scene.bodies, self.owners, strict=True):
-            alike.setdefault(owner, []).append(name)
+            if not self.scene.bodies[name].prescribed:
+                alike.setdefault(owner, []).append(name)
         terms = []
         for owner, names in alike.items():
             mass = self._formula(self.scene.bodies[names[0]].mass)
@@ -220,7 +230,14 @@ class BodyMechanics(Mechanics):
                     f"{body}.{c}": self.known[f"{name}.{c}"]
                     for c in ("x", "y", "angle", "dx", "dy", "dangle")
                 }
-                yield place, ChainMap(own, self.known)
+                yield place, ChainMap(own, self.known, self.placed)
+
+
+def _at_its_place(body: Body, number: str) -> Body:
+    """Return a prescribed body, or its copy of this number, with its place as a position."""
+    one = body if body.copies is None else body.numbered(int(number))
+    x, y, angle = one.path
+    return one.model_copy(update={"position": (x, y), "angle": angle, "start": {}})
 
 
 def _times(factor: sp.Expr, total: sp.Expr) -> sp.Expr:

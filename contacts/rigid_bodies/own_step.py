@@ -7,7 +7,7 @@ scene's speed, falling, or at the speed that its forces may give it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.dynamics.scales import Scales
 from contacts.rigid_bodies.mechanics import Forces
+from contacts.rigid_bodies.prescribed_motion import Paths
 from statechart.arrays import Array
 
 # A step takes bodies this part of the least inner radius at the fastest speed, and lasts this part
@@ -23,6 +24,8 @@ from statechart.arrays import Array
 _CROSSED, _FALLEN = 0.1, 0.02
 # Forces are evaluated at so many instants of a run.
 _INSTANTS = 17
+# Differences of paths are taken over this part of a run.
+_SOON = 1e-6
 # A circle is inside of an edge but for this part of its polygon.
 _STEP_ROUND_OFF = 1e-9
 
@@ -70,7 +73,8 @@ def forced_speed(
     ``a/w`` against springs that swing at w, and, as gravity does, of ``sqrt(a length)``. There is
     `each` set of forces under a state of a controller; the `end` may be infinite.
     """
-    fastest, n, size = 0.0, numbers.inverse.size, float(numbers.sizes.max())
+    fastest, n = 0.0, numbers.inverse.size
+    size = float(numbers.sizes[: len(numbers.inverse)].max())
     times = np.linspace(0.0, end, _INSTANTS) if math.isfinite(end) else np.zeros(1)
     for forces in each:
         if not len(forces.bodies):
@@ -93,9 +97,26 @@ def forced_speed(
     return fastest
 
 
+def led_speed(
+    paths: Paths, numbers: BodyNumbers, known: Mapping[str, float], remembered: Array, end: float
+) -> float:
+    """Return how fast a point of a led body is at some instants of a run."""
+    first = len(numbers.inverse)
+    sizes = numbers.sizes[first : first + len(paths.led)]
+    if not len(sizes):
+        return 0.0
+    whole = end if math.isfinite(end) and end > 0.0 else 1.0
+    times, later = np.linspace(0.0, whole, _INSTANTS), _SOON * whole
+    memories = np.tile(remembered, (_INSTANTS, 1))
+    here, there = (paths.at(known, at, memories).poses for at in (times, times + later))
+    rates = np.abs(there - here) / later
+    speeds = np.hypot(rates[..., 0], rates[..., 1]) + sizes * rates[..., 2]
+    return float(speeds.max(where=np.isfinite(speeds), initial=0.0))
+
+
 def own_step(numbers: BodyNumbers, scales: Scales, forced: float) -> float:
     """Return a step, rounded to a digit."""
-    radius = float(inner_radii(numbers).min())
+    radius = float(inner_radii(numbers)[: len(numbers.inverse)].min())
     step = _CROSSED * radius / max(scales.speed, forced)
     gravity = math.hypot(*numbers.gravity)
     if gravity > 0.0:

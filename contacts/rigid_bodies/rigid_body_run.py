@@ -23,7 +23,7 @@ from contacts.time_stepping.stability import UNSTABLE, Held, check_followed
 from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.errors import NonFinite, StepTooLarge
+from statechart.errors import NoConsistentMode, NonFinite, StepTooLarge
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import several
 
@@ -45,7 +45,7 @@ class Penetration:
     """Watches how deep bodies are in each other and in surfaces."""
 
     def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
-        self._names, self._radii = names, inner_radii(numbers)
+        self._names, self._radii = names, inner_radii(numbers)[: len(numbers.inverse)]
         self._start_depth, self._part = start_depth, _DEEP
         self._found: _Found | None = None
 
@@ -58,7 +58,7 @@ class Penetration:
         k, b = (int(i) for i in np.unravel_index(np.argmax(parts), parts.shape))
         self._part = float(parts[k, b])
         # Gaps are those in the middle of a step.
-        middle, n = chunk.states[k].copy(), 3 * len(self._names)
+        middle, n = chunk.states[k].copy(), 3 * chunk.gaps.shape[1]
         middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
         self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
@@ -91,10 +91,10 @@ class MissingGround:
         self._unseen = np.flatnonzero(ground.kinds == GRAPH).tolist() if partial else []
         self.remarks: tuple[str, ...] = ()
 
-    def add(self, start: float, h: float, states: Array, frames: Array) -> None:
+    def add(self, start: float, h: float, states: Array, frames: Array, poses: Array) -> None:
         """Look below the left and the right end of bodies, and their centres, at ends of steps."""
         for s in self._unseen.copy():
-            if found := self._first(s, states, frames):
+            if found := self._first(s, states, frames, poses):
                 step, body, x = found
                 self._unseen.remove(s)
                 self.remarks += (
@@ -103,18 +103,22 @@ class MissingGround:
                     "no ground",
                 )
 
-    def _first(self, s: int, states: Array, frames: Array) -> tuple[int, int, float] | None:
+    def _first(
+        self, s: int, states: Array, frames: Array, poses: Array
+    ) -> tuple[int, int, float] | None:
         """Return the first step and body with a place that has no height, and the place."""
         numbers, ground = self._numbers, self._numbers.surfaces
-        count, carrier = len(self._names), int(ground.carriers[s])
+        count, carrier = len(numbers.inverse), int(ground.carriers[s])
         places = states[:, : 3 * count].reshape(len(states), count, 3)
-        below = numbers.laws[numbers.kinds, len(numbers.laws) + s] >= 0
-        if carrier >= 0:
+        below = numbers.laws[numbers.kinds[:count], len(numbers.laws) + s] >= 0
+        if 0 <= carrier < count:
             below[carrier] = False
         bodies = np.flatnonzero(below)
-        frame = frames[np.minimum(np.arange(len(states)), len(frames) - 1), s]
+        looks = np.minimum(np.arange(len(states)), len(frames) - 1)
+        frame = frames[looks, s]
         if carrier >= 0:
-            frame = places[:, carrier]
+            fixed = np.broadcast_to(numbers.fixed, (len(states), *numbers.fixed.shape))
+            frame = np.concatenate([places, poses[looks], fixed], axis=1)[:, carrier]
         u, v, angle = (frame[:, d, None] for d in range(3))
         x = np.cos(angle) * (places[:, bodies, 0] - u) + np.sin(angle) * (places[:, bodies, 1] - v)
         asked = x[:, :, None] + numbers.sizes[bodies, None] * np.array([0.0, -1.0, 1.0])
@@ -137,6 +141,8 @@ _TURNED, _FOLLOWED = 0.5, 0.1
 _ADDED = 0.5
 # Parts that a step is taken in where it is too long for what happens in it, one after the other.
 _PARTS = (4, 16, 64, 256)
+# A path has jumped into a body that is deeper than it was, by more than this part of its size.
+_JUMPED_INTO = 1e-6
 # Moves out of overlaps that are tried; the part of a step that a detection takes.
 _MOVES, _INSTANT = 20, 1e-6
 
@@ -172,19 +178,21 @@ class DetectedContacts(NamedTuple):
             Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
         )
 
-    def deepest_of(self, body: int, pieces: int, names: Sequence[str], known: Sequence[str]) -> str:
+    def deepest_of(
+        self, body: int, bodies: Ints, names: Sequence[str], known: Sequence[str]
+    ) -> str:
         """Return what a body touches the deepest; "" where it touches nothing.
 
-        Surfaces, whose names are `known`, stand behind all `pieces`.
+        Surfaces, whose names are `known`, stand behind all pieces, which are of these `bodies`.
         """
         mine = np.flatnonzero((self.normal.bodies == body).any(axis=1))
         if not len(mine):
             return ""
         i = int(mine[np.argmin(self.levels[mine])])
-        surface = int(self.keys[i]) % (pieces + len(known)) - pieces
-        if surface >= 0:
-            return f"surface {known[surface]!r}"
-        one, other = self.normal.bodies[i].tolist()
+        p, q = divmod(int(self.keys[i]), len(bodies) + len(known))
+        if q >= len(bodies):
+            return f"surface {known[q - len(bodies)]!r}"
+        one, other = int(bodies[p]), int(bodies[q])
         return f"body {names[other if one == body else one]!r}"
 
     def is_covered(self, body: int) -> bool:
@@ -218,7 +226,7 @@ class RigidBodyRun(SteppedSystem):
     ) -> None:
         self.surfaces, self._options = surfaces, options
         self.numbers, self._names, self._around = numbers, names, around
-        count = len(names)
+        count = self._moving = len(numbers.inverse)
         self._memory = self._saved = Memory.allocate(numbers)
         # As if an impact had left them there.
         self._memory.past[2] = start_depth / LANDED
@@ -233,8 +241,9 @@ class RigidBodyRun(SteppedSystem):
         self._no_ground = MissingGround(names, surfaces, numbers)
         self._penetration = Penetration(names, numbers, start_depth)
         # A disc about its centre of mass looks the same however it turns.
-        pieces, seen = numbers.pieces, np.ones(count, dtype=np.bool_)
+        pieces, seen = numbers.pieces, np.ones(len(names), dtype=np.bool_)
         seen[pieces.bodies] = pieces.spans != pieces.radii
+        seen = seen[:count]
         self._angular = np.flatnonzero(seen)
 
     def switch(self, states: Mapping[str, str]) -> None:
@@ -252,7 +261,7 @@ class RigidBodyRun(SteppedSystem):
     @property
     def margins(self) -> dict[str, float]:
         """The least gaps seen of every body, at the midpoints of steps."""
-        least = zip(self._names, self.least.tolist(), strict=True)
+        least = zip(self._names[: self._moving], self.least.tolist(), strict=True)
         return {f"{name}.gap": gap for name, gap in least if math.isfinite(gap)}
 
     def depth_left(self, state: Array, time: float) -> float:
@@ -261,7 +270,7 @@ class RigidBodyRun(SteppedSystem):
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
         """
-        n, placed = 3 * len(self._names), state.copy()
+        n, placed = 3 * self._moving, state.copy()
         placed[n : 2 * n] = 0.0
         known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
@@ -269,10 +278,10 @@ class RigidBodyRun(SteppedSystem):
             deep = met.levels < 0.0
             if not deep.any():
                 break
-            rows = met.normal.only(deep).whole(len(self._names))
+            rows = met.normal.only(deep).whole(self._moving)
             known = np.concatenate([known, rows])
             gaps = np.concatenate([gaps, met.levels[deep] - rows @ (placed - state)[:n]])
-            depth, move = depth_left(gaps, known, met.joints.whole(len(self._names)))
+            depth, move = depth_left(gaps, known, met.joints.whole(self._moving))
             if depth > 0.0:
                 break
             placed[:n] = state[:n] + move
@@ -292,7 +301,7 @@ class RigidBodyRun(SteppedSystem):
     def _deepest_at(self, body: int, state: Array, time: float) -> str:
         """Return what a body touches the deepest in a state."""
         found, pieces = self.detect(state, time, _INSTANT * self._length), self.numbers.pieces
-        return found.deepest_of(body, len(pieces.sizes), self._names, self.surfaces)
+        return found.deepest_of(body, pieces.bodies, self._names, self.surfaces)
 
     def _check_finite(self, chunk: Chunk, status: int) -> None:
         if status == NOT_FINITE and not len(chunk.codes):
@@ -334,6 +343,7 @@ class RigidBodyRun(SteppedSystem):
         if self._gain_error is not None:
             raise self._gain_error
         self._check_forces(start, h, state)
+        self._check_jumps(start, state)
         chunk, status = self._taken(start, h, state, count, self._options.deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
@@ -350,7 +360,7 @@ class RigidBodyRun(SteppedSystem):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        bodies = len(self._names)
+        bodies = self._moving
         self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
         self._around.passed(len(chunk.codes))
@@ -366,7 +376,7 @@ class RigidBodyRun(SteppedSystem):
         They do no work: what they give is what they took before, or comes of steps that do not
         follow how what they pull at swings. Why the next step is not taken is kept.
         """
-        n, added = 3 * len(self._names), self._added + np.append(0.0, np.cumsum(chunk.gained))
+        n, added = 3 * self._moving, self._added + np.append(0.0, np.cumsum(chunk.gained))
         chunk.gained[:] = 0.0
         moving = 0.5 * (chunk.states[1:, n : 2 * n] ** 2 / self.numbers.inverse.ravel()).sum(axis=1)
         moved = np.maximum.accumulate(np.append(self._moved, moving))
@@ -384,9 +394,26 @@ class RigidBodyRun(SteppedSystem):
         )
         return chunk.first(k)
 
+    def _check_jumps(self, start: float, state: Array) -> None:
+        """Raise `NoConsistentMode` where a path has jumped into a body at an instant."""
+        jumped = self._around.jumped(start, state[6 * self._moving :])
+        if not jumped:
+            return
+        met = self.detect(state, start, _INSTANT * self._length)
+        landed = LANDED * float(self._memory.past[2]) + _JUMPED_INTO * self.numbers.sizes
+        deep = met.gaps[: self._moving] + landed[: self._moving]
+        b = int(np.argmin(deep))
+        if deep[b] < 0.0:
+            other = met.deepest_of(b, self.numbers.pieces.bodies, self._names, self.surfaces)
+            raise NoConsistentMode(
+                f"the path of {jumped[0]} jumps as a controller changes, and body "
+                f"{self._names[b]!r} is {-met.gaps[b]:.3g} deep in {other}; let a variable that "
+                "flows move it"
+            )
+
     def _check_forces(self, start: float, h: float, state: Array) -> None:
         """Raise `StepTooLarge` where forces are too stiff for these steps."""
-        inverse, size = self.numbers.inverse, float(self.numbers.sizes.max())
+        inverse, size = self.numbers.inverse, float(self.numbers.sizes[: self._moving].max())
         stiff = self._around.forces.stiffness(inverse, size, h, state, start)
         if not stiff.most() > UNSTABLE:
             return
@@ -399,7 +426,7 @@ class RigidBodyRun(SteppedSystem):
         self, start: float, h: float, state: Array, count: int, deepest: float
     ) -> tuple[Chunk, int]:
         """Return the steps that could be taken, and how they ended."""
-        bodies = len(self._names)
+        bodies = self._moving
         joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
         solved = 3 * bodies + joint_forces
         # One step more, for the last detection.
@@ -424,7 +451,8 @@ class RigidBodyRun(SteppedSystem):
         chunk.states[1:, 6 * bodies :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:
-            self._no_ground.add(start, h, chunk.states, ahead.frames[1 : done + 1])
+            at = slice(1, done + 1)
+            self._no_ground.add(start, h, chunk.states, ahead.frames[at], ahead.poses[at])
         if self._around.count:
             chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
         return chunk, status

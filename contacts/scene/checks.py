@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
 from contacts.scene.joints import Path
-from contacts.scene.parts import Surface
+from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import (
@@ -69,8 +69,8 @@ def _formulas_in(value: Any, loc: Loc, measured: bool) -> Iterator[tuple[Loc, Fo
 
 
 _SECTIONS = frozenset(
-    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "forces", "collisions")
-)
+    ("gravity", "coordinates", "bodies", "surfaces", "contacts", "joints", "couplings", "forces")
+) | {"collisions"}
 
 
 def scene_formulas(scene: SceneFields) -> Iterator[tuple[Loc, FormulaText]]:
@@ -84,7 +84,10 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
     section, name, key, *_ = (*map(str, loc), "", "")
     match section, key:
         case "bodies", "angle" | "position":
-            return parameters | {*scene.coordinates}
+            if not scene.bodies[name].prescribed:
+                return parameters | {*scene.coordinates}
+            numbered = {INDEX} if scene.bodies[name].copies is not None else set()
+            return parameters | {TIME, *scene.controlled.memory, *scene.controls} | numbered
         case "bodies", "start" if scene.bodies[name].copies is not None:
             return parameters | {INDEX}
         case "surfaces", "height":
@@ -99,7 +102,10 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
             # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
             own = {f"{scene.forces[name].body}.{c}" for c in copied.coordinates} if copied else ()
-            return scene.kinematic_names | {*scene.controls, *own, *map(scene.rate_name, own)}
+            rates = map(scene.rate_name, own)
+            return scene.kinematic_names | {*scene.controls, *own, *rates} | scene.placed_names
+        case "couplings", "limit":
+            return scene.kinematic_names | {*scene.controls} | scene.placed_names
     return parameters
 
 
@@ -151,7 +157,8 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
 def _changing(scene: SceneFields) -> Collection[str]:
     """Return what changes along a run."""
     found = {f"{contact}.{quantity}" for contact in scene.contacts for quantity in _OF_CONTACTS}
-    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.components}
+    found |= {f"{name}.{force}" for name, one in scene.joints.items() for force in one.forces}
+    found |= {f"{name}.{quantity}" for name in scene.couplings for quantity in ("M", "slip")}
     return {*(scene.kinematic_names - {*scene.parameters}), *found, *scene.controls, "energy"}
 
 
@@ -169,6 +176,7 @@ class Limit(NamedTuple):
 
 _MAX_NUMBER = sys.float_info.max
 _POSITIVE = math.ulp(0.0), _MAX_NUMBER, "must be positive, not {:g}"
+_PART = 0.0, 1.0, "must be between 0 and 1, not {:g}"
 # Beyond these masses energies are no floats, or the round-off of forces.
 _MASSES = "must be between 1e-280 and 1e+300, not {:g}"
 _LIGHT = 1e-280, _MAX_NUMBER, _MASSES, "take smaller units"
@@ -187,9 +195,10 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
     """Yield the limits of masses, inertias, friction, restitution, radii and inclines."""
     for name, body in scene.bodies.items():
         at: Loc = ("bodies", name)
-        yield Limit((*at, "mass"), body.mass, *_POSITIVE)
-        yield Limit((*at, "mass"), body.mass, *_LIGHT)
-        yield Limit((*at, "mass"), body.mass, *_HEAVY)
+        if not body.prescribed:
+            yield Limit((*at, "mass"), body.mass, *_POSITIVE)
+            yield Limit((*at, "mass"), body.mass, *_LIGHT)
+            yield Limit((*at, "mass"), body.mass, *_HEAVY)
         if body.inertia is not None:
             yield Limit((*at, "inertia"), body.inertia, 0.0, _MAX_NUMBER)
         for place, shape in enumerate(body.shape):
@@ -220,8 +229,24 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             if law.friction is not None:
                 yield Limit((section, name, "friction"), law.friction, 0.0, math.inf)
             if law.restitution is not None:
-                words = "must be between 0 and 1, not {:g}"
-                yield Limit((section, name, "restitution"), law.restitution, 0.0, 1.0, words)
+                yield Limit((section, name, "restitution"), law.restitution, *_PART)
+    for name, joint in scene.joints.items():
+        for key in ("rod", "rope"):
+            if (text := getattr(joint, key)) is not None:
+                yield Limit(("joints", name, key), text, *_POSITIVE)
+        if joint.restitution is not None:
+            yield Limit(("joints", name, "restitution"), joint.restitution, *_PART)
+        if joint.limits is not None:
+            least, greatest = joint.limits
+            yield Limit(
+                ("joints", name, "limits"),
+                f"({greatest}) - ({least})",
+                math.ulp(0.0),
+                _MAX_NUMBER,
+                "the least angle, {:g}, is not below the greatest, {:g}",
+                "write limits: [least, greatest]",
+                (least, greatest),
+            )
 
 
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
@@ -321,7 +346,8 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in scene_formulas(scene):
         if loc[0] not in ("surfaces", "joints") and loc[2:3] not in (("position",), ("angle",)):
             continue
-        variables = names_for(scene, loc) - {*scene.parameters, *scene.controlled.memory}
+        constant = {*scene.parameters, *scene.controlled.memory, *scene.controls, INDEX}
+        variables = names_for(scene, loc) - constant
         if variables:
             ground = loc[-1] == "height"
             advice, lacks = _SURFACES if ground else _SMOOTH, "slope, or no curvature,"
@@ -362,6 +388,7 @@ def _force_formulas(scene: SceneFields) -> tuple[Collection[str], list[tuple[Loc
     for name, force in scene.forces.items():
         found += [(("forces", name, "force", i), text) for i, text in enumerate(force.force)]
         found.append((("forces", name, "moment"), force.moment))
+    found += [(loc, text) for loc, text in scene_formulas(scene) if loc[0] == "couplings"]
     used = set[str]().union(*(parse(text).names for _, text in found))
     changing = set(scene.kinematic_names - scene.parameters.keys())
     controls = scene.controlled
@@ -512,6 +539,20 @@ def _place(corner: _Corner) -> str:
     return f"({x:.6g}, {y:.6g})"
 
 
+def check_turns(scene: SceneFields) -> None:
+    """Check that bodies whose relative angle a joint holds or limits have an angle."""
+    for name, joint in scene.joints.items():
+        key = "angle" if joint.angle is not None else "limits"
+        for end in (joint.point, joint.to) if getattr(joint, key) is not None else ():
+            if isinstance(end, Point) and scene.bodies[end.body].inertia is None:
+                raise DeclarationProblem(
+                    f"{end.body!r} is a particle, which has no angle",
+                    advice=f"give it an inertia, or remove {key}",
+                    loc=("joints", name, key),
+                    key=True,
+                )
+
+
 def check_copies(scene: SceneFields) -> None:
     """Check what copies of bodies need."""
     if INDEX in scene.parameters and any(b.copies is not None for b in scene.bodies.values()):
@@ -538,6 +579,24 @@ def check_copies(scene: SceneFields) -> None:
             )
 
 
+def check_coupled(scene: SceneFields, name: str) -> None:
+    """Check that the bodies of a coupling turn, and that something can be known of its limit."""
+    coupling = scene.couplings[name]
+    if coupling.joint is not None and coupling.joint not in scene.joints:
+        return
+    if scene.along_guide(name):
+        return
+    for place, body in enumerate(scene.coupled(name)):
+        declared = scene.bodies.get(body)
+        if declared is not None and declared.inertia is None and declared.angle is None:
+            loc = ("bodies", place) if coupling.bodies is not None else ("joint",)
+            raise DeclarationProblem(
+                f"body {body!r} does not turn: it has no inertia and no angle",
+                advice="give it an inertia, or name a body that turns",
+                loc=("couplings", name, *loc),
+            )
+
+
 def check_carrier(scene: SceneFields, surface: str, body: str) -> None:
     """Check that a surface is carried by one body, not by copies."""
     if body in scene.bodies and scene.bodies[body].copies is not None:
@@ -555,6 +614,7 @@ def check_collisions(scene: SceneFields) -> None:
     absent = {
         "contacts": scene.contacts,
         "coordinates": scene.coordinates,
+        "couplings": scene.couplings,
         "modes": scene.initial_modes,
     }
     for section, declared in absent.items():
@@ -565,14 +625,33 @@ def check_collisions(scene: SceneFields) -> None:
                 loc=(section,),
                 key=True,
             )
+    for name, joint in scene.joints.items():
+        for key in ("angle", "rod", "rope", "limits", "enabled", "rest"):
+            if getattr(joint, key):
+                raise DeclarationProblem(
+                    f"a joint of bodies that collide has no {key} yet",
+                    advice="let bodies touch by the points of contacts, without collisions",
+                    loc=("joints", name, key),
+                    key=True,
+                )
     _check_memory(scene)
     for name, body in scene.bodies.items():
-        if body.coordinates != ("x", "y", "angle"):
+        if not body.prescribed and body.coordinates != ("x", "y", "angle"):
             raise DeclarationProblem(
                 "a body that collides is free and has an inertia",
-                advice="give it an inertia, and no position",
+                advice="give it an inertia, and no position; or a path, position and angle, and no "
+                "mass",
                 loc=("bodies", name),
             )
+        if body.prescribed:
+            _check_path(scene, name)
+    if all(body.prescribed for body in scene.bodies.values()):
+        raise DeclarationProblem(
+            "all bodies are fixed or led, and nothing moves by itself",
+            advice="declare a body with a mass, an inertia and a shape",
+            loc=("bodies",),
+            key=True,
+        )
     for name, collision in scene.collisions.items():
         at = ("collisions", name)
         for place, one in enumerate(collision.bodies):
@@ -594,11 +673,67 @@ def check_collisions(scene: SceneFields) -> None:
                 raise DeclarationProblem(f"no surface {one!r}", advice=advice, loc=loc)
 
 
+def _check_path(scene: SceneFields, name: str) -> None:
+    """Check that the path of a fixed or led body is known ahead, and that nothing pulls at it."""
+    moving = _moving_names(scene)
+    for key, text in zip(("x", "y", "angle"), scene.bodies[name].path, strict=True):
+        for control in parse(text).names.intersection(scene.controls):
+            used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
+            if found := [n for n in used if n in moving]:
+                raise DeclarationProblem(
+                    f"the path uses {control!r}, which depends on {found[0]!r}, on how bodies move",
+                    advice="let it depend on time, controls and variables; a force follows bodies",
+                    loc=("bodies", name, "angle" if key == "angle" else "position"),
+                )
+    for force, declared in scene.forces.items():
+        if scene.owners().get(declared.body, declared.body) == name:
+            raise DeclarationProblem(
+                f"{name!r} moves as prescribed, and no force moves it",
+                advice="remove the force, or give the body a mass and no path",
+                loc=("forces", force, "body"),
+            )
+    for joint, held in scene.joints.items():
+        for key, point in (("point", held.point), ("to", held.to)):
+            if isinstance(point, Point) and scene.owners().get(point.body) == name:
+                raise DeclarationProblem(
+                    f"{name!r} moves as prescribed, and joints hold bodies that move by themselves",
+                    advice="hold the other body to the place, to: [0, 1], or along the path, "
+                    'to: ["v*time", 1]',
+                    loc=("joints", joint, key, "body"),
+                )
+
+
+def _moving_names(scene: SceneFields) -> set[str]:
+    """Return the names of what impulses of contacts change."""
+    return {*scene.variables, *map(scene.rate_name, scene.variables)}
+
+
+def check_prescribed(scene: SceneFields, found: Findings) -> None:
+    """Check that fixed and led bodies are in a scene with collisions."""
+    for name, body in scene.bodies.items():
+        with found:
+            if body.prescribed and not scene.collisions:
+                if not body.fixed:
+                    raise DeclarationProblem(
+                        "a body needs a mass",
+                        advice="write mass: 1; a body without one is led along its position in a "
+                        "scene with collisions",
+                        loc=("bodies", name),
+                    )
+                raise DeclarationProblem(
+                    "a fixed body takes part in collisions, and the scene has none",
+                    advice="declare collisions; what points touch is a surface: "
+                    "surfaces: {wall: {line: [[1, 0], [1, 1]]}}",
+                    loc=("bodies", name, "fixed"),
+                    key=True,
+                )
+
+
 def _check_memory(scene: SceneFields) -> None:
     """Check that what controllers remember is known ahead of the steps."""
     if not any(region.variables for region in scene.regions.values()):
         return
-    moving = {*scene.variables, *map(scene.rate_name, scene.variables)}
+    moving = _moving_names(scene)
     for region, declared in scene.regions.items():
         for state, at in scene.controlled.states(region):
             for variable, text in state.flows.items():

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
+from contacts.scene.couplings import Coupling
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
@@ -43,6 +44,9 @@ _OF_BODIES: Mapping[str, Dimension] = {"x": "length", "y": "length", "angle": "a
 _OF_CONTACTS: Mapping[str, Dimension] = {
     "gap": "length", "slip": "length/time", "V": "force", "H": "force", "friction": "1",
 }  # fmt: skip
+_OF_COUPLINGS: Mapping[str, Dimension] = {"M": "moment", "slip": "angle/time"}
+_OF_GUIDES: Mapping[str, Dimension] = {"M": "force", "slip": "length/time"}
+_CAPTURED: Mapping[str, Dimension] = {"x": "length", "y": "length", "turn": "angle"}
 _MOST_COPIES = 10_000
 
 
@@ -71,6 +75,10 @@ class SceneFields(Declaration):
         ),
         **JOINT_WORDS,
         **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
+        **dict.fromkeys(
+            ("brake", "brakes", "clutch", "clutches"),
+            "couplings: {brake: {bodies: [wheel], limit: M_max}}",
+        ),
     }
 
     kind: Literal["scene"] = Field(
@@ -118,6 +126,14 @@ class SceneFields(Declaration):
         default={},
         description="Joints: points of bodies that are held.",
         examples=[{"pivot": {"point": {"body": "arm"}, "to": [0, 0]}}],
+    )
+    couplings: dict[NameText, Coupling] = Field(
+        default={},
+        description=(
+            "Dry friction as a couple between bodies, in a joint or along a guide. Each is a "
+            "region of the statechart."
+        ),
+        examples=[{"brake": {"bodies": ["wheel"], "limit": "M_max"}}],
     )
     forces: dict[NameText, Force] = Field(
         default={},
@@ -188,16 +204,24 @@ class SceneFields(Declaration):
         return (*self.coordinates, *own)
 
     def owners(self) -> dict[str, str]:
-        """Return the names of all bodies, copies one by one, to those that they are declared by."""
-        if all(body.copies is None for body in self.bodies.values()):
-            return {name: name for name in self.bodies}
+        """Return the names of all bodies, copies one by one, to those that they are declared by.
+
+        Those whose motion is prescribed are the last.
+        """
+        single = all(body.copies is None for body in self.bodies.values())
+        counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
         result: dict[str, str] = {}
-        for name, count in copies(self, self.values()).items():
+        for name in sorted(self.bodies, key=lambda name: self.bodies[name].prescribed):
+            count = counts[name]
             if count is None:
                 result[name] = name
             else:
                 result |= {f"{name}{index}": name for index in range(count)}
         return result
+
+    def moving(self) -> list[str]:
+        """Return the names of the bodies that forces and impulses move, copies one by one."""
+        return [name for name, owner in self.owners().items() if not self.bodies[owner].prescribed]
 
     def single_bodies(self) -> dict[str, Body]:
         """Return the bodies, copies one by one; all alike but for the index in their start."""
@@ -250,8 +274,13 @@ class SceneFields(Declaration):
         words = f"{part} of {owner}"
         if owner in self.contacts and part in _OF_CONTACTS:
             return Quantity(words, _OF_CONTACTS[part])
-        if owner in self.joints and part in ("X", "Y"):
-            return Quantity(words, "force")
+        if owner in self.couplings and part in _OF_COUPLINGS:
+            known = _OF_GUIDES if self.along_guide(owner) else _OF_COUPLINGS
+            return Quantity(words, known[part])
+        if owner in self.joints and part in self.joints[owner].forces:
+            return Quantity(words, "moment" if part == "M" else "force")
+        if owner in self.joints and part in _CAPTURED:
+            return Quantity(words, _CAPTURED[part])
         if part in _OF_BODIES and owner and owner not in self.contacts:
             return Quantity(words, _OF_BODIES[part])
         if part.startswith("d") and part[1:] in _OF_BODIES and owner:
@@ -337,16 +366,60 @@ class SceneFields(Declaration):
         return Controls(self.controls, self.regions)
 
     @property
+    def frictional(self) -> tuple[str, ...]:
+        """Contacts, then couplings: the regions whose states are selected by their friction."""
+        return (*self.contacts, *self.couplings)
+
+    def along_guide(self, coupling: str) -> str:
+        """Return the free direction, "X" or "Y", of the guide that a coupling is in; "" else."""
+        joint = self.joints.get(self.couplings[coupling].joint or "")
+        held = [c for c in ("X", "Y") if joint is not None and c in joint.components]
+        return {"X": "Y", "Y": "X"}[held[0]] if len(held) == 1 else ""
+
+    def coupled(self, coupling: str) -> tuple[str, ...]:
+        """Return the one or two bodies of a coupling."""
+        declared = self.couplings[coupling]
+        if declared.bodies is not None:
+            return declared.bodies
+        joint = self.joints[declared.joint or ""]
+        other = (joint.to.body,) if isinstance(joint.to, Point) else ()
+        return (joint.point.body, *other)
+
+    @property
     def kinematic_names(self) -> frozenset[str]:
         """Names that formulas of controls and of forces may use."""
         rates = map(self.rate_name, self.variables)
         memory = self.controlled.memory
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
 
+    @property
+    def placed_names(self) -> frozenset[str]:
+        """Names of the places and rates of bodies that formulas place, or that are fixed."""
+        found: set[str] = set()
+        for name, owner in self.owners().items():
+            body = self.bodies[owner]
+            if body.position is None and not body.fixed:
+                continue
+            turns = body.prescribed or body.angle is not None
+            places = ["x", "y", "angle"] if turns else ["x", "y"]
+            found |= {f"{name}.{place}" for place in places}
+            texts = (*(body.position or ()), body.angle or 0)
+            used = frozenset[str]().union(*(parse(text).names for text in texts))
+            # How a control changes within a state is not known.
+            varying = {
+                control
+                for control in used.intersection(self.controls)
+                for text in self.controlled.texts(control)
+                if parse(text).names - self.parameters.keys()
+            }
+            found |= set() if varying else {f"{name}.d{place}" for place in places}
+        return frozenset(found)
+
     @cached_property
     def asked_states(self) -> tuple[Member, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
         texts = [text for contact in self.contacts.values() for text in contact.enabled]
+        texts += [text for coupling in self.couplings.values() for text in coupling.enabled]
         members = [member for text in texts for member in parse_relation(text).members]
         return tuple({(m.region, m.state): m for m in members}.values())
 
@@ -356,6 +429,8 @@ class SceneFields(Declaration):
 
     def gate(self, contact: str) -> str:
         """Return the conditions without which a contact is off, as text; "" for none."""
+        if contact in self.couplings:
+            return self.couplings[contact].gate
         declared = self.contacts[contact]
         ends = self.surface_of(contact).edge is not None
         return conjunction((*declared.enabled, *(["within its edge"] if ends else [])))

@@ -6,15 +6,15 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from contacts.scene.parts import Pair, Point
-from statechart.documents.fields import FiniteText, Part, unit
+from contacts.scene.parts import Pair, Point, Relations
+from statechart.documents.fields import FiniteText, FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
 
 JOINT_WORDS = {
     **dict.fromkeys(
         ("hinge", "pin", "revolute", "pivot"), "joints: {NAME: {point: {body: arm}, to: [0, 0]}}"
     ),
-    "weld": "one body: of several shapes, or with the masses of both",
+    "weld": "joints: {NAME: {point: {body: arm}, to: [0, 0], angle: held}}",
 }
 """Names of joints in other programs -> what to write here."""
 
@@ -111,14 +111,14 @@ _End = Annotated[
 class Joint(Part):
     """A point of a body held to a point of another body, or to a path in the world.
 
-    It turns freely. A path without time is a fixed pivot; one with time drives the point. A path
-    with one component holds that one only.
+    It turns freely unless its `angle` is held. A path without time is a fixed pivot; one with time
+    drives the point. A path with one component holds that one only. With `rod` or `rope` the point
+    is held at, or within, a distance of the other.
     """
 
     OTHER_WORDS: ClassVar = {
-        **dict.fromkeys(
-            ("friction", "damping"), "a moment among the forces: {body: arm, moment: -c*arm.dangle}"
-        ),
+        "friction": "couplings: {bearing: {joint: NAME, limit: M_max}}",
+        "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
         **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
         "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
         **JOINT_WORDS,
@@ -135,12 +135,111 @@ class Joint(Part):
         examples=[[0, 0], {"body": "rod", "at": [0, "L"]}],
     )
 
+    angle: Literal["held"] | None = Field(
+        default=None,
+        description="Holds the relative angle, too, as it is when the joint closes: a weld.",
+        examples=["held"],
+    )
+    rod: FormulaText | None = Field(
+        default=None,
+        description="Holds the two points at this distance instead of together.",
+        examples=["L"],
+        json_schema_extra=unit("length"),
+    )
+    rope: FormulaText | None = Field(
+        default=None,
+        description="Keeps the two points within this distance: a rope, taut or slack.",
+        examples=["L"],
+        json_schema_extra=unit("length"),
+    )
+    limits: Pair | None = Field(
+        default=None,
+        description="Least and greatest relative angle of the bodies: stops of the joint.",
+        examples=[[0, "pi/2"]],
+        json_schema_extra=unit("rad"),
+    )
+    restitution: FormulaText | None = Field(
+        default=None,
+        description="Coefficient of restitution of a rope, or of limits, 0 to 1; 0 by default.",
+        examples=[0.5],
+        json_schema_extra=unit("1"),
+    )
+    enabled: Relations = Field(
+        default=(),
+        description=(
+            "Relation, or several that must all hold; while it fails, the joint is off. One that "
+            "uses the joint's own forces breaks it: it stays off."
+        ),
+        examples=["hypot(hook.X, hook.Y) <= 25"],
+    )
+    rest: Literal["captured"] | None = Field(
+        default=None,
+        description="Keeps the place that the points have when the joint closes; needs enabled.",
+        examples=["captured"],
+    )
+
     @property
-    def components(self) -> tuple[Literal["X", "Y"], ...]:
+    def components(self) -> tuple[Literal["X", "Y", "M", "T", "V", "H"], ...]:
         """Names of the forces, one for each component that is held."""
+        if self.rope is not None:
+            return ("V", "H")
+        if self.rod is not None:
+            return ("T",)
+        turn: tuple[Literal["M"], ...] = () if self.angle is None else ("M",)
         if isinstance(self.to, Point) or (self.to.x is not None and self.to.y is not None):
-            return ("X", "Y")
-        return ("X",) if self.to.y is None else ("Y",)
+            return ("X", "Y", *turn)
+        return ("X" if self.to.y is None else "Y", *turn)
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the forces that formulas may use: of components, and the couple of limits."""
+        return (*self.components, *(() if self.limits is None else ("M",)))
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        distance = [key for key in ("rod", "rope") if getattr(self, key) is not None]
+        if len(distance) > 1:
+            raise DeclarationProblem(
+                "a joint is a rod or a rope",
+                advice="write rope: L for a distance of at most L, rod: L for exactly L",
+                loc=("rope",),
+                key=True,
+            )
+        for key in distance:
+            others = [k for k in ("angle", "limits", "rest") if getattr(self, k) is not None]
+            if others:
+                raise DeclarationProblem(
+                    f"a {key} has no {others[0]}",
+                    advice=f"declare another joint for it, beside the {key}",
+                    loc=(others[0],),
+                    key=True,
+                )
+            if not isinstance(self.to, Point) and None in (self.to.x, self.to.y):
+                raise DeclarationProblem(
+                    f"a {key} ends at a point", advice="write to: [x, y]", loc=("to",)
+                )
+        if self.angle is not None and self.limits is not None:
+            raise DeclarationProblem(
+                "an angle that is held has no limits",
+                advice="write angle: held, or limits: [least, greatest]",
+                loc=("limits",),
+                key=True,
+            )
+        if self.restitution is not None and self.rope is None and self.limits is None:
+            raise DeclarationProblem(
+                "restitution is for a rope, and for limits",
+                advice="remove it: a joint that closes stops its points without rebound",
+                loc=("restitution",),
+                key=True,
+            )
+        if self.rest is not None and not self.enabled:
+            raise DeclarationProblem(
+                "a joint that never closes captures nothing",
+                advice="write enabled: RELATION, or remove rest",
+                loc=("rest",),
+                key=True,
+            )
+        return self
 
     @model_validator(mode="after")
     def _two_bodies(self) -> Self:

@@ -128,9 +128,16 @@ def shared(
     mode: Free | Slide | Pin, contact: ContactSymbols, direction: int, bearing: Bearing
 ) -> State:
     """Return the state of a contact that shares its load (see `contacts.modes.load_sharing`)."""
+    own = mode.state(contact, direction)
+    return share_of(own, contact, direction, bearing, isinstance(mode, Pin))
+
+
+def share_of(
+    own: State, contact: ContactSymbols, direction: int, bearing: Bearing, pinned: bool
+) -> State:
+    """Return the state `own` of a contact, or of a coupling (without V), that shares its load."""
     import sympy as sp
 
-    own = mode.state(contact, direction)
     zone, places = bearing.zone, bearing.coordinates
     constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in bearing.rows)
@@ -140,7 +147,6 @@ def shared(
     n, t = contact.cone_n, contact.cone_t
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
-    pinned = isinstance(mode, Pin)
     # Along the edge, where there is but one.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
     bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
@@ -157,6 +163,8 @@ def shared(
         for i in places
     }
     carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
+    if contact.V == 0:
+        del carried[contact.V], laws[contact.V]
     for joint in bearing.joints:
         # Force of the joint where the contacts share, and where the carriers bear it all.
         force, row = contact.joint_forces[joint], contact.joints[joint]

@@ -69,7 +69,7 @@ class Body(Part):
 
     Without `position` it moves freely: coordinates x and y of its centre of mass, and angle
     (counter-clockwise) where it has an inertia. With it, `position` and `angle` are formulas of
-    the scene's coordinates.
+    the scene's coordinates. A body that collides may be fixed, or be led along a path in time.
     """
 
     OTHER_WORDS: ClassVar = {
@@ -77,14 +77,19 @@ class Body(Part):
         "I": "inertia",
         "velocity": "start: {dx: ..., dy: ...}",
         **dict.fromkeys(
-            ("static", "fixed", "immovable"), "surfaces: {floor: {height: 0}}, as a body moves"
+            ("static", "immovable"),
+            "fixed: true, of a body with a shape that collides; else "
+            "surfaces: {floor: {height: 0}}",
         ),
-        "kinematic": "a surface with a displacement or a turn in time, which is no body",
+        "kinematic": 'position: ["v*time", 0], a path of a body with a shape that collides',
         "density": "mass, and inertia: of a disc m*r**2/2, of a box m*(width**2 + height**2)/12",
     }
 
     mass: FormulaText = Field(
-        description="Above 0.", examples=["m"], json_schema_extra=unit("mass")
+        default=0,
+        description="Above 0; bodies that are fixed, or led along a path, have none.",
+        examples=["m"],
+        json_schema_extra=unit("mass"),
     )
     inertia: FormulaText | None = Field(
         default=None,
@@ -97,18 +102,29 @@ class Body(Part):
     position: Pair | None = Field(
         default=None,
         description=(
-            "Position of the centre of mass: x and y as formulas of the scene's coordinates."
+            "Position of the centre of mass: x and y as formulas of the scene's coordinates; of a "
+            "body that collides, its path: formulas of time, controls and what controllers "
+            "remember."
         ),
-        examples=[["-l*sin(theta)", "l*cos(theta)"]],
+        examples=[["-l*sin(theta)", "l*cos(theta)"], ["v*time", 0]],
         json_schema_extra=unit("length"),
     )
     angle: FiniteText | None = Field(
         default=None,
         description=(
-            "Angle, counter-clockwise, as a formula of the scene's coordinates; only with position."
+            "Angle, counter-clockwise, as a formula of what the position may use; only with "
+            "position."
         ),
-        examples=["theta"],
+        examples=["theta", "omega*time"],
         json_schema_extra=unit("rad"),
+    )
+    fixed: bool = Field(
+        default=False,
+        description=(
+            "Whether a body that collides stands where it starts, whatever touches it: a crate, a "
+            "wall, a funnel. It has a shape and no mass."
+        ),
+        examples=[True],
     )
     start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteConstantText] = Field(
         default={},
@@ -129,7 +145,7 @@ class Body(Part):
     copies: FiniteConstantText | None = Field(
         default=None,
         description=(
-            "Number of equal bodies NAME0, NAME1, ... Their start may use index, "
+            "Number of equal bodies NAME0, NAME1, ... Their start, or path, may use index, "
             "which counts from 0; mod(index, 20) and floor(index/20) make rows of 20."
         ),
         examples=[100],
@@ -138,23 +154,46 @@ class Body(Part):
 
     def numbered(self, index: int) -> Body:
         """Return the copy of this number: a body by itself."""
-        start = {
-            key: re.sub(rf"(?<![\w.]){INDEX}(?![\w.])", str(index), text)
-            if isinstance(text, str)
-            else text
-            for key, text in self.start.items()
-        }
-        return self.model_copy(update={"start": start, "copies": None})
+
+        def own(text: Any) -> Any:
+            if not isinstance(text, str):
+                return text
+            return re.sub(rf"(?<![\w.]){INDEX}(?![\w.])", str(index), text)
+
+        update: dict[str, object] = {"start": {key: own(text) for key, text in self.start.items()}}
+        if self.position is not None:
+            update |= {"position": tuple(map(own, self.position)), "angle": own(self.angle)}
+        return self.model_copy(update={**update, "copies": None})
+
+    @property
+    def prescribed(self) -> bool:
+        """Whether it is fixed, or led along a path: nothing that touches it moves it."""
+        return self.fixed or (self.position is not None and "mass" not in self.model_fields_set)
+
+    @property
+    def path(self) -> tuple[FiniteText, FiniteText, FiniteText]:
+        """The path of a `prescribed` body: x, y and angle."""
+        if self.position is None:
+            return self.start.get("x", 0), self.start.get("y", 0), self.start.get("angle", 0)
+        return (*self.position, 0 if self.angle is None else self.angle)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of its own coordinates; none where its position is a formula."""
-        if self.position is not None:
+        """Names of its own coordinates; none where its position is a formula, or fixed."""
+        if self.position is not None or self.fixed:
             return ()
         return ("x", "y") if self.inertia is None else ("x", "y", "angle")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        if self.fixed:
+            self._check_fixed()
+            return self
+        if "mass" not in self.model_fields_set and (self.position is None or not self.shape):
+            raise DeclarationProblem(
+                "a body needs a mass",
+                advice="write mass: 1, or of a body with a shape that nothing moves fixed: true",
+            )
         if self.position is None:
             if self.angle is not None:
                 raise DeclarationProblem(
@@ -179,6 +218,13 @@ class Body(Part):
                 loc=("start",),
                 key=True,
             )
+        if self.prescribed and self.inertia is not None:
+            raise DeclarationProblem(
+                "a body that is led along a path has no inertia",
+                advice="remove it: nothing that touches the body moves it; or give it a mass",
+                loc=("inertia",),
+                key=True,
+            )
         if self.inertia is not None and self.angle is None:
             raise DeclarationProblem(
                 "a body with an inertia and a position needs an angle",
@@ -188,6 +234,33 @@ class Body(Part):
                 key=True,
             )
         return self
+
+    def _check_fixed(self) -> None:
+        """Check that a fixed body has a shape and a place, and nothing of what moves."""
+        for key in ("mass", "inertia", "position", "angle"):
+            if key in self.model_fields_set:
+                raise DeclarationProblem(
+                    f"a fixed body has no {key}",
+                    advice="remove it; its place is start: {x: 0, y: 1, angle: 0}",
+                    loc=(key,),
+                    key=True,
+                )
+        for name in self.start:
+            if name.startswith("d"):
+                raise DeclarationProblem(
+                    "a fixed body has no velocity",
+                    advice="remove it; a body that moves as prescribed has a path, position: "
+                    '["v*time", 0]',
+                    loc=("start", name),
+                    key=True,
+                )
+        if not self.shape:
+            raise DeclarationProblem(
+                "a fixed body needs a shape, by which others touch it",
+                advice="give it a polygon or a disc",
+                loc=("fixed",),
+                key=True,
+            )
 
 
 class Surface(Part):
@@ -325,6 +398,13 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else (value,)
 
 
+Relations = Annotated[
+    tuple[OneRelation, ...],
+    BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
+]
+"""A relation, or several that must all hold."""
+
+
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
@@ -371,10 +451,7 @@ class Contact(Part):
         ),
         examples=["newton"],
     )
-    enabled: Annotated[
-        tuple[OneRelation, ...],
-        BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
-    ] = Field(
+    enabled: Relations = Field(
         default=(),
         description=(
             "Relation, or several that must all hold; while it fails, the contact is off."

@@ -12,12 +12,17 @@ from contacts.scene.checks import (
     check_carrier,
     check_collisions,
     check_copies,
+    check_coupled,
     check_finite,
     check_formulas,
     check_kinks,
     check_physical,
+    check_prescribed,
     check_rim,
+    check_turns,
 )
+from contacts.scene.couplings import coupling_edges, coupling_states
+from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
 from contacts.scene.lint import replaced
 from contacts.scene.parts import FREE_START, Contact, Point, Simultaneous
@@ -40,8 +45,17 @@ class Scene(SceneFields):
     coordinates (``stick.x``, ``stick.angle``, ...) and their rates (``stick.dx``, ...), and of
     every contact ``gap``, ``slip`` (tangential velocity), ``V`` and ``H`` (normal and tangential
     force on the body), as in ``tip.V``, of every joint ``X`` and ``Y`` (force on the body of its
-    point).
+    point), of every coupling ``M`` (couple on its first body) and ``slip``.
     """
+
+    @property
+    def expanded(self) -> Self:
+        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`)."""
+        added = expansion(self)
+        if not added:
+            return self
+        own = {name: getattr(self, name) for name in type(self).model_fields}
+        return self.model_construct(**{**own, **added})
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
@@ -57,7 +71,11 @@ class Scene(SceneFields):
         """Return what a run of the scene does without, and why."""
         found = replaced(self, values) if stepped else {}
         for name, body in self.bodies.items():
-            if body.position is None and body.inertia is None:
+            if body.fixed:
+                found[f"coordinates of {name}"] = "it is fixed"
+            elif body.prescribed:
+                found[f"coordinates of {name}"] = "it moves along its path"
+            elif body.position is None and body.inertia is None:
                 found[f"the angle of {name}"] = "it has no inertia declared: a particle"
             elif body.position is not None:
                 found[f"coordinates of {name}"] = "its position follows from those of the scene"
@@ -99,7 +117,7 @@ class Scene(SceneFields):
                     raise _twice(used, loc, declared[used], " for the coordinate")
             declared |= dict.fromkeys((name, self.rate_name(name)), loc)
         things: dict[str, str] = {}  # Name -> its section
-        for section in ("bodies", "contacts", "joints", "controls", "regions"):
+        for section in ("bodies", "contacts", "joints", "couplings", "controls", "regions"):
             for name in getattr(self, section):
                 if name in declared and section != "regions":
                     raise _twice(name, (section, name), declared[name])
@@ -160,6 +178,12 @@ class Scene(SceneFields):
         for name, force in self.forces.items():
             several = {**self.bodies, **single}
             self._member(found, "body", force.body, several, "forces", name, "body")
+        for name, coupling in self.couplings.items():
+            at = ("couplings", name)
+            if coupling.joint is not None:
+                self._member(found, "joint", coupling.joint, self.joints, *at, "joint")
+            for place, body in enumerate(coupling.bodies or ()):
+                self._member(found, "body", body, self.bodies, *at, "bodies", place)
         for name, mode in self.initial_modes.items():
             self._member(found, "contact", name, self.contacts, "modes", name)
             if name not in self.contacts or not self._on_a_surface(name):
@@ -183,9 +207,10 @@ class Scene(SceneFields):
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()
         )
+        check_prescribed(self, found)
         for name, body in self.bodies.items():
             with found:
-                if body.position is not None and nothing_moves:
+                if body.position is not None and nothing_moves and not body.prescribed:
                     raise DeclarationProblem(
                         "a position is a formula of coordinates, and the scene has none",
                         advice=FREE_START,
@@ -195,12 +220,16 @@ class Scene(SceneFields):
         check_formulas(self, found)
         for name, contact in self.contacts.items():
             self._check_contact(found, name, contact)
+        for name, coupling in self.couplings.items():
+            with found:
+                check_coupled(self, name)
+            self._check_enabled(found, coupling.enabled, "couplings", name)
 
     def _on_a_surface(self, contact: str) -> bool:
         return self.contacts[contact].surface in self.surfaces
 
     def _check_contact(self, found: Findings, name: str, contact: Contact) -> None:
-        at, parameters = ("contacts", name), frozenset(self.parameters)
+        at: Loc = ("contacts", name)
         with found:
             gated = self._on_a_surface(name) and self.gate(name)
             if gated and "free" not in contact.kinds:
@@ -222,18 +251,24 @@ class Scene(SceneFields):
                     advice="name a point of another body, or a surface of another one",
                     loc=(*at, "surface"),
                 )
+        self._check_enabled(found, contact.enabled, *at)
+
+    def _check_enabled(self, found: Findings, relations: Iterable[str], *at: str | int) -> None:
+        parameters = frozenset(self.parameters)
         seen = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in ("gap", "slip")}
-        for place, text in enumerate(contact.enabled):
+        seen |= {f"{coupling}.slip" for coupling in self.couplings}
+        for place, text in enumerate(relations):
             with found:
                 known = seen | {*self.controls}
-                here = (*at, "enabled", place)
+                here: Loc = (*at, "enabled", place)
                 for member in parse_relation(text).members:
-                    if member.region in self.contacts:
+                    if member.region in self.frictional:
                         raise DeclarationProblem(
-                            f"in({member.region}.{member.state}) asks for a state of a contact, "
-                            "which `enabled` cannot",
-                            advice=f"write a relation of {member.region}.gap, or ask for a state "
-                            "of a controller",
+                            f"in({member.region}.{member.state}) asks for a state of a contact "
+                            "or a coupling, which `enabled` cannot",
+                            advice=f"write a relation of "
+                            f"{member.region}.{'gap' if member.region in self.contacts else 'slip'}"
+                            ", or ask for a state of a controller",
                             loc=here,
                         )
                 named = {name: {*region.named} for name, region in self.controlled.flat.items()}
@@ -255,6 +290,7 @@ class Scene(SceneFields):
 
     @model_validator(mode="after")
     def _numbers_are_physical(self) -> Self:
+        check_turns(self)
         check_kinks(self)
         self.check_values(self.values())
         check_collisions(self)
@@ -264,25 +300,29 @@ class Scene(SceneFields):
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
         names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
-        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.components}
-        names |= {"energy", *self.controls}
+        names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
+        names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
+        names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        gates = {c: self.gate(c) for c in self.contacts}
-        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in self.contacts.items()} | {
-            name: {*region.named} for name, region in self.controlled.flat.items()
+        whole = self.expanded
+        gates = {c: whole.gate(c) for c in whole.contacts}
+        found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
+            name: {*region.named} for name, region in whole.controlled.flat.items()
         }
-        causes = {
+        found |= {c: {*_active(coupling_states(x))} for c, x in whole.couplings.items()}
+        causes = {c: {e.cause for e in coupling_edges(x)} for c, x in whole.couplings.items()}
+        causes |= {
             c: {
                 edge.cause
-                for edge in edges(x, jams=self.jams(c), bounces=self.bounces(c), gate=gates[c])
+                for edge in edges(x, jams=whole.jams(c), bounces=whole.bounces(c), gate=gates[c])
             }
-            for c, x in self.contacts.items()
-        } | {name: {*found} for name, found in causes_of(self.controlled.flat).items()}
+            for c, x in whole.contacts.items()
+        } | {name: {*found} for name, found in causes_of(whole.controlled.flat).items()}
         if self.collisions:
             states_of_bodies, causes_of_bodies = {*_active(BODY_STATES)}, {*BODY_CAUSES}
-            found |= dict.fromkeys(self.owners(), states_of_bodies)
-            causes |= dict.fromkeys(self.owners(), causes_of_bodies)
+            found |= dict.fromkeys(self.moving(), states_of_bodies)
+            causes |= dict.fromkeys(self.moving(), causes_of_bodies)
         wrong = Findings()
         with wrong:
             self.check_uses(names, found, causes, changing)
@@ -294,6 +334,11 @@ class Scene(SceneFields):
                 with wrong:
                     if transition.guard is not None:
                         check_relation(transition.guard, names, found, changing, *at, "guard")
+        for name, joint in self.joints.items():
+            for place, text in enumerate(joint.enabled):
+                with wrong:
+                    at = ("joints", name, "enabled", place)
+                    check_relation(text, names, found, changing, *at)
         wrong.check()
         return self
 
@@ -303,7 +348,7 @@ class Scene(SceneFields):
         return self
 
     @staticmethod
-    def _member(found: Findings, what: str, name: str, known: object, *loc: str) -> None:
+    def _member(found: Findings, what: str, name: str, known: object, *loc: str | int) -> None:
         assert isinstance(known, dict)
         with found:
             check_member(what, name, known, *loc)

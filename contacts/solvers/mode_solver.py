@@ -16,12 +16,21 @@ from contacts.solvers.saddle_point import (
     room,
     solve_in,
 )
-from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import (
+    FREE,
+    LOCKED,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIP_MINUS,
+    SLIP_PLUS,
+)
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
 
-INTO, PULLS, OUTSIDE, AGAINST = range(4)
+INTO, PULLS, OUTSIDE, AGAINST, BEYOND, NEGATIVE = range(6)
 # Constraints that others imply are contradicted when the accelerations miss them by this.
 _CONTRADICTED = 1e-9
 
@@ -37,7 +46,15 @@ def dot(a: Array, b: Array) -> float:
 
 @kernel
 def _direction(code: int) -> float:
-    return 1.0 if code == SLIDE_PLUS else -1.0 if code == SLIDE_MINUS else 0.0
+    if code in (SLIDE_PLUS, SLIP_PLUS):
+        return 1.0
+    return -1.0 if code in (SLIDE_MINUS, SLIP_MINUS) else 0.0
+
+
+@kernel
+def is_coupling(code: int) -> bool:
+    """Return whether a code is that of a coupling that is not open."""
+    return code in (LOCKED, SLIP_PLUS, SLIP_MINUS)
 
 
 @kernel
@@ -78,9 +95,26 @@ def judge_forces(verdict: Array, forces: Array, cones: Array, code: Ints, scale:
             _worse(verdict, -V / scale, c, PULLS, V)
             if cone_n > 0.0:
                 _worse(verdict, (cone_n * abs(H) - cone_t * V) / scale, c, OUTSIDE, abs(H))
+        elif code[c] == LOCKED:
+            _worse(verdict, (abs(H) - V) / scale, c, BEYOND, abs(H))
+        elif is_coupling(code[c]):
+            _worse(verdict, -V / scale, c, NEGATIVE, V)
         elif code[c] != FREE:
             edge = cone_n * V - _direction(code[c]) * cone_t * H
             _worse(verdict, -edge / scale, c, PULLS, V)
+
+
+@kernel
+def write_limits(forces: Array, cones: Array, carriers: Ints, code: Ints) -> None:
+    """Write the limits of couplings, and the couples of those that slip (see `solve_modes`)."""
+    for c in range(len(code)):
+        if is_coupling(code[c]):
+            limit = cones[c, 0] if code[c] == LOCKED else cones[c, 1]
+            if carriers[c] >= 0:
+                limit *= forces[carriers[c], 0]
+            forces[c, 0] = limit
+            if code[c] != LOCKED:
+                forces[c, 1] = -_direction(code[c]) * limit
 
 
 @kernel
@@ -119,6 +153,7 @@ def solve_modes(
     jacobians: Array,
     biases: Array,
     cones: Array,
+    carriers: Ints,
     codes: Ints,
     closed: Bools,
     still: Bools,
@@ -139,9 +174,13 @@ def solve_modes(
         Rows: normal, tangential.
     biases : (c, 2)
     cones : (c, 2)
-        cone_n, cone_t.
+        cone_n, cone_t; of a coupling its static and its kinetic limit. Its limit stands in the
+        place of its normal force.
+    carriers : (c,) of int
+        The contact whose normal force the limits of a coupling are multiples of; below 0: none.
     codes : (k, c) of int
-        FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS.
+        FREE, PIN, SLIDE (its force along the normal), SLIDE_PLUS, SLIDE_MINUS; LOCKED, SLIP_PLUS,
+        SLIP_MINUS of a coupling.
     closed, still : (c,) of bool
         Whether the gap is closed; whether the slip is zero.
     force_scale, acceleration_scale : float
@@ -153,7 +192,7 @@ def solve_modes(
         in their cones.
     verdicts : (k, 4)
         Of the inequality broken most: by how much in the scales (<= 0: not at all), contact,
-        which inequality (INTO, PULLS, OUTSIDE, AGAINST), its number. REDUNDANT ones are judged
+        which inequality (INTO, PULLS, OUTSIDE, ...), its number. REDUNDANT ones are judged
         by their motion alone.
     tie : float
         Up to here a violation is none.
@@ -180,9 +219,15 @@ def solve_modes(
         m = 0
         for c in range(contacts):
             force[c, 0] = force[c, 1] = 0.0
-            for d in range(0 if code[c] == FREE else 2 if code[c] == PIN else 1):
+            first_row = 1 if code[c] == LOCKED else 0
+            last_row = 0 if code[c] == FREE else 1
+            if code[c] == PIN or code[c] == LOCKED:
+                last_row = 2
+            elif is_coupling(code[c]):
+                last_row = 0
+            for d in range(first_row, last_row):
                 owners[m], constants[m] = c, -biases[c, d]
-                if code[c] == PIN:
+                if last_row == 2:
                     directions[m, 0], directions[m, 1] = 1 - d, d
                 else:
                     directions[m, 0] = 1.0 if code[c] == SLIDE else cones[c, 0]
@@ -191,6 +236,11 @@ def solve_modes(
                     rows[m, i] = jacobians[c, d, i]
                     columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
                     columns[m, i] += directions[m, 1] * jacobians[c, 1, i]
+                for r in range(contacts):
+                    if carriers[r] == c and is_coupling(code[r]) and code[r] != LOCKED:
+                        by = -_direction(code[r]) * cones[r, 1] * directions[m, 0]
+                        for i in range(n):
+                            columns[m, i] += by * jacobians[r, 1, i]
                 m += 1
         rank, first, bearing = m, in_order, in_order
         if m > 1:
@@ -204,6 +254,10 @@ def solve_modes(
         put_rows(mass, matrix)
         _write_rows(rows, columns, first, bearing, rank, matrix)
         put(right, b)
+        for c in range(contacts):
+            if is_coupling(code[c]) and code[c] != LOCKED and carriers[c] < 0:
+                for i in range(n):
+                    b[i] -= _direction(code[c]) * cones[c, 1] * jacobians[c, 1, i]
         for i in range(rank):
             b[n + i] = constants[first[i]]
         status[k] = solve_in(memory, matrix, b, x, n + rank)
@@ -220,6 +274,7 @@ def solve_modes(
             place = bearing[i]
             force[owners[place], 0] += x[n + i] * directions[place, 0]
             force[owners[place], 1] += x[n + i] * directions[place, 1]
+        write_limits(force, cones, carriers, code)
         _judge(
             verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
         )

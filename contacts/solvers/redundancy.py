@@ -10,7 +10,7 @@ import numpy as np
 
 from contacts.solvers.dependence import independent
 from contacts.solvers.smallest_forces import springs
-from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import FREE, LOCKED, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIP_MINUS, SLIP_PLUS
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
@@ -23,7 +23,7 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
     owners = np.empty(2 * len(codes), np.int64)
     m = 0
     for i in range(len(codes)):
-        if codes[i] == FREE or i == left_out:
+        if codes[i] == FREE or i == left_out or codes[i] == SLIP_PLUS or codes[i] == SLIP_MINUS:
             continue
         n, t = jacobians[i, 0], jacobians[i, 1]
         owners[m] = i
@@ -34,6 +34,8 @@ def mode_columns(codes: Ints, cones: Array, jacobians: Array, left_out: int) -> 
             m += 1
         elif codes[i] == SLIDE:
             put(n, rows[m])
+        elif codes[i] == LOCKED:
+            put(t, rows[m])
         else:
             edge = -cones[i, 1] if codes[i] == SLIDE_PLUS else cones[i, 1]
             for k in range(len(n)):

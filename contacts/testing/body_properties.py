@@ -6,7 +6,7 @@ the collision detection that was run is used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.surfaces import HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.rigid_bodies.body_step import LEAST
 from contacts.rigid_bodies.declared_numbers import body_numbers
-from contacts.rigid_bodies.prescribed_motion import Paths
+from contacts.rigid_bodies.prescribed_motion import Paths, Positions
 from contacts.scene.scene import Scene
 from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from statechart.arrays import ROUND_OFF, Array
@@ -28,21 +28,44 @@ GRAPH_SAMPLES = 65
 
 
 def assert_depths(
-    numbers: BodyNumbers, trace: Trace, paths: Callable[[Array, Array], Array] | None = None
+    numbers: BodyNumbers,
+    trace: Trace,
+    paths: Callable[[Array, Array, Mapping[str, str]], Positions] | None = None,
 ) -> None:
-    """Check that nothing overlaps by more than the fastest approach makes in a step."""
-    count = len(numbers.sizes)
-    whole = np.concatenate([*(arc.coefficients[:, :, 0] for arc in trace.arcs), trace.final[None]])
-    states, memories = whole[:, : 3 * count].reshape(-1, count, 3), whole[:, 6 * count :]
-    times = np.concatenate(
-        [*(arc.start.high + arc.times[:-1] for arc in trace.arcs), [trace.t_end]]
-    )
-    pieces = numbers.pieces
+    """Check that nothing overlaps by more than the fastest approach makes in a step.
+
+    `paths` gives where prescribed motion is at times (m,), by memories (m, w) and the states of
+    the controllers.
+    """
+    count = len(numbers.inverse)
+    pieces_of_run = [
+        *(
+            (arc.coefficients[:, :, 0], arc.start.high + arc.times[:-1], arc.mode)
+            for arc in trace.arcs
+        ),
+        (trace.final[None], np.array([trace.t_end]), trace.final_mode),
+    ]
+    whole, times = (np.concatenate([part[k] for part in pieces_of_run]) for k in range(2))
+    states, frames, pieces = whole[:, : 3 * count].reshape(-1, count, 3), None, numbers.pieces
+    if paths is not None:
+        found = [
+            paths(
+                at,
+                some[:, 6 * count :],
+                dict(zip(trace.regions[count:], mode[count:], strict=True)),
+            )
+            for some, at, mode in pieces_of_run
+        ]
+        frames = np.concatenate([positions.frames for positions in found])
+        poses = np.concatenate([positions.poses for positions in found])
+        fixed = np.broadcast_to(numbers.fixed, (len(states), *numbers.fixed.shape))
+        states = np.concatenate([states, poses, fixed], axis=1)
     outlines = [_placed(pieces, states[:, b], p) for p, b in enumerate(pieces.bodies.tolist())]
-    frames = None if paths is None else paths(times, memories)
     allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF)
     for p, q in _meeting(numbers):
         b = int(pieces.bodies[p])
+        if b >= count:
+            continue
         if q < len(pieces.bodies):
             other = int(pieces.bodies[q])
             reach = numbers.sizes[b] + numbers.sizes[other]
@@ -50,7 +73,7 @@ def assert_depths(
             if (away > reach).all():
                 continue
             gaps = _between(outlines[p], pieces.radii[p], outlines[q], pieces.radii[q])
-            what = trace.regions[other]
+            what = trace.regions[other] if other < count else "a body that moves as prescribed"
         else:
             s = q - len(pieces.bodies)
             carrier, outline = numbers.surfaces.carriers[s], outlines[p]
@@ -158,9 +181,9 @@ def _along_normals(one: Array, other: Array) -> Array:
 def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
     """Check that gravity alone acts on a body that is free."""
     assert trace.step is not None
-    count = len(numbers.sizes)
+    count = len(numbers.inverse)
     fall, arms = np.array([*numbers.gravity, 0.0]), np.ones((count, 3))
-    arms[:, 2] = numbers.sizes * numbers.inverse[:, 2] / numbers.inverse[:, 0]
+    arms[:, 2] = numbers.sizes[:count] * numbers.inverse[:, 2] / numbers.inverse[:, 0]
     for arc in trace.arcs:
         assert arc.solved is not None  # steps have numbers
         free = np.array([state == "free" for state in arc.mode[:count]])
@@ -227,14 +250,17 @@ def _depths(subject: Subject, trace: Trace) -> None:
     scene = _scene(subject)
     paths, values = Paths(scene), _values(scene, trace)
     assert_depths(
-        _body_numbers(subject, trace), trace, lambda times, w: paths.at(values, times, w).frames
+        _body_numbers(subject, trace),
+        trace,
+        lambda times, memories, states: paths.at(values, times, memories, states),
     )
 
 
 def _energy(subject: Subject, trace: Trace) -> None:
     numbers = _body_numbers(subject, trace)
     # What moves, or pushes, does work.
-    if not (numbers.surfaces.moves.any() or _pushed(subject)):
+    led = Paths(_scene(subject)).led
+    if not (numbers.surfaces.moves.any() or led or _pushed(subject)):
         assert_energy_of_steps(numbers, subject, trace)
 
 

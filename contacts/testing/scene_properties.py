@@ -15,7 +15,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.states import OPEN
+from contacts.states import DISENGAGED, OPEN
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -92,6 +92,40 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
         allowed = trace.tolerances["force"] + ROUND_OFF * np.hypot(V, H)
         _no_less(V, -allowed, f"{name}.V", times, state)
         _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
+
+
+def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
+    """Check that couples are within their limits, and oppose slip where there is some.
+
+    Parameters
+    ----------
+    mechanics, subject, trace : Mechanics, Subject, Trace
+        Of what was declared, the same compiled, and a run of it.
+    """
+    scene, known = mechanics.scene, subject.automaton.observables
+    expressions = [
+        expression
+        for name in scene.couplings
+        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.limits(name))
+    ]
+    first = len(scene.contacts)
+    for arc, tau in dense(trace):
+        times = arc.start.high + (arc.start.low + tau)
+        columns = iter(subject.solved(trace, arc, tau, expressions).T)
+        rows = zip(
+            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+        )
+        for name, state, couple, slip, static, kinetic in rows:
+            limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
+            if state == "locked":
+                limit = static
+            allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
+            _no_less(limit - np.abs(couple), -allowed, f"{name}: limit - |M|", times, state)
+            slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
+            if state == "locked":
+                _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
+            elif state != DISENGAGED:
+                _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
 
 
 def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> None:
@@ -250,24 +284,30 @@ def _step_growth(mechanics: Mechanics, subject: Subject, trace: Trace) -> float:
     return trace.step * largest / 8.0
 
 
-def properties(scene: Scene) -> tuple[Property, ...]:
+def properties(declared: Scene) -> tuple[Property, ...]:
     """Return what holds for every scene, besides what holds for every automaton.
 
     Parameters
     ----------
-    scene : Scene
+    declared : Scene
         What was declared.
     """
-    if scene.collisions:
+    if declared.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(), *image_properties(scene))
+        return (*body_properties(), *image_properties(declared))
+    scene = declared.expanded
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"
     free = any("free" in contact.kinds for contact in scene.contacts.values())
     return (
         Property("no contact is inside its surface", each(partial(assert_gaps, scene)), none),
         Property("V >= 0 and |H| <= mu V", each(partial(assert_cone, scene)), none),
+        Property(
+            "couples are within their limits",
+            each(partial(assert_couples, mechanics)),
+            "" if scene.couplings else "the scene has no couplings",
+        ),
         Property(
             "no force without contact",
             each(partial(assert_no_force_when_free, scene)),
@@ -282,7 +322,7 @@ def properties(scene: Scene) -> tuple[Property, ...]:
             "energy never grows",
             each(partial(assert_energy, mechanics)),
         ),
-        *image_properties(scene),
+        *image_properties(declared),
     )
 
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from contacts.scene.couplings import Coupling, StaticKinetic
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, Part
@@ -37,7 +38,8 @@ MASS = 2.0**-20
 # Fields of an image; others (outputs, ranges, invariants, declared modes) say nothing of its runs.
 _KEPT = (
     "name", "parameters", "gravity", "coordinates", "bodies", "surfaces", "contacts", "joints",
-    "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop", "settings",
+    "couplings", "collisions", "forces", "controls", "regions", "simultaneous", "paradox", "stop",
+    "settings",
 )  # fmt: skip
 _RELATIONS = ("guard", "enabled", "conditions")
 # Corners and ends go round the solid the other way in a mirror.
@@ -58,7 +60,9 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
         If a formula is too long to be wrapped.
     """
     change = _Change(scene, x=-1.0)
-    return change.scene(), change.reading({"slide+": "slide-", "slide-": "slide+"})
+    return change.scene(), change.reading(
+        {"slide+": "slide-", "slide-": "slide+", "slip+": "slip-", "slip-": "slip+"}
+    )
 
 
 def rescaled(scene: Scene) -> tuple[Scene, Reading]:
@@ -114,7 +118,8 @@ class _Change:
     def reading(self, states: Mapping[str, str]) -> Reading:
         """Return how to read the runs of the changed scene."""
         scene = self.declared
-        names = (*scene.variables, *map(scene.rate_name, scene.variables), *scene.controlled.memory)
+        names = (*scene.variables, *map(scene.rate_name, scene.variables))
+        names = (*names, *scene.expanded.controlled.memory)
         factors = np.array([1.0 / self._factors.get(name, 1.0) for name in names])
         return Reading(factors, 1.0 / self.time, states)
 
@@ -138,12 +143,16 @@ class _Change:
         """Return the value of a field (or an item of it) in the new directions and units."""
         along, up, plain = self._units.get(unit, (1.0, 1.0, 1.0))
         match value:
+            case Coupling():
+                return self._coupling(value)
             case Part():
                 return type(value)(**self._changed(value, value.model_fields_set))
             case dict():
                 return {key: self._item(name, key, one, unit) for key, one in value.items()}
             case tuple() if name in _RELATIONS:
                 return tuple(map(self._relation, value))
+            case (least, greatest) if name == "limits" and along < 0.0:
+                return self._formula(greatest, along), self._formula(least, along)
             case (str() | int() | float(), str() | int() | float()) if unit:
                 return self._formula(value[0], along), self._formula(value[1], up)
             case tuple():
@@ -168,12 +177,42 @@ class _Change:
         for name in (*old.single_bodies(), *old.bodies):
             found |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}
             found |= {f"{name}.{key}": self._start(key) for key in ("dx", "dy", "dangle")}
-        for name in old.contacts:
+        for name in old.expanded.contacts:
             found |= {f"{name}.gap": self.y, f"{name}.slip": slip}
             found |= {f"{name}.V": normal, f"{name}.H": tangential}
+        for name in old.couplings:
+            couple, slip = self._couple(name)
+            found |= {f"{name}.M": couple, f"{name}.slip": slip}
         for name in old.joints:
             found |= {f"{name}.X": tangential, f"{name}.Y": normal}
+            found |= {
+                f"{name}.x": self.x,
+                f"{name}.y": self.y,
+                f"{name}.turn": self._start("angle"),
+            }
+            moment, along = units["force length"][2], units["force"][2]
+            found |= {f"{name}.M": moment, f"{name}.T": along}
         return found | dict.fromkeys(old.controlled.clocks, self.time)
+
+    def _couple(self, name: str) -> tuple[float, float]:
+        """Return the factors of the couple and of the slip of a coupling."""
+        along = ("X", "Y").index(self.declared.along_guide(name) or "X")
+        if self.declared.along_guide(name):
+            return self._units["force"][along], self._units["length/time"][along]
+        return self._units["force length"][0], self._units["rad/time"][0]
+
+    def _coupling(self, coupling: Coupling) -> Coupling:
+        name = next(n for n, one in self.declared.couplings.items() if one is coupling)
+        size = abs(self._couple(name)[0])
+        limit = coupling.limit
+        found = coupling.model_copy(update={"limit": 0}).model_dump(exclude_unset=True)
+        found["enabled"] = tuple(map(self._relation, coupling.enabled))
+        if isinstance(limit, StaticKinetic):
+            static, kinetic = (self._formula(text, size) for text in coupling.bounds)
+            found["limit"] = {"static": static, "kinetic": kinetic}
+        else:
+            found["limit"] = self._formula(limit, size)
+        return Coupling(**found)
 
     def _start(self, key: str) -> float:
         """Return the factor of a coordinate of a free body, or of its rate."""

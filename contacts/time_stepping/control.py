@@ -16,9 +16,16 @@ from itertools import groupby
 
 import numpy as np
 
+from contacts.dynamics.contact_law import cones
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
+from contacts.dynamics.snapshot import SnapshotTape
+from contacts.dynamics.starting import check_closing
+from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
+from contacts.solvers.lcp import solve_lcp
+from contacts.states import CLOSED, OPEN, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
 from contacts.time_stepping.stop_conditions import ActiveStates, first_lost
@@ -58,6 +65,8 @@ class StepControl:
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False
+        self._mechanics = mechanics
+        self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
 
     def cut(self, chunk: Chunk, start: float, recorder: Recorder) -> tuple[Chunk, bool]:
         """Return the steps up to the first after which the controllers are to be asked.
@@ -122,6 +131,8 @@ class StepControl:
             after = self._memory.updated(
                 self._setup, recorder.clock, taken.name, taken.blocks, state
             )
+            if name in self._joints and taken.target == CLOSED:
+                after = self._closed(name, after, recorder, h)
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired)
             pending, state = self._listening.heard(firing.pending, jump), after
             self._scene.switch(self._states.named(self.states))
@@ -131,6 +142,32 @@ class StepControl:
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"
         )
+
+    def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
+        """Return the state after a joint closes and stops, without rebound, what is in contact.
+
+        Raises `NoConsistentMode` if its points are apart by more than a step moves them.
+        """
+        setup, time = self._memory.within(self._setup, state), recorder.clock.high
+        motion, named = self._memory.parted(state), self._states.named(self.states)
+        tape, contacts = SnapshotTape(self._mechanics, named), setup.contacts
+        snapshot = tape.at(setup.values, motion, time)
+        check_closing(self._mechanics, snapshot, joint, setup.tolerances["gap"], 2.0 * h)
+        motion = on_constraints(("free",) * len(contacts), snapshot, motion)
+        snapshot = tape.at(setup.values, motion, time)
+        touching = [
+            i
+            for i, code in enumerate(recorder.row[: len(contacts)].tolist())
+            if STATES[code] not in OPEN
+        ]
+        if touching and len(snapshot.velocity):
+            edges, jacobians = cones(contacts)[touching], snapshot.jacobians[touching]
+            matrix, _ = delassus(snapshot.mass, jacobians, snapshot.forces)
+            solution = solve_lcp(*contact_problem(matrix, jacobians @ snapshot.velocity, edges))
+            impulses = np.einsum("ckn,ck->n", jacobians, contact_impulses(solution.z, edges))
+            change = np.linalg.lstsq(snapshot.mass, impulses)[0]
+            motion = snapshot.moved(motion, snapshot.velocity + change)
+        return self._memory.joined(motion, state)
 
     def lost(self, chunk: Chunk, start: float) -> tuple[int, str] | None:
         """Return the first step at whose end a guard has no value, and its name."""

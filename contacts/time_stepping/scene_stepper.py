@@ -31,6 +31,7 @@ from contacts.time_stepping.stability import Swings, check_swing, remarks
 from contacts.time_stepping.step_rejection import depth_left
 from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.clock import Clock
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.trace import Key
 from statechart.errors import NoConsistentMode, NonFinite, SimulationError, SingularMode
@@ -399,6 +400,10 @@ class SceneStepper(Stepper):
         """Check the initial state; return modes at the start, contacts that are off, warnings."""
         warnings = [*self._replaced_laws(setup), *self._cut(setup)]
         memory = ControllerState(self._mechanics)
+        initial = setup.initial
+        for region in self._scene.controlled.flat.values():
+            initial = memory.updated(setup, Clock(), region.name, region.begins, initial)
+        setup = replace(setup, initial=initial)
         within = memory.within(setup, setup.initial)
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:

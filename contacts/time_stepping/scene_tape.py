@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, memory_rates, values_in
+from contacts.dynamics.controllers import given, values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
@@ -63,7 +63,10 @@ class SteppedTape:
             outputs.append(sp.S.One if gate is None else gate.by_steps(known))
         rows = mechanics.joint_rows
         for row in rows:
-            outputs += [*row.jacobian, row.gap, row.gap_rate, row.bias, row.redundant]
+            # The row of a joint that is off couples nothing.
+            on = known.get(row.closed, sp.S.One)
+            outputs += [*(on * entry for entry in row.jacobian), row.gap, row.gap_rate, row.bias]
+            outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
         # A contact that its condition keeps off passes nothing.
@@ -79,7 +82,7 @@ class SteppedTape:
         self.given, self.signs = len(set_in), len(signs.functions)
         outputs += [*set_in, *signs.rows(len(forces))]
         self.tape: Tape = mechanics.whole_tape(outputs)
-        flows = [known.get(rate, rate) for rate in memory_rates(mechanics).values()]
+        flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(

@@ -16,6 +16,7 @@ import sympy as sp
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.margin_derivatives import time_derivative
 from statechart.automaton.regions import Margin, Mode
+from statechart.automaton.trace import Role
 from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -170,6 +171,12 @@ def explicit_rates(mode: Mode) -> list[sp.Expr]:
     for symbol, expression in mode.definitions:
         found[symbol] = expression.xreplace(found)
     return [rate.xreplace(found) for rate in mode.rates]
+
+
+def slides(role: Role) -> bool:
+    """Return whether some of the signs of a flow are those of slides."""
+    signs: Any = role.share
+    return SLIDES in signs
 
 
 def is_of_switch(margin: str) -> bool:

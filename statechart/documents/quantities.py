@@ -31,7 +31,7 @@ from statechart.formulas.tree import (
 
 Dimension = Literal[
     "", "1", "length", "time", "mass", "angle", "length/time", "angle/time", "force", "impulse",
-    "energy",
+    "energy", "moment",
 ]  # fmt: skip
 """Dimension of a quantity; empty where it is unknown."""
 
@@ -83,6 +83,7 @@ POWERS: Mapping[str, Powers] = {
     "force": _FORCE,
     "impulse": _FORCE.times(_TIME),
     "energy": _FORCE.times(_LENGTH),
+    "moment": _FORCE.times(_LENGTH),
 }
 """Name of a dimension -> its powers."""
 

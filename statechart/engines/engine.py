@@ -149,6 +149,8 @@ class Engine(ABC):
     method: str
     tolerance: float  # Relative.
     sharp: bool = False  # The last digits cost little more than the first.
+    # Whether runs end where its steps collapse on a stiff mode, for another to take its place.
+    gives_way: bool = False
     evaluations: int = 0  # Evaluations of the rates so far; 0 if not counted.
     # (n,): how large each variable is in the model's own scales, where it says so; set for each
     # run.

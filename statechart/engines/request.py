@@ -48,7 +48,9 @@ def choose(setting: Setting) -> tuple[Engine, str]:
         if engine == "scipy" and method is None:
             reason = "engine scipy: heyoka, which the engine taylor needs, is not installed"
     if engine == "taylor":
-        return _taylor(method, tolerance, longest), reason
+        found = _taylor(method, tolerance, longest)
+        found.gives_way = setting.engine in (None, "auto")
+        return found, reason
     from statechart.engines.scipy import METHODS, SciPy
 
     if method is not None and method not in METHODS:

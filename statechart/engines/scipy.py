@@ -22,6 +22,8 @@ METHODS = ("RK45", "DOP853", "Radau", "LSODA")
 _RATE_ROUND_OFF = 1e3 * float(np.finfo(float).eps)
 # Errors of smaller magnitudes underflow.
 _SMALLEST = 1e-280
+# Such a part of a variable counts as zero: DOP853 divides squares of its errors, and 0 by 0.
+_UNDERFLOW = 1e-100
 # solve_ivp refuses a relative tolerance below this.
 _MIN_TOLERANCE = 100 * float(np.finfo(float).eps)
 # The slope of dense output is off by less than this times that power of the tolerance: an order
@@ -135,7 +137,8 @@ class SciPy(Engine):
         if stepper.suggested is not None and 0 < stepper.suggested < duration:
             options["first_step"] = stepper.suggested
         solver = getattr(integrate, self.method)
-        return solver(rates, 0.0, state.copy(), duration, **options)
+        begun = np.where(magnitude < _UNDERFLOW * self.floor, 0.0, state)
+        return solver(rates, 0.0, begun, duration, **options)
 
 
 def _move(solver: Any, state: Array) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from statechart import interrupts
 from statechart.arrays import Array
+from statechart.automaton.trace import LARGEST
 from statechart.engines.engine import (
     FIRST_CHUNK,
     GROWTH,
@@ -22,7 +23,7 @@ from statechart.engines.engine import (
     Path,
 )
 from statechart.engines.event_location import Crossing, Search, Verdict, search
-from statechart.errors import SimulationError, StepFailure, TooLong
+from statechart.errors import SimulationError, StepFailure, TooLong, Unsupported
 from statechart.execution.compiled_modes import CompiledMode
 from statechart.execution.finding import (
     decided,
@@ -59,6 +60,10 @@ _BEYOND = (0.0, 1.0, 2.0, 4.0)
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
 _LOOKED_AT, _TOO_MANY = 4096, 1e12
+# Over so many steps a drift varies by a few times its extent, an oscillation by some at every
+# step. What moves less, in parts of its size, may be round-off.
+_DRIFTS, _STILL = 16.0, 1e-9
+STIFF = "the model is stiff"
 
 
 @dataclass(eq=False, slots=True)
@@ -292,6 +297,8 @@ class Advance:
         self.state, self._seen = following, math.inf
         steps, since = self._mark
         if self._kept - steps >= _LOOKED_AT:
+            if self.engine.gives_way:
+                self._check_stiffness(self._kept - steps, self._reached - since)
             _check_pace(self._kept - steps, self._reached - since, duration - self._reached)
             self._mark = self._kept, self._reached
         if self.on_steps is not None:
@@ -303,6 +310,25 @@ class Advance:
         if not moved:
             self._count = min(self._count + self._count // 2, LONGEST_CHUNK)
         self._begin = Begin.MOVED if moved or finished else Begin.ON
+
+    def _check_stiffness(self, steps: int, took: float) -> None:
+        """Raise `Unsupported` where stability, not the motion, keeps explicit steps short.
+
+        Then the rest does not fit into a trace, and the states drift: their total variation over
+        many steps is about their range. In fast oscillations it is many times that.
+        """
+        series, at = self.path.coefficients, self.watch.start + self._reached
+        room = LARGEST // (8 * series.shape[1] * series.shape[2])
+        if self._kept + steps * (self.duration - self._reached) / took < room:
+            return
+        states = series[self._kept - steps : self._kept, :, 0]
+        variation, extent = np.abs(np.diff(states, axis=0)).sum(axis=0), np.ptp(states, axis=0)
+        moves = extent > _STILL * np.abs(states).max(axis=0)
+        if (variation[moves] <= _DRIFTS * extent[moves]).all():
+            raise Unsupported(
+                f"{STIFF}: its steps collapse to {took / steps:.3g} at t = {at:.6g}; "
+                "use engine: scipy, method: Radau"
+            )
 
 
 def floors(engine: Engine, variables: int) -> Array:

@@ -74,6 +74,11 @@ TOKENS: Mapping[str, str] = {
 }
 """Part of a formula that cannot stand where it does -> what to write."""
 
+DELAY = (
+    "formulas read the present, and equations with delays are not solved; write a lag as "
+    "flows: {y: (x - y)/T}, or let a transition `every: T` sample x"
+)
+
 _OTHERS: Mapping[str, str] = {
     "ln": "log", "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2",
     "fabs": "abs", "sgn": "sign", "minimum": "min", "maximum": "max", "infinity": "inf",
@@ -92,6 +97,7 @@ _WHOLE: Mapping[str, str] = {
     **dict.fromkeys(("int", "trunc"), "floor(x)"),
     **dict.fromkeys(("fmod", "remainder"), "mod(x, y)"),
 }  # fmt: skip
+_DELAYED = frozenset({"delay", "delayed", "lag", "past", "transport", "transportdelay"})
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
 _ROOMS = ("math.", "np.", "numpy.")
 
@@ -104,6 +110,8 @@ def meant(
     bare = next((name.removeprefix(room) for room in _ROOMS if name.startswith(room)), name)
     if bare.lower() in _CONVERTED:
         return TOKENS["deg"]
+    if bare.lower() in _DELAYED:
+        return DELAY
     if bare.lower() in _PIECEWISE:
         return "where it switches, a state of a region ends: write a state for each piece"
     if bare.lower() in _WHOLE:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
-from statechart.formulas.hints import TOKENS, character, meant
+from statechart.formulas.hints import DELAY, TOKENS, character, meant
 from statechart.formulas.tree import (
     CONSTANTS,
     FUNCTIONS,
@@ -38,6 +38,7 @@ MAX_EXPONENT = 64
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 """One part of a name."""
 
+_TIME = re.compile(r"\(\s*(time|t)\b", re.ASCII)  # as the first argument of a function
 _DATE = re.compile(r"[0-9]{4}-(0[1-9]|1[0-2])-(0[1-9]|[12][0-9]|3[01])([T ][0-9].*)?", re.ASCII)
 """A date to YAML and people, a difference to arithmetic."""
 
@@ -198,7 +199,8 @@ class Reader:
         if name.text not in FUNCTIONS:
             advice = meant(name.text, FUNCTIONS, FUNCTIONS)
             if advice.startswith("known"):
-                advice = f"write a product as {name.text}*(...); {advice}"
+                past = _TIME.match(self.source.text, self.token.offset)
+                advice = DELAY if past else f"write a product as {name.text}*(...); {advice}"
             self.source.fail(f"unknown function {name.text!r}", name.offset, advice)
         opening = self.advance()
         arguments = [self.sum()]

@@ -48,6 +48,21 @@ const path = (points, closed = false) =>
 function shaped(scene, shape) {
   const group = made(scene, "g", { "data-name": shape.name, "data-kind": shape.kind });
   const unit = film.unit;
+  if (shape.kind === "coupling") {
+    const region = data.regions[shape.region];
+    const line = made(group, "path", { class: "link reaction" });
+    const mark = made(group, "path", { class: "mark", "data-coupling": shape.name });
+    const r = 0.01 * unit;
+    moving.push((k) => {
+      const [a, b] = [placed(shape.points[0], shape.frame, k), placed(shape.points.at(-1), shape.other, k)];
+      const [x, y] = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
+      line.setAttribute("d", path([a, b]));
+      mark.setAttribute("d", path([[x - r, y], [x, y - r], [x + r, y], [x, y + r]], true));
+      mark.setAttribute("data-state", region.states[region.state[k]]);
+      mark.style.fill = region.colours[region.state[k]];
+    });
+    return;
+  }
   if (["link", "spring", "damper", "reaction"].includes(shape.kind)) {
     const line = made(group, "path", { class: `link ${shape.kind}` });
     moving.push((k) => {

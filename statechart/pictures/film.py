@@ -21,16 +21,18 @@ ShapeKind = Literal[
     "spring",
     "damper",
     "reaction",
+    "coupling",
     "ground",
 ]
 """How a shape is drawn; of all but the ground what is seen is inside its points.
 
 outline: a filled polygon. disc: a filled circle. bar: a thick line with round ends. mass, joint,
 pivot: marks of a fixed size on the paper, at one point. link, spring, damper, reaction: from a
-point of one frame to a point of another. ground: a line, the solid on its right, which is hatched.
+point of one frame to a point of another. coupling: likewise, with a mark between, which the state
+of its region colours. ground: a line, the solid on its right, which is hatched.
 """
 
-BETWEEN: frozenset[ShapeKind] = frozenset(("link", "spring", "damper", "reaction"))
+BETWEEN: frozenset[ShapeKind] = frozenset(("link", "spring", "damper", "reaction", "coupling"))
 """Those that join two frames."""
 
 WORLD = 0

@@ -73,7 +73,7 @@ def _names(ax: Axes, film: Film, radius: float) -> Iterator[_Name]:
         # What is one of many is coloured by what it does, and has no name.
         if shape.name in named or shape.kind in (*BETWEEN, "joint", "pivot"):
             continue
-        if shape.region >= 0:
+        if shape.region >= 0 or not shape.name:
             continue
         named.add(shape.name)
         if shape.kind == "ground":

@@ -83,6 +83,9 @@ class Scenery:
             if shape.kind in BETWEEN:
                 ends = _ends(shape, self._film.poses[instant])
                 artists[0].set_data(*_wound(ends, shape.kind, self._film.unit).T)
+                if shape.kind == "coupling":
+                    artists[1].set_data(*ends.mean(axis=0)[:, None])
+                    artists[1].set_markerfacecolor(state_colour(self._film, instant, shape.region))
                 continue
             if shape.frame != WORLD:
                 x, y, angle = self._film.poses[instant, shape.frame]
@@ -139,6 +142,9 @@ class Scenery:
         line.set(linestyle=(0, (4, 3)))
         return [line]
 
+    def _coupling(self, shape: Shape) -> list[Artist]:
+        return [*self._reaction(shape), *self._marked(shape, "D", _MARK, BODY)]
+
     def _ground(self, shape: Shape) -> list[Artist]:
         from matplotlib.collections import LineCollection
         from matplotlib.lines import Line2D
@@ -188,13 +194,14 @@ class _Bodies:
         edges = zip(parts, self._edges, strict=False)
         self._filled.set_paths([Path(part, edge.codes) for part, edge in edges])
         self._radii.set_segments(parts[len(self._edges) :])
-        self._filled.set_facecolor([self._colour(film, instant, k) for k in self._regions])
+        self._filled.set_facecolor([state_colour(film, instant, k) for k in self._regions])
 
-    @staticmethod
-    def _colour(film: Film, instant: int, region: int) -> str:
-        if region < 0:
-            return BODY
-        return state_colours(film.states[region])[film.state(instant, region)]
+
+def state_colour(film: Film, instant: int, region: int) -> str:
+    """Return the colour of the state of a region at an instant; a body's where there is none."""
+    if region < 0:
+        return BODY
+    return state_colours(film.states[region])[film.state(instant, region)]
 
 
 def _radius(disc: Shape) -> Array:

@@ -23,6 +23,7 @@ from statechart.documents.setting import Setting
 from statechart.engines.budget import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
+from statechart.execution.flow import STIFF
 from statechart.execution.time_stepping import SteppingSimulator
 from statechart.observation.difference import Difference, compare, distance, modes_apart, paired
 from statechart.observation.observer import Observer
@@ -665,14 +666,18 @@ class RunPlanner:
     def _change_engine(self, trace: Trace) -> bool:
         """Take scipy where taylor was picked and cannot run the model; whether that is so.
 
-        It cannot expand every flow, and there may be no time to compile the first.
+        It cannot expand every flow, its steps collapse on stiff ones, and there may be no time to
+        compile the first.
         """
         picked = self.setting.engine == "auto" and trace.engine.startswith("taylor")
         late = trace.outcome is Outcome.OUT_OF_BUDGET and not trace.arcs
         if not (picked and (late or trace.outcome is Outcome.UNSUPPORTED)):
             return False
-        self.setting = replace(self.setting, engine="scipy")
-        self.reason = f"engine scipy: {trace.message}"
+        method, why = self.setting.method, trace.message
+        if STIFF in why:
+            method, why = "Radau", why.partition("; use")[0]
+        self.setting = replace(self.setting, engine="scipy", method=method)
+        self.reason = f"engine scipy{' Radau' if STIFF in why else ''}: {why}"
         return True
 
     def _search(

@@ -48,7 +48,9 @@ def test_reference_lists_both_forms_of_a_field(tmp_path: Path) -> None:
     told = rows(tmp_path, "scene")
     assert told["", "gravity"][0] == "formula or [formula, formula]"
     assert told["Body", "mass"][0] == "formula"
-    assert told["Body", "mass"][2] == "Above 0. Unit: mass. Such as `m`."
+    assert told["Body", "mass"][2] == (
+        "Above 0; bodies that are fixed, or led along a path, have none. Unit: mass. Such as `m`."
+    )
     to = "[formula, formula] or [Point](#scene-point) or [Path](#scene-path)"
     assert told["Joint", "to"][0] == to
 

@@ -182,13 +182,13 @@ MISTAKES = {
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
     "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
-    "weld": ("stop:", "weld: {}\nstop:", "write one body: of several shapes"),
+    "weld": ("stop:", "weld: {}\nstop:", "angle: held"),
     "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),
     "motor": ("stop:", "motor: {}\nstop:", "write forces: {motor: {body: arm, moment: M}}"),
     "friction of a joint": (
         "stop:",
         "joints: {j: {point: {body: rod}, to: [0, 1], friction: 0.1}}\nstop:",
-        "write a moment among the forces: {body: arm, moment: -c*arm.dangle}",
+        "write couplings: {bearing: {joint: NAME, limit: M_max}}",
     ),
     "stiffness in a force": (
         "stop:", "forces: {f: {body: rod, stiffness: 3}}\nstop:", "write force: [-k*rod.x, 0]"
@@ -275,6 +275,9 @@ OF_CHARTS = {
                        "s.switch.states: must be a mapping, not a list; such as {flight: {flows:"),
     "assignment": ("{n: n + 1}", "n = n + 1",
                    "must be a mapping, not 'n = n + 1'; such as {v: -k*v}"),
+    "a delay": ("{T: 1}", "{T: -T(time - 1)}",
+                "formulas read the present, and equations with delays are not solved; write a lag"),
+    "a delay in words": ("{T: 1}", '{T: "delay(T, 1)"}', "equations with delays are not solved"),
     "guard left out": (", guard: T >= 20", "",
                        "needs one of guard, on, after, every; write guard: x <="),
     "capital": ("to: off", "to: Off",

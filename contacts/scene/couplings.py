@@ -1,0 +1,198 @@
+"""Couplings: dry friction as a couple between two bodies, in a joint, or along a guide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from contacts.scene.modes import Bearing, ContactSymbols, share_of
+from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
+from statechart.automaton.regions import Claim, Edge, Margin, Region, State
+from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part, unit
+from statechart.errors import DeclarationProblem
+from statechart.formulas.relation import conjunction
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+    from statechart.automaton.trace import Role
+
+LIMIT_MARGINS = _UPPER, _LOWER = "limit - M", "limit + M"
+"""Names of the margins of a locked coupling."""
+_SLIP = "slip"
+_DIRECTIONS = {"slip+": 1, "slip-": -1}
+
+
+class StaticKinetic(Part):
+    """A bound of friction at rest, and in motion."""
+
+    static: FiniteText = Field(
+        description="Bound at rest: what it takes to start a slip.",
+        examples=["1.1*M_max"],
+        json_schema_extra=unit("force length; force along a guide"),
+    )
+    kinetic: FiniteText = Field(
+        description="Bound in motion.",
+        examples=["M_max"],
+        json_schema_extra=unit("force length; force along a guide"),
+    )
+
+
+def _as_list(value: object) -> object:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+class Coupling(Part):
+    """Dry friction against the relative rotation of two bodies: a brake, a clutch, a stiff joint.
+
+    Its couple M acts on the first body, and is at most `limit`. Locked, the bodies turn together;
+    slipping, the couple has the size of the limit and opposes the slip. In a joint that is a guide
+    (`to: {x: ...}` or `{y: ...}`) it is a force along the free direction.
+    """
+
+    OTHER_WORDS: ClassVar = {
+        **dict.fromkeys(("torque", "moment", "friction", "capacity"), "limit"),
+        "body": "bodies: [arm]",
+        "engaged": "enabled",
+        **dict.fromkeys(("static", "kinetic"), "limit: {static: s, kinetic: k}"),
+    }
+
+    bodies: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)] | None = Field(
+        default=None,
+        description="Two bodies, or one that turns against the world.",
+        examples=[["motor", "load"], ["wheel"]],
+    )
+    joint: str | None = Field(
+        default=None,
+        description="A joint instead of bodies: those that it holds; a guide's free direction.",
+        examples=["pivot"],
+    )
+    limit: FormulaText | StaticKinetic = Field(
+        description=(
+            "Largest couple, a formula of time, parameters, coordinates, rates and controls; "
+            "or its bounds at rest and in motion."
+        ),
+        examples=["mu*N*r", {"static": 11, "kinetic": 10}],
+        json_schema_extra=unit("force length; force along a guide"),
+    )
+    enabled: Annotated[
+        tuple[OneRelation, ...],
+        BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
+    ] = Field(
+        default=(),
+        description=(
+            "Relation, or several that must all hold; while it fails, the coupling is open."
+        ),
+        examples=["time >= 0.4"],
+    )
+
+    @model_validator(mode="after")
+    def _one_pair(self) -> Self:
+        if (self.bodies is None) == (self.joint is None):
+            raise DeclarationProblem(
+                "a coupling is of bodies, or in a joint",
+                advice="write bodies: [a, b], bodies: [a] against the world, or joint: NAME",
+            )
+        if self.bodies is not None and len({*self.bodies}) < len(self.bodies):
+            raise DeclarationProblem(
+                "a coupling needs two different bodies",
+                advice="write bodies: [a] for one that turns against the world",
+                loc=("bodies",),
+            )
+        return self
+
+    @property
+    def bounds(self) -> tuple[FormulaText, FormulaText]:
+        """The limits at rest and in motion."""
+        if isinstance(self.limit, StaticKinetic):
+            return self.limit.static, self.limit.kinetic
+        return self.limit, self.limit
+
+    @property
+    def gate(self) -> str:
+        """The conditions without which it is open, as text; "" for none."""
+        return conjunction(self.enabled)
+
+
+class CouplingSymbols(NamedTuple):
+    """A coupling's quantities as expressions."""
+
+    contact: ContactSymbols  # Its slip, acceleration, couple H, and what it holds; it has no V
+    static: sp.Expr  # Bounds of the couple
+    kinetic: sp.Expr
+
+
+def coupling_states(coupling: Coupling) -> tuple[str, ...]:
+    """Return the states of a coupling's region."""
+    return (*COUPLING_STATES, DISENGAGED) if coupling.enabled else COUPLING_STATES
+
+
+def coupling_edges(coupling: Coupling) -> tuple[Edge, ...]:
+    """Return the transitions of a coupling's statechart."""
+    static, kinetic = ("limit", "limit")
+    if isinstance(coupling.limit, StaticKinetic):
+        static, kinetic = "static", "kinetic"
+    found = []
+    for state, beyond in (("slip+", f"M < -{static}"), ("slip-", f"M > {static}")):
+        found.append(Edge("slip", "locked", state, beyond))
+        found.append(Edge("lock", state, "locked", f"slip = 0, |M| <= {static}"))
+    for state, beyond in (("slip+", f"M > {kinetic}"), ("slip-", f"M < -{kinetic}")):
+        other = SLIPPING[state == "slip+"]
+        found.append(Edge("reverse", state, other, f"slip = 0, {beyond}"))
+    if coupling.enabled:
+        gate = coupling.gate
+        found += [Edge("open", state, DISENGAGED, f"not ({gate})") for state in COUPLING_STATES]
+        found += [Edge("close", DISENGAGED, state, gate) for state in COUPLING_STATES]
+    return tuple(found)
+
+
+def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
+    """Return the equations and margins of a state; its conditions add theirs."""
+    contact, static, kinetic = symbols
+    name, couple = contact.name, contact.H
+    if role.state == "locked":
+        margins = (
+            Margin(f"{name}.{_UPPER}", static - couple, "force"),
+            Margin(f"{name}.{_LOWER}", static + couple, "force"),
+        )
+        own = State((contact.tangential_acceleration,), margins, holds=(contact.sticking,))
+        if isinstance(role.share, Bearing):
+            return share_of(own, contact, 0, role.share, pinned=True)
+        return own
+    direction = _DIRECTIONS[role.state]
+    return State(
+        (couple + direction * kinetic,),
+        (
+            Margin(f"{name}.{_SLIP}", direction * contact.slip, "speed"),
+            Margin(f"{name}.limit", kinetic, "force"),
+        ),
+    )
+
+
+def coupling_region(
+    name: str,
+    coupling: Coupling,
+    build: Callable[[Role], State],
+    forces: tuple[sp.Symbol, ...],
+) -> Region:
+    """Return the region of a coupling; `build` adds the margins of its conditions."""
+
+    def claims(state: str) -> tuple[Claim, ...]:
+        if state == DISENGAGED:
+            return (Claim(f"{name} is enabled", coupling.enabled, holds=False),)
+        return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in coupling.enabled)
+
+    states = coupling_states(coupling)
+    return Region(
+        name,
+        states,
+        build,
+        coupling_edges(coupling),
+        superstates_of(states),
+        ("slipping",),
+        forces=forces,
+        default=DISENGAGED if coupling.enabled else "",
+        claims=claims,
+    )

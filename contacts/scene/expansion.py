@@ -1,0 +1,277 @@
+"""Expansion of a scene: joints that can be off become regions, ropes and limits contacts.
+
+A joint with `enabled` is a region with the states closed and off beside the controllers; the place
+that it captures is a variable of the region. A rope is a contact with the inside of a circle, each
+limit of an angle a contact whose gap is the angle that is left.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Set as AbstractSet
+from typing import TYPE_CHECKING, Any
+
+from contacts.scene.controls import Controller, ControlState
+from contacts.scene.couplings import Coupling
+from contacts.scene.joints import Joint, Path
+from contacts.scene.parts import Contact, Pair, Point, Surface
+from contacts.states import CLOSED, OFF
+from statechart.charts.transitions import Transition
+from statechart.documents.declaration import TIME
+from statechart.documents.fields import FiniteText, FormulaText
+from statechart.errors import DeclarationProblem
+from statechart.formulas.formula import parse
+from statechart.formulas.relation import (
+    Comparison,
+    Junction,
+    Member,
+    Negation,
+    Term,
+    conjunction,
+    parse_relation,
+)
+
+if TYPE_CHECKING:
+    from contacts.scene.fields import SceneFields
+
+ENABLE, DISABLE = "enable", "disable"
+"""Events of a joint: it closes, and it lets go."""
+BROKEN = "broken"
+"""State of a joint that its own forces have opened, where another part of `enabled` closes it."""
+
+_ORDER = {
+    "<": float.__lt__,
+    "<=": float.__le__,
+    ">": float.__gt__,
+    ">=": float.__ge__,
+    "==": float.__eq__,
+    "!=": float.__ne__,
+}
+
+
+def switched(joint: Joint) -> bool:
+    """Return whether a joint is a region of its own, with the states closed and off."""
+    return bool(joint.enabled) and joint.rope is None
+
+
+def captured(name: str, joint: Joint) -> tuple[str, ...]:
+    """Return the variables that hold the pose in which a joint closed."""
+    place = {"X": "x", "Y": "y"} if joint.rest is not None else {}
+    turn = {"M": "turn"} if switched(joint) else {}
+    names = (place | turn).get
+    return tuple(f"{name}.{found}" for c in joint.components if (found := names(c)))
+
+
+class Reach(Surface):
+    """The circle that a rope keeps a point in."""
+
+
+class Stop(Surface):
+    """A limit of the angle of a body, against another or the world."""
+
+    limit: FiniteText
+    side: int  # 1 at the least angle, -1 at the greatest
+    other: str | None
+
+
+def stops(name: str) -> tuple[str, str]:
+    """Return the names of the contacts with the least and the greatest angle of a joint."""
+    return f"{name}_min", f"{name}_max"
+
+
+def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
+    """Return the sections of a scene that its joints add to, complete; none where none do."""
+    surfaces: dict[str, Surface] = {}
+    contacts: dict[str, Contact] = {}
+    controllers: dict[str, Controller] = {}
+    joints: dict[str, Joint] = {}
+
+    def touches(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
+        surfaces[f"{name}.surface"] = surface
+        contacts[name] = Contact(
+            point=joint.point,
+            surface=f"{name}.surface",
+            friction=0,
+            restitution=0 if joint.restitution is None else joint.restitution,
+            enabled=gate,
+        )
+
+    for name, joint in scene.joints.items():
+        gate = joint.enabled
+        if joint.rope is None:
+            joints[name] = _as_captured(name, joint)
+        elif _uses_forces(scene, gate):
+            holder = f"{name}_{CLOSED}"
+            controllers[holder] = _region(scene, name, joint)
+            gate = (f"in({holder}.{CLOSED})",)
+        if switched(joint):
+            controllers[name] = _region(scene, name, joint)
+            gate = (f"in({name}.{CLOSED})",)
+        if joint.rope is not None:
+            touches(name, joint, _circle(joint, joint.rope), gate)
+        if joint.limits is not None:
+            other = joint.to.body if isinstance(joint.to, Point) else None
+            for one, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
+                stop = Stop.model_construct(limit=limit, side=side, other=other)
+                touches(one, joint, stop, gate)
+    if not contacts and not controllers:
+        return {}
+    _check_names(scene, {*contacts, *controllers}.difference(scene.joints))
+    return {
+        "joints": joints,
+        "couplings": {name: _in_joint(scene, one) for name, one in scene.couplings.items()},
+        "surfaces": {**scene.surfaces, **surfaces},
+        "contacts": {**scene.contacts, **contacts},
+        "regions": {**scene.regions, **controllers},
+    }
+
+
+def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
+    """Return a coupling that is open while the joint that it is in is off."""
+    joint = scene.joints.get(coupling.joint or "")
+    if joint is None or not switched(joint):
+        return coupling
+    closed = f"in({coupling.joint}.{CLOSED})"
+    return coupling.model_copy(update={"enabled": (*coupling.enabled, closed)})
+
+
+def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
+    for section in ("bodies", "contacts", "joints", "couplings", "regions"):
+        for name in added & getattr(scene, section).keys():
+            raise DeclarationProblem(
+                f"{name!r} is a region of joint {name.rpartition('_')[0]!r}",
+                advice="choose another name",
+                loc=(section, name),
+                key=True,
+            )
+
+
+def _circle(joint: Joint, length: FormulaText) -> Surface:
+    """Return the circle that a rope keeps its point in."""
+    if isinstance(joint.to, Point):
+        return Reach(circle=joint.to.at, radius=length, hollow=True, body=joint.to.body)
+    x, y = joint.to.x or 0, joint.to.y or 0
+    led = TIME in parse(x).names | parse(y).names
+    centre, path = ((0, 0), (x, y)) if led else ((x, y), (0, 0))
+    return Reach(circle=centre, radius=length, hollow=True, displacement=path)
+
+
+def _uses_forces(scene: SceneFields, relations: tuple[str, ...]) -> bool:
+    used = parse_relation(conjunction(relations)).names if relations else frozenset()
+    kinematic = {f"{c}.{q}" for c in scene.contacts for q in ("gap", "slip")}
+    return not used <= scene.kinematic_names | {*scene.controls} | kinematic
+
+
+def _region(scene: SceneFields, name: str, joint: Joint) -> Controller:
+    """Return the region of a joint that can be off."""
+    relation, captures = conjunction(joint.enabled), _captures(scene, name, joint)
+    found = parse_relation(relation)
+    own = re.compile(rf"(?<![\w.]){re.escape(name)}\.\w+")
+    # Its forces are zero while it is off: a joint that they have opened would close at once.
+    strong = own.sub("0", relation)
+    others = found.members or found.names - {*own.findall(relation), *scene.parameters}
+    lasting = strong if strong != relation and others else relation
+    states = {CLOSED: ControlState(entry=dict(captures)), OFF: ControlState()}
+    ways = [(DISABLE, CLOSED, OFF, f"not ({lasting})")]
+    if lasting != relation:
+        states[BROKEN] = ControlState()
+        ways.append((DISABLE, CLOSED, BROKEN, f"not ({relation})"))
+    if lasting == strong:
+        ways.append((ENABLE, OFF, CLOSED, lasting))
+    region = Controller(
+        initial=OFF if holds_at_start(scene, found.root) is False else CLOSED,
+        states=states,
+        transitions=tuple(
+            Transition(**{"name": event, "from": before, "to": after, "guard": guard})
+            for event, before, after, guard in ways
+        ),
+    )
+    # Names with a dot, which no declared variable has.
+    return region.model_copy(update={"variables": dict.fromkeys(captures, 0)})
+
+
+def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
+    """Return whether a relation holds at the start; None where forces decide."""
+    if isinstance(term, Negation):
+        part = holds_at_start(scene, term.part)
+        return None if part is None else not part
+    if isinstance(term, Member):
+        region = scene.controlled.flat.get(term.region)
+        return None if region is None else term.state in region.active(region.initial)
+    if isinstance(term, Junction):
+        parts = [holds_at_start(scene, part) for part in term.parts]
+        decisive = term.word == "or"
+        return decisive if decisive in parts else None if None in parts else not decisive
+    assert isinstance(term, Comparison)
+    known = _start(scene)
+    if not term.left.names | term.right.names <= known.keys():
+        return None
+    return _ORDER[term.operator](float(term.left.value(known)), float(term.right.value(known)))
+
+
+def _start(scene: SceneFields) -> dict[str, float]:
+    """Return the values at the start of what formulas may use."""
+    known = scene.values()
+    texts: dict[str, Any] = {}
+    for name, coordinate in scene.coordinates.items():
+        texts |= {name: coordinate.start, scene.rate_name(name): coordinate.rate}
+    for name, body in scene.bodies.items():
+        for c in body.coordinates:
+            texts[f"{name}.{c}"] = body.start.get(c, 0)  # type: ignore[call-overload]
+            texts[f"{name}.d{c}"] = body.start.get(f"d{c}", 0)  # type: ignore[call-overload]
+    texts |= scene.controlled.memory
+    found = {name: parse(text).value(known) for name, text in texts.items()}
+    return {TIME: 0.0, **known, **found}
+
+
+def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
+    """Return the position and the angle of a body as formulas."""
+    body = scene.bodies[name]
+    if body.position is not None:
+        x, y = body.position
+        return f"({x})", f"({y})", f"({0 if body.angle is None else body.angle})"
+    return f"{name}.x", f"{name}.y", f"{name}.angle" if body.inertia is not None else "0"
+
+
+def _turned(vector: tuple[str, str], angle: str, back: bool = False) -> tuple[str, str]:
+    """Return a vector turned by an angle, or back by it."""
+    x, y = vector
+    if angle == "0":
+        return x, y
+    c, s, sign, other = f"cos({angle})", f"sin({angle})", "-+"[back], "+-"[back]
+    return f"({c}*({x}) {sign} {s}*({y}))", f"({c}*({y}) {other} {s}*({x}))"
+
+
+def _captures(scene: SceneFields, name: str, joint: Joint) -> dict[str, str]:
+    """Return the pose of a joint where it closes: variable -> formula."""
+    x, y, angle = _frame(scene, joint.point.body)
+    along, across = _turned(_texts(joint.point.at), angle)
+    place = f"{x} + {along}", f"{y} + {across}"
+    if isinstance(joint.to, Point):
+        x0, y0, angle0 = _frame(scene, joint.to.body)
+        apart = f"{place[0]} - ({x0})", f"{place[1]} - ({y0})"
+        own = _turned(apart, angle0, back=True)
+    else:
+        angle0 = "0"
+        own = f"{place[0]} - ({joint.to.x or 0})", f"{place[1]} - ({joint.to.y or 0})"
+    values = {"x": own[0], "y": own[1], "turn": f"{angle} - {angle0}"}
+    return {variable: values[variable.rpartition(".")[2]] for variable in captured(name, joint)}
+
+
+def _texts(pair: Pair) -> tuple[str, str]:
+    return str(pair[0]), str(pair[1])
+
+
+def _as_captured(name: str, joint: Joint) -> Joint:
+    """Return a joint whose place is what its region has captured."""
+    if joint.rest is None:
+        return joint
+    if isinstance(joint.to, Point):
+        return joint.model_copy(
+            update={"to": Point(body=joint.to.body, at=(f"{name}.x", f"{name}.y"))}
+        )
+    to = {
+        axis: None if (text := getattr(joint.to, axis)) is None else f"{text} + {name}.{axis}"
+        for axis in ("x", "y")
+    }
+    return joint.model_copy(update={"to": Path(**to)})

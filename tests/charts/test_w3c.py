@@ -1,0 +1,54 @@
+"""The W3C's tests for SCXML that charts can say, and the page that lists the others."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from statechart.automaton.trace import Outcome
+from statechart.charts.chart import Chart
+from statechart.running.runner import Runner
+from tests.charts.w3c import CHARTS, REFUSED
+
+PAGE = Path(__file__).parents[2] / "docs" / "format" / "scxml.md"
+
+
+@pytest.mark.parametrize("number", CHARTS)
+def test_a_chart_ends_as_the_w3c_says(number: str) -> None:
+    runner = Runner(Chart.model_validate(CHARTS[number]))
+    trace = runner.run().trace
+    assert trace.outcome is Outcome.HORIZON
+    ended = dict(zip(runner.automaton.region_names, trace.final_mode, strict=True))["main"]
+    (main,) = (region for region in runner.automaton.regions if region.name == "main")
+    assert main.active(ended) == ("pass",)
+
+
+@pytest.mark.parametrize("number", REFUSED)
+def test_what_the_w3c_calls_an_error_is_refused_when_it_is_read(number: str) -> None:
+    declared, words = REFUSED[number]
+    with pytest.raises(ValidationError, match=re.escape(words)):
+        Chart.model_validate(declared)
+
+
+def test_a_history_is_no_state_that_a_guard_may_ask_for() -> None:
+    text = json.dumps(CHARTS["580"])
+    asked = text.replace("in(main.s12)", "in(main.sh1)")
+    assert asked != text
+    with pytest.raises(ValidationError, match="no state 'sh1'"):
+        Chart.model_validate_json(asked)
+
+
+def test_at_least_sixty_tests_are_said_and_the_page_has_their_numbers() -> None:
+    said = {*CHARTS, *REFUSED}
+    assert len(said) == len(CHARTS) + len(REFUSED) >= 60
+    text = PAGE.read_text("utf-8")
+    (translated,) = re.findall(r"^Translated: (.*)\.$", text, re.MULTILINE)
+    assert sorted(translated.split(", ")) == sorted(said)
+    others = re.findall(r"\b\d{3}[a-c]?\b", text.split("## Tests that cannot be said")[1])
+    assert len(others) == len({*others})
+    assert not said & {*others}
+    assert f"has {len(said) + len(others)} tests" in text

@@ -1,0 +1,227 @@
+"""Joints that let go and take hold, ropes, rods, welds and limits, against closed forms."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import pytest
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, NoConsistentMode
+from statechart.loading.load import interpret
+
+_BREAKS = """
+kind: scene
+name: breaks
+gravity: 9.81
+bodies: {weight: {mass: 1, inertia: 0.01, start: {x: 1}}}
+joints:
+  hook: {point: {body: weight, at: [-1, 0]}, to: [0, 0], enabled: hook.X**2 + hook.Y**2 <= 625}
+stop: {time: 0.8}
+outputs:
+  angle: {value: weight.angle, at: first hook.disable}
+  t: {value: time, at: first hook.disable}
+  spin: {value: weight.dangle}
+"""
+_WELD = """
+kind: scene
+name: weld
+bodies:
+  a: {mass: 1, inertia: 0.1, start: {dx: 1, dangle: 2}}
+  b: {mass: 2, inertia: 0.3, start: {x: 2, dy: 1, dangle: -1}}
+joints:
+  glue:
+    point: {body: a, at: [0.3, 0.1]}
+    to: {body: b}
+    rest: captured
+    angle: held
+    enabled: time >= 0.5
+stop: {time: 2}
+outputs:
+  spin: {value: b.dangle}
+  turn: {value: a.angle - b.angle}
+  apart: {value: "hypot(a.x - b.x, a.y - b.y)"}
+"""
+_CATCH = """
+kind: scene
+name: catch
+gravity: 10
+bodies:
+  box: {mass: 2, inertia: 0.1, start: {y: 0.1, dx: 1}}
+surfaces: {floor: {height: 0}}
+contacts:
+  base: {point: {body: box, at: [0, -0.1]}, surface: floor, friction: 0, restitution: 0.5}
+joints:
+  hook:
+    point: {body: box, at: [0, 0.1]}
+    to: [0, 0]
+    rest: captured
+    enabled: time >= 0.25 and time < 0.5
+stop: {time: 0.4}
+outputs: {spin: {value: box.dangle}, dx: {value: box.dx}, dy: {value: box.dy}}
+"""
+_SWING = _CATCH.replace("gravity: 10\n", "")
+# The hook is at a corner: the box would turn into the floor.
+_STOP = _CATCH.replace("at: [0, 0.1]", "at: [0.1, 0.1]")
+_ROPE = """
+kind: scene
+name: rope
+bodies:
+  a: {mass: 1}
+  b: {mass: 2, start: {x: 0.5, dx: 1}}
+joints:
+  rope: {point: {body: a}, to: {body: b}, rope: 1, restitution: 0.5}
+stop: {time: 2}
+outputs:
+  taut: {value: time, at: first rope.touchdown}
+  a: {value: a.dx}
+  b: {value: b.dx}
+"""
+_ROD = """
+kind: scene
+name: rod
+gravity: 9.81
+bodies:
+  a: {mass: 1}
+  b: {mass: 1, start: {x: 0.8, y: -0.6}}
+joints:
+  pin: {point: {body: a}, to: [0, 0]}
+  bar: {point: {body: b}, to: {body: a}, rod: 1}
+stop: {conditions: {low: b.x <= 0}, time: 2}
+outputs: {pull: {value: bar.T}, speed: {value: -b.dx}}
+"""
+_LIMITS = """
+kind: scene
+name: limits
+bodies:
+  door: {mass: 1, inertia: 1/12, start: {x: 0.5, dy: 1, dangle: 2}}
+joints:
+  hinge:
+    point: {body: door, at: [-0.5, 0]}
+    to: [0, 0]
+    limits: [0, pi/2]
+    restitution: 0.5
+stop: {time: 4}
+outputs:
+  high: {value: time, at: first hinge_max.touchdown}
+  low: {value: time, at: first hinge_min.touchdown}
+  spin: {value: door.dangle}
+"""
+_ELBOW = """
+kind: scene
+name: elbow
+gravity: 9.81
+bodies:
+  upper: {mass: 1, inertia: 1/12, start: {x: 0.5}}
+  fore: {mass: 1, inertia: 1/12, start: {x: 1.5}}
+joints:
+  shoulder: {point: {body: upper, at: [-0.5, 0]}, to: [0, 0], angle: held}
+  elbow:
+    point: {body: fore, at: [-0.5, 0]}
+    to: {body: upper, at: [0.5, 0]}
+    limits: [-pi/4, pi/2]
+stop: {time: 2}
+outputs: {stop: {value: elbow.M}, weld: {value: shoulder.M}}
+"""
+
+# The weight has the moment of inertia 1.01 about the hook, which pulls along the arm with
+# w^2 + g sin a and across it with a share of the weight.
+_INERTIA = 1.01
+
+
+def _breaking() -> dict[str, float]:
+    def force(angle: float) -> float:
+        w2 = 2 * 9.81 * math.sin(angle) / _INERTIA
+        across = 9.81 * math.cos(angle) * (1 - 1 / _INERTIA)
+        return math.hypot(w2 + 9.81 * math.sin(angle), across) - 25.0
+
+    low, high = 0.1, 1.5
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if force(middle) < 0.0 else (low, middle)
+    return {"angle": -low, "spin": -math.sqrt(2 * 9.81 * math.sin(low) / _INERTIA)}
+
+
+_EXPECTED: dict[str, tuple[str, dict[str, float]]] = {
+    "breaks": (_BREAKS, _breaking()),
+    # Angular momentum about the centre of mass, over the moment of inertia of both.
+    "weld": (
+        _WELD,
+        {"spin": 1.85 / 3.1, "turn": 1.5, "apart": 1.5 * math.sqrt(1 + 1 / 9)},
+    ),
+    # m v l / (I + m l^2), as on a pivot; hook and floor together stop the box, without rebound.
+    "swing": (_SWING, {"spin": 0.2 / 0.12}),
+    "stop": (_STOP, {"spin": 0.0, "dx": 0.0, "dy": 0.0}),
+    "rope": (_ROPE, {"taut": 0.5, "a": 1.0, "b": 0.5}),
+    "rod": (_ROD, {"pull": 9.81 * 1.8, "speed": math.sqrt(2 * 9.81 * 0.4)}),
+    "limits": (_LIMITS, {"high": math.pi / 4, "low": 3 * math.pi / 4, "spin": 0.5}),
+    "elbow": (
+        _ELBOW,
+        {
+            "stop": 0.5 * 9.81 * math.cos(math.pi / 4),
+            "weld": 9.81 * (0.5 + 1 + 0.5 * math.cos(math.pi / 4)),
+        },
+    ),
+}
+
+
+def _outputs(text: str, **setting: Any) -> dict[str, Any]:
+    return dict(statechart.run(interpret(read_text(text, "joint.yaml")), **setting).outputs)
+
+
+@pytest.mark.parametrize("name", [*_EXPECTED])
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_joint_moves_as_its_closed_form(name: str, engine: str) -> None:
+    text, expected = _EXPECTED[name]
+    found = _outputs(text, engine=engine)
+    for output, value in expected.items():
+        assert found[output] == pytest.approx(value, abs=1e-9), output
+
+
+@pytest.mark.parametrize("name", [*_EXPECTED])
+def test_steps_come_nearer_to_the_closed_form_of_a_joint(name: str) -> None:
+    text, expected = _EXPECTED[name]
+    for step in (4e-3, 1e-3):
+        found = _outputs(text, engine="impulse", step=step)
+        for output, value in expected.items():
+            scale = max(abs(value), 1.0)
+            assert found[output] == pytest.approx(value, abs=8.0 * step * scale), output
+
+
+def test_a_joint_that_closes_where_its_points_are_apart_says_so() -> None:
+    apart = _WELD.replace("    rest: captured\n", "")
+    with pytest.raises(NoConsistentMode, match="rest: captured"):
+        statechart.run(interpret(read_text(apart, "joint.yaml")))
+
+
+def test_what_has_broken_does_not_close_again() -> None:
+    text = _CATCH.replace("time < 0.5", "abs(hook.X) <= 3 and time < 2")
+    text = text.replace("stop: {time: 0.4}", "stop: {time: 1}").replace("dx: 1}", "dx: 4}")
+    result = statechart.run(interpret(read_text(text, "joint.yaml")))
+    assert [jump.cause for jump in result.trace.jumps if jump.region == "hook"] == [
+        "enable",
+        "disable",
+    ]
+    assert "broken" in result.trace.jumps[-1].target
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("rope: 1,", "rope: 1, rod: 2,", "a joint is a rod or a rope"),
+        ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
+        ("rope: 1,", "rope: -1,", "must be positive"),
+        ("rope: 1,", "rope: 0.1,", "too short for the start"),
+        ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
+        ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
+        ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
+        ("rope: 1,", "rope: 1, enabled: rope.X <= 1,", "rope.X"),
+    ],
+)
+def test_a_mistake_in_a_joint_is_told(old: str, new: str, told: str) -> None:
+    assert old in _ROPE
+    with pytest.raises(DeclarationError, match=re.escape(told)):
+        statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))

@@ -1,0 +1,414 @@
+"""Couplings against closed forms: dry friction as a couple, locking, slipping and opening."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+import statechart
+from statechart.documents.yaml_reader import read_text
+from statechart.loading.load import interpret
+
+ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
+# Of an event time: SciPy integrates to 1e-12.
+EXACT = 1e-9
+
+
+def run(text: str, engine: str = "taylor", **parameters: float):
+    return statechart.run(interpret(read_text(text)), engine=engine, parameters=parameters)
+
+
+def events(trace, *causes: str) -> list[tuple[str, float]]:
+    return [(f"{j.region} {j.cause}", j.t) for j in trace.jumps if not causes or j.cause in causes]
+
+
+ROTOR = """
+kind: scene
+name: rotor
+parameters: {J: 2, k: 8, T: 1, start: 1.1}
+bodies: {rotor: {mass: 3, inertia: J, start: {angle: start}}}
+joints: {pivot: {point: {body: rotor}, to: [0, 0]}}
+couplings: {bearing: {joint: pivot, limit: T}}
+forces: {spring: {body: rotor, moment: -k*rotor.angle}}
+stop: {time: 8}
+outputs: {end: {value: rotor.angle}, couple: {value: bearing.M}}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("start", [1.1, -1.1, 0.8, 0.1])
+def test_pendulum_in_a_dry_joint_stops_after_whole_half_swings(engine: str, start: float) -> None:
+    # Each half swing lasts pi/w and costs 2 T/k; it rests once the spring is below T.
+    w, lost, rest = 2.0, 0.25, 0.125
+    swings = max(0, math.ceil((abs(start) - rest) / lost))
+    result = run(ROTOR, engine, start=start)
+    found = events(result.trace)
+    turns = [("bearing reverse", (n + 1) * math.pi / w) for n in range(swings - 1)]
+    expected = [*turns, *([("bearing lock", swings * math.pi / w)] if swings else [])]
+    assert [name for name, _ in found] == [name for name, _ in expected]
+    np.testing.assert_allclose([t for _, t in found], [t for _, t in expected], atol=EXACT)
+    end = start * (1.0 - lost * swings / abs(start)) * (-1) ** swings
+    assert result.outputs["end"] == pytest.approx(end, abs=EXACT)
+    assert result.outputs["couple"] == pytest.approx(8.0 * end, abs=1e-8)
+    assert result.trace.arcs[-1].mode == ("locked",)
+
+
+GUIDE = """
+kind: scene
+name: guide
+gravity: 9.81
+parameters: {v: 2, F: 3, m: 2}
+bodies: {slider: {mass: m, start: {dx: v}}}
+joints: {rail: {point: {body: slider}, to: {y: 0}}}
+couplings: {rail_friction: {joint: rail, limit: F}}
+stop: {time: 3}
+outputs: {way: {value: slider.x}}
+"""
+
+
+@ENGINES
+def test_friction_along_a_guide_stops_a_slider_in_its_braking_distance(engine: str) -> None:
+    result = run(GUIDE, engine)
+    ((name, t),) = events(result.trace)
+    assert name == "rail_friction lock"
+    assert t == pytest.approx(2.0 * 2 / 3, abs=EXACT)
+    assert result.outputs["way"] == pytest.approx(2.0 * 4 / (2 * 3), abs=EXACT)
+
+
+RAMP = """
+kind: scene
+name: ramp
+parameters: {J: 2, s: 3, k: 2, rate: 1.5}
+coordinates: {phi: {}}
+bodies: {wheel: {mass: 1, inertia: J, position: [0, 0], angle: phi}}
+couplings: {brake: {bodies: [wheel], limit: {static: s, kinetic: k}}}
+forces: {drive: {body: wheel, moment: rate*time}}
+stop: {time: 4}
+outputs: {speed: {value: dphi}}
+"""
+
+
+@ENGINES
+def test_static_limit_holds_until_the_moment_exceeds_it(engine: str) -> None:
+    result = run(RAMP, engine)
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("brake slip", pytest.approx(2.0, abs=EXACT))
+    # J w' = rate t - k from t = s/rate on.
+    speed = (1.5 * (16 - 4) / 2 - 2 * (4 - 2)) / 2
+    assert result.outputs["speed"] == pytest.approx(speed, abs=EXACT)
+
+
+def test_static_limit_below_the_kinetic_one_is_refused_at_its_place() -> None:
+    with pytest.raises(statechart.DeclarationError) as result:
+        run(RAMP, s=1)
+    assert "couplings.brake.limit" in str(result.value)
+    assert "static limit 1 is below the kinetic one, 2" in str(result.value)
+
+
+CLUTCHES = """
+kind: scene
+name: coupled_clutches
+parameters: {T2: 0.4, T3: 0.9, M: 10, peak: 1.1, w0: 10}
+coordinates: {p1: {rate: w0}, p2: {}, p3: {}, p4: {}}
+bodies:
+  J1: {mass: 1, inertia: 1, position: [0, 0], angle: p1}
+  J2: {mass: 1, inertia: 1, position: [1, 0], angle: p2}
+  J3: {mass: 1, inertia: 1, position: [2, 0], angle: p3}
+  J4: {mass: 1, inertia: 1, position: [3, 0], angle: p4}
+couplings:
+  clutch1:
+    bodies: [J1, J2]
+    limit: {static: peak*M*cos(0.4*pi*time), kinetic: M*cos(0.4*pi*time)}
+    enabled: cos(0.4*pi*time) >= 0
+  clutch2: {bodies: [J2, J3], limit: {static: peak*M, kinetic: M}, enabled: time >= T2}
+  clutch3: {bodies: [J3, J4], limit: {static: peak*M, kinetic: M}, enabled: time >= T3}
+forces: {drive: {body: J1, moment: 10*sin(10*pi*time)}}
+stop: {time: 1.5}
+outputs: {w1: {value: dp1}, w2: {value: dp2}, w3: {value: dp3}, w4: {value: dp4}}
+"""
+T2, T3, PEAK = 0.4, 0.9, 1.1
+
+
+def _limits(t: float) -> np.ndarray:
+    """Return the kinetic limits of the three clutches, 0 while they are open."""
+    return np.array([max(10 * math.cos(0.4 * math.pi * t), 0), 10 * (t >= T2), 10 * (t >= T3)])
+
+
+def _drive(t: float) -> float:
+    return 10 * math.sin(10 * math.pi * t)
+
+
+def _clutch_events() -> tuple[list[tuple[str, float]], np.ndarray]:
+    """Return lock, slip and open times of the clutches, and the last speeds, by quadratures.
+
+    Each clutch is open, locked or slips forwards. Wheels that are locked to each other are one; all
+    moments are elementary functions of time, so that speeds have antiderivatives.
+    """
+    t, speeds, states, found = 0.0, np.array([10.0, 0, 0, 0]), ["slip", "open", "open"], []
+
+    def impulses(k: int, a: float, b: float) -> float:
+        if k == 0:
+            w = 0.4 * math.pi
+            return 10 * (math.sin(w * min(b, 1.25)) - math.sin(w * min(a, 1.25))) / w
+        return 10 * (b - a)
+
+    def groups() -> list[list[int]]:
+        found = [[0]]
+        for k in range(3):
+            if states[k] == "locked":
+                found[-1].append(k + 1)
+            else:
+                found.append([k + 1])
+        return found
+
+    def after(b: float) -> np.ndarray:
+        w = 10 * math.pi
+        given = np.array([10 * (math.cos(w * t) - math.cos(w * b)) / w, 0, 0, 0])
+        for k in range(3):
+            if states[k] == "slip":
+                given[k] -= impulses(k, t, b)
+                given[k + 1] += impulses(k, t, b)
+        result = speeds.copy()
+        for group in groups():
+            result[group] += given[group].mean()
+        return result
+
+    def couple(k: int, t: float) -> float:
+        """Return the couple that a locked clutch transmits to its second wheel."""
+        moments = np.array([_drive(t), 0, 0, 0])
+        limits = _limits(t)
+        for i in range(3):
+            if states[i] == "slip":
+                moments[i] -= limits[i]
+                moments[i + 1] += limits[i]
+        group = next(g for g in groups() if k in g and k + 1 in g)
+        rate = moments[group].mean()
+        behind = [i for i in group if i > k]
+        return rate * len(behind) - moments[behind].sum()
+
+    def margin(k: int, b: float) -> float:
+        if states[k] == "slip":
+            wheels = after(b)
+            return wheels[k] - wheels[k + 1]
+        return PEAK * _limits(b)[k] - abs(couple(k, b))
+
+    changes = [(1, T2, "slip", "close"), (2, T3, "slip", "close"), (0, 1.25, "open", "open")]
+    while True:
+        due = min((c[1] for c in changes if c[1] > t + 1e-12), default=1.5)
+        due = min(due, 1.5)
+        first = None
+        for k in range(3):
+            if states[k] == "open":
+                continue
+            grid = np.linspace(t, due, 4001)
+            values = [margin(k, b) for b in grid]
+            # A clutch that has just closed or slipped begins at a margin of zero.
+            for one, other, low, high in zip(grid, grid[1:], values, values[1:], strict=False):
+                if low > 1e-9 and high < 0:
+                    root = brentq(lambda b, k=k: margin(k, b), one, other, xtol=1e-15, rtol=1e-15)
+                    if first is None or root < first[0]:
+                        first = root, k
+                    break
+        if first is not None and first[0] < due:
+            b, k = first
+            now, cause = ("locked", "lock") if states[k] == "slip" else ("slip", "slip")
+        elif due < 1.5:
+            k, b, now, cause = next(c for c in changes if c[1] == due)
+        else:
+            return found, after(1.5)
+        speeds, t = after(b), b
+        states[k] = now
+        found.append((f"clutch{k + 1} {cause}", b))
+
+
+@ENGINES
+def test_coupled_clutches_lock_when_an_event_code_by_quadratures_says_so(engine: str) -> None:
+    result = run(CLUTCHES, engine)
+    expected, speeds = _clutch_events()
+    found = events(result.trace)
+    assert [name for name, _ in found] == [name for name, _ in expected]
+    np.testing.assert_allclose([t for _, t in found], [t for _, t in expected], atol=EXACT)
+    np.testing.assert_allclose([*result.outputs.values()], speeds, atol=EXACT)
+
+
+def test_coupled_clutches_move_as_regularised_friction_does() -> None:
+    # No event: each couple is a steep smooth function of its slip, with a peak near zero.
+    width = 2e-4
+
+    def rate(t: float, w: np.ndarray) -> np.ndarray:
+        slip = w[:3] - w[1:]
+        s = slip / width
+        peak = 1 + (PEAK - 1) * 2 * np.abs(s) / (1 + s**2)
+        m = _limits(t) * np.tanh(4 * s) * peak
+        return np.array([_drive(t) - m[0], m[0] - m[1], m[1] - m[2], m[2]])
+
+    w = np.array([10.0, 0, 0, 0])
+    for a, b in ((0, T2), (T2, T3), (T3, 1.5)):
+        part = solve_ivp(rate, (a + 1e-12, b), w, "LSODA", rtol=1e-8, atol=1e-9, max_step=1e-3)
+        w = part.y[:, -1]
+    np.testing.assert_allclose([*run(CLUTCHES).outputs.values()], w, atol=1e-3)
+
+
+CAR = """
+kind: scene
+name: braking
+parameters:
+  {mc: 1200, Ic: 1500, mw: 40, Iw: 1.8, r: 0.3, h: 0.55, lf: 1.2, lr: 1.4, mu: 0.8, kf: 400,
+   kr: 500, v0: 30, g: 9.81}
+gravity: g
+bodies:
+  car: {mass: mc, inertia: Ic, start: {y: h, dx: v0}}
+  front: {mass: mw, inertia: Iw, start: {x: lf, y: r, dx: v0, dangle: -v0/r}}
+  rear: {mass: mw, inertia: Iw, start: {x: -lr, y: r, dx: v0, dangle: -v0/r}}
+surfaces: {road: {height: 0}}
+joints:
+  front_axle: {point: {body: front}, to: {body: car, at: [lf, r - h]}}
+  rear_axle: {point: {body: rear}, to: {body: car, at: [-lr, r - h]}}
+contacts:
+  f: {point: {body: front}, radius: r, surface: road, friction: mu, restitution: 0}
+  b: {point: {body: rear}, radius: r, surface: road, friction: mu, restitution: 0}
+couplings:
+  front_brake: {bodies: [front, car], limit: kf*time}
+  rear_brake: {bodies: [rear, car], limit: kr*time}
+stop: {time: 6}
+outputs: {v: {value: car.dx}}
+"""
+
+
+def _car() -> tuple[float, float, float]:
+    """Return when the rear wheel begins to slip, when it locks, and the speed then.
+
+    While both roll, a = -(kf + kr) t / (r M*), and all forces are linear in time; once the rear
+    wheel slips, its force is mu V, and a, V and the wheel's rate follow linearly again.
+    """
+    mc, mw, iw, r, h, lf, lr, mu = 1200, 40, 1.8, 0.3, 0.55, 1.2, 1.4, 0.8
+    kf, kr, v0, g = 400, 500, 30, 9.81
+    lead = mc * h + 2 * mw * r
+    weight = (mc + 2 * mw) * g
+
+    # Rolling: per time, of a, H_r and V_r (and V_r at the start).
+    a = -(kf + kr) / r / (mc + 2 * mw + 2 * iw / r**2)
+    rear0 = (weight * lf - mw * g * (lf - lr)) / (lf + lr)
+    rear = (lead * a + 2 * iw * a / r) / (lf + lr)
+    push = -kr / r - iw * a / r**2
+    slips = mu * rear0 / (-push - mu * rear)
+    v, w = v0 + a * slips**2 / 2, -(v0 + a * slips**2 / 2) / r
+
+    # Slipping: unknown a, rate of the rear wheel u, H_f, V_r, linear in what time gives.
+    def solved(t: float) -> np.ndarray:
+        front = -iw / r**2  # H_f = -kf t/r + front a
+        matrix = np.array(
+            [
+                [mc + 2 * mw - front, 0, mu],
+                [0, iw, mu * r],
+                [lead + iw / r, -iw, -(lf + lr)],
+            ]
+        )
+        right = np.array([-kf * t / r, kr * t, -weight * lf + mw * g * (lf - lr)])
+        return np.linalg.solve(matrix, right)
+
+    one, two = solved(slips), solved(slips + 1)
+    (a1, u1, _), (a2, u2, _) = one, two - one
+    # w + u1 s + u2 s^2/2 = 0
+    s = (-u1 + math.sqrt(u1**2 - 2 * u2 * w)) / u2
+    return slips, slips + s, v + a1 * s + a2 * s**2 / 2
+
+
+@ENGINES
+def test_rear_wheels_of_a_braking_car_lock_when_the_load_transfer_says_so(engine: str) -> None:
+    slips, locks, speed = _car()
+    trace = run(CAR, engine).trace
+    found = events(trace)[:2]
+    assert [name for name, _ in found] == ["b slip", "rear_brake lock"]
+    np.testing.assert_allclose([t for _, t in found], [slips, locks], atol=EXACT)
+    jump = trace.jumps[1]
+    assert jump.after[9] == pytest.approx(speed, abs=EXACT * 30)
+
+
+def test_braked_car_comes_to_rest_on_locked_wheels() -> None:
+    result = run(CAR)
+    assert result.outputs["v"] == pytest.approx(0.0, abs=1e-12)
+    assert result.trace.arcs[-1].mode == ("pin", "pin", "locked", "locked")
+
+
+BEAM = """
+kind: scene
+name: beam
+gravity: 9.81
+parameters: {I: 2, m: 0.5, L: 1.5, drop: 0.4, T: 12}
+coordinates: {phi: {}}
+bodies:
+  beam: {mass: 1, inertia: I, position: [0, 0], angle: phi}
+  ball: {mass: m, start: {x: L, y: drop}}
+surfaces: {top: {line: [[0, 0], [1, 0]], body: beam}}
+contacts: {c: {point: {body: ball}, surface: top, friction: 5, restitution: 0}}
+couplings: {brake: {bodies: [beam], limit: T}}
+stop: {time: 1}
+outputs: {angle: {value: phi}}
+"""
+
+
+def test_impact_makes_a_locked_coupling_slip_as_no_bounded_couple_has_an_impulse() -> None:
+    # The solid of a line is on the right of its way: below, from the left to the right.
+    trace = run(BEAM).trace
+    first = trace.jumps[0]
+    assert (first.region, first.cause) == ("c", "touchdown")
+    assert first.target[-1] == "slip-"
+    v = math.sqrt(2 * 9.81 * 0.4)
+    assert first.after[3] == pytest.approx(-0.5 * 1.5 * v / (2 + 0.5 * 1.5**2), abs=EXACT)
+    assert [name for name, _ in events(trace)][1] == "brake lock"
+
+
+def test_open_coupling_that_closes_on_turning_wheels_slips_until_the_speeds_meet() -> None:
+    text = CLUTCHES.replace("10*sin(10*pi*time)", "0").replace("cos(0.4*pi*time) >= 0", "time >= 9")
+    trace = run(text.replace("w0: 10", "w0: 0").replace("p2: {}", "p2: {rate: 3}")).trace
+    # Wheels 2 and 3 meet at 1.5 each after 1.5/10 s; then 4 takes part.
+    found = events(trace)
+    assert [name for name, _ in found] == [
+        "clutch2 close", "clutch2 lock", "clutch3 close", "clutch3 lock",
+    ]  # fmt: skip
+    assert found[1][1] == pytest.approx(T2 + 0.15, abs=EXACT)
+    assert found[3][1] == pytest.approx(T3 + 0.1, abs=EXACT)
+
+
+def test_open_couplings_are_told_apart_by_their_names() -> None:
+    trace = run(CLUTCHES).trace
+    assert trace.arcs[0].mode == ("slip+", "open", "open")
+
+
+def test_limit_that_falls_below_zero_ends_the_run_with_its_name() -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
+    with pytest.raises(statechart.NoConsistentMode, match=r"brake: its limit is -2.*e-12 < 0"):
+        run(text)
+
+
+def test_controller_listens_to_a_coupling_and_opens_it() -> None:
+    text = RAMP.replace("forces: {drive: {body: wheel, moment: rate*time}}", "").replace(
+        "phi: {}", "phi: {rate: 3}"
+    )
+    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
+    text += """
+regions:
+  hand:
+    initial: holds
+    states: {holds: {}, rests: {}, away: {}}
+    transitions:
+      - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
+      - {name: see, from: rests, to: away, on: brake.open}
+"""
+    # J w' = -k down to a speed of 2, then no couple.
+    result = run(text)
+    assert [name for name, _ in events(result.trace)] == ["hand let_go", "brake open", "hand see"]
+    assert result.trace.jumps[0].t == pytest.approx(1.0, abs=EXACT)
+    assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
+
+
+def test_coupling_is_open_while_the_joint_that_it_is_in_is_off() -> None:
+    text = ROTOR.replace("to: [0, 0]}", "to: [0, 0], enabled: time <= 1}")
+    result = run(text, start=0.05)
+    assert [name for name, _ in events(result.trace)] == ["pivot disable", "bearing open"]
+    assert result.outputs["couple"] == 0.0

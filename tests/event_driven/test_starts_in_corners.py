@@ -1,0 +1,65 @@
+"""Points that start in the corner of two surfaces, or next to it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from runs import ENGINES
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.running.runner import run
+
+_CORNER = """\
+kind: scene
+name: corner
+gravity: {gravity}
+bodies: {{b: {{mass: 1, start: {{x: {x!r}, y: {y!r}, dx: {dx!r}, dy: {dy!r}}}}}}}
+surfaces:
+  f: {{{kind}: [{begin}, {corner}]}}
+  w: {{{kind}: [{corner}, {end}]}}
+contacts:
+  c: {{point: {{body: b}}, surface: f, friction: {mu}, restitution: {e}}}
+  d: {{point: {{body: b}}, surface: w, friction: {mu}, restitution: {e}}}
+stop: {{time: 0.5}}
+"""
+
+
+def _corner(
+    kind: str, left: float, right: float, at: tuple[float, float] = (0.0, 0.0), **values: object
+) -> str:
+    (x, y), begin, end = at, math.pi - left, right
+    numbers = {"gravity": 9.81, "x": x, "y": y, "dx": 0.0, "dy": 0.0, "mu": 0, "e": 0}
+    places = {
+        "corner": [x, y],
+        "begin": [x + math.cos(begin), y + math.sin(begin)],
+        "end": [x + math.cos(end), y + math.sin(end)],
+    }
+    return _CORNER.format(kind=kind, **places, **numbers | values)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("kind", ["line", "edge"])
+@pytest.mark.parametrize(("left", "right"), [(0.5, 0.5), (0.3, 0.9), (math.pi / 4, math.atan(0.3))])
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-0.7, 0.31)])
+@pytest.mark.parametrize("mu", [0, 0.4])
+def test_a_point_that_starts_in_a_corner_stays_there(
+    engine: str, kind: str, left: float, right: float, at: tuple[float, float], mu: float
+) -> None:
+    text = _corner(kind, left, right, at, mu=mu, dy=-1.0)
+    trace = run(read_text(text), engine=engine, throw=False).trace
+    assert trace.outcome is Outcome.HORIZON
+    assert trace.final.tolist() == pytest.approx([*at, 0.0, 0.0], abs=1e-12)
+    assert "free" not in trace.final_mode
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_elastic_bounces_next_to_a_corner_are_no_loop(engine: str) -> None:
+    gravity = [1.9489461350995507, -9.61445312862258]
+    text = _corner("edge", 0.5, 0.5, (0.10236881766010497, -0.7202366320400091), e=1)
+    text = text.replace("gravity: 9.81", f"gravity: {gravity}")
+    text = text.replace("x: 0.10236881766010497, y: -0.7202366320400091",
+                        "x: 0.10236881765910497, y: -0.7202366320390091")  # fmt: skip
+    trace = run(read_text(text), engine=engine, throw=False).trace
+    assert trace.outcome is Outcome.HORIZON

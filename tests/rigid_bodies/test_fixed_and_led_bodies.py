@@ -1,0 +1,380 @@
+"""Fixed and led bodies with shapes, beside closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from contacts.rigid_bodies.body_stepper import bodies_automaton
+from contacts.rigid_bodies.declared_numbers import body_numbers
+from contacts.rigid_bodies.prescribed_motion import Paths, Positions
+from contacts.scene.scene import Scene
+from contacts.testing.body_properties import assert_depths, body_properties
+from statechart.arrays import Array
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+from statechart.testing.subject import Subject
+
+G = 9.81
+BOX = "{polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}"
+MOVED = f"mass: 2, inertia: 0.04, shape: {BOX}"
+
+
+def _run(bodies: str, collisions: str, further: str = "", **settings: Any) -> Result:
+    step = settings.pop("step", 1e-3)
+    text = f"""
+kind: scene
+name: n
+gravity: {G}
+bodies:
+{bodies}
+collisions:
+{collisions}
+{further}
+settings: {{engine: impulse, step: {step}}}
+"""
+    throw = settings.pop("throw", True)
+    return Runner(interpret(read_text(text))).run(until=settings.pop("until", 1.0), throw=throw)
+
+
+SEAM = f"""
+  box: {{{MOVED}, start: {{y: 0.1, dx: 4}}}}
+  tile:
+    fixed: true
+    copies: 12
+    shape: {{polygon: [[-0.5, -0.25], [0.5, -0.25], [0.5, 0.25], [-0.5, 0.25]]}}
+    start: {{x: index - 0.5, y: -0.25}}
+"""
+
+
+def test_a_box_slides_over_flush_fixed_crates_as_on_one() -> None:
+    far = 4.0**2 / (2 * 0.2 * G)
+    for h in (8e-3, 3e-3, 1e-3, 2.5e-4):
+        law = "  all: {bodies: [box, tile], friction: 0.2, restitution: 0}"
+        result = _run(SEAM, law, until=3.0, step=h)
+        x, y, angle = result.trace.final[:3]
+        assert result.trace.outcome is Outcome.HORIZON
+        assert x == pytest.approx(far, abs=4.0 * h)
+        assert (y, angle) == pytest.approx((0.1, 0.0), abs=1e-12)
+        # It comes to rest once, and nothing strikes it on the way.
+        assert [jump.cause for jump in result.trace.jumps] == ["touchdown", "stick"]
+
+
+def test_an_elastic_ball_on_a_fixed_crate_keeps_its_energy() -> None:
+    bodies = """
+  ball: {mass: 1, inertia: 0.004, shape: {disc: 0.1}, start: {y: 1.1}}
+  crate: {fixed: true, shape: {polygon: [[-1, -1], [1, -1], [1, 0], [-1, 0]]}}
+"""
+    result = _run(bodies, "  all: {bodies: [ball, crate], friction: 0, restitution: 1}", until=3.0)
+    times = [jump.t for jump in result.trace.jumps]
+    falls = math.sqrt(2.0 / G)
+    assert times == pytest.approx([falls, 3 * falls, 5 * falls], abs=5e-3)
+    assert "crate" not in result.trace.regions
+    assert result.trace.variables == ("ball.x", "ball.y", "ball.angle", "ball.dx", "ball.dy",
+                                      "ball.dangle")  # fmt: skip
+
+
+def test_a_funnel_lets_a_ball_through_that_rolls_off_a_turned_crate() -> None:
+    # A ball rolls down a crate that is turned: g sin(a)/(1 + I/(m r^2)) along it.
+    slope, r = 0.3, 0.05
+    bodies = f"""
+  ball:
+    mass: 1
+    inertia: 0.5*{r}**2
+    shape: {{disc: {r}}}
+    start: {{x: -{r}*sin({slope}), y: {r}*cos({slope})}}
+  ramp: {{fixed: true, shape: {{polygon: [[-2, -0.3], [2, -0.3], [2, 0], [-2, 0]]}},
+         start: {{angle: {slope}}}}}
+"""
+    result = _run(bodies, "  all: {bodies: [ball, ramp], friction: 1, restitution: 0}", until=0.5)
+    x, y = result.trace.final[:2]
+    along = -(x * math.cos(slope) + y * math.sin(slope))
+    assert along == pytest.approx(G * math.sin(slope) / 1.5 * 0.5**2 / 2, abs=1e-3)
+
+
+BELT = f"""
+  box: {{{MOVED}, start: {{y: 0.1}}}}
+  belt:
+    position: [v*time, -0.1]
+    shape: {{polygon: [[-9, -0.1], [9, -0.1], [9, 0.1], [-9, 0.1]]}}
+"""
+RUB = "  all: {bodies: [box, belt], friction: 0.3, restitution: 0}\n"
+
+
+def test_a_box_on_a_conveyor_gains_its_speed() -> None:
+    v, gains = 1.5, 1.5 / (0.3 * G)
+    more = """parameters: {v: 1.5}
+outputs: {rides: {value: time, at: first box.stick}, place: {value: belt.x}, rate: {value: belt.dx}}
+"""
+    for h in (4e-3, 1e-3, 2.5e-4):
+        result = _run(BELT, RUB, more, step=h)
+        assert result.outputs["rides"] == pytest.approx(gains, abs=1.5 * h)
+        assert result.outputs["place"] == pytest.approx(v, abs=1e-12)
+        assert result.outputs["rate"] == pytest.approx(v, abs=1e-12)
+        assert result.trace.final[0] == pytest.approx(v - v * gains / 2, abs=v * h)
+        assert result.trace.final[3] == pytest.approx(v, abs=1e-12)
+
+
+def test_a_paddle_pushes_a_box_and_strikes_it_with_its_speed() -> None:
+    bodies = f"""
+  box: {{{MOVED}, start: {{y: 0.1}}}}
+  paddle:
+    position: [v*time - 0.6, 0.1]
+    shape: {{polygon: [[-0.1, -0.05], [0.1, -0.05], [0.1, 0.05], [-0.1, 0.05]]}}
+"""
+    for e, speed in ((0.0, 1.5), (0.5, 2.25)):
+        laws = f"""  push: {{bodies: [box, paddle], friction: 0, restitution: {e}}}
+  ground: {{bodies: [box], surfaces: [floor], friction: 0, restitution: 0}}
+"""
+        result = _run(bodies, laws, "parameters: {v: 1.5}\nsurfaces: {floor: {height: 0}}")
+        meets = 0.3 / 1.5
+        strikes = [jump.t for jump in result.trace.jumps if jump.cause == "impact"]
+        assert strikes[:1] == pytest.approx([meets], abs=1e-3)
+        assert result.trace.final[3] == pytest.approx(speed, abs=1e-12)
+        assert result.trace.final[0] == pytest.approx((1 - meets) * speed, abs=2e-3)
+
+
+def _bounces(a: float, w: float, e: float, until: float) -> list[float]:
+    """Return when a ball at 0.3 above a shaken floor strikes it, by bisection on a closed form."""
+    t, y, v, found = 0.0, 0.3, 0.0, []
+
+    def gap(since: Any) -> Any:
+        return y + v * since - G / 2 * since**2 - a * np.sin(w * (t + since))
+
+    while True:
+        later = np.linspace(1e-4, 2.0, 200_001)
+        first = int(np.argmax(gap(later) < 0.0))
+        low, high = float(later[first - 1]), float(later[first])
+        for _ in range(80):
+            middle = (low + high) / 2
+            low, high = (middle, high) if gap(middle) > 0.0 else (low, middle)
+        if t + high > until:
+            return found
+        t, falling = t + high, v - G * high
+        floor = a * w * math.cos(w * t)
+        y, v = a * math.sin(w * t), floor - e * (falling - floor)
+        found.append(t)
+
+
+def test_a_ball_bounces_on_a_shaken_body() -> None:
+    a, w, e = 0.02, 20.0, 0.7
+    bodies = """
+  ball: {mass: 1, inertia: 0.004, shape: {disc: 0.1}, start: {y: 0.4}}
+  table:
+    position: [0, 0.02*sin(20*time) - 0.5]
+    shape: {polygon: [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]}
+"""
+    law = "  all: {bodies: [ball, table], friction: 0.2, restitution: 0.7}"
+    right = _bounces(a, w, e, 1.6)
+    for h in (1e-3, 1e-4, 1e-5):
+        found = [jump.t for jump in _run(bodies, law, step=h, until=1.6).trace.jumps]
+        assert len(found) == len(right) >= 3
+        assert found == pytest.approx(right, abs=3 * h)
+
+
+def test_a_turning_wheel_drags_a_disc_that_lies_on_it() -> None:
+    # Under slip the disc gains mu g backwards and turns by mu m g r/I; the wheel's normal turns
+    # by less than 1e-3 in that time.
+    bodies = """
+  puck: {mass: 1, inertia: 0.01, shape: {disc: 0.1}, start: {x: 0, y: 0.6}}
+  wheel: {position: [0, 0], angle: 3*time, shape: {disc: 0.5}}
+"""
+    law = "  all: {bodies: [puck, wheel], friction: 0.2, restitution: 0}"
+    result = _run(bodies, law, until=0.02, step=1e-4)
+    assert result.trace.final[3] == pytest.approx(-0.2 * G * 0.02, rel=2e-3)
+    assert result.trace.final[5] == pytest.approx(-0.2 * G * 0.1 / 0.01 * 0.02, rel=2e-3)
+
+
+def test_a_controller_leads_a_slider() -> None:
+    bodies = f"""
+  box: {{{MOVED}, start: {{x: 0.4, y: 0.1}}}}
+  slider:
+    position: [s, 0.1]
+    shape: {{polygon: [[-0.1, -0.05], [0.1, -0.05], [0.1, 0.05], [-0.1, 0.05]]}}
+"""
+    more = """surfaces: {floor: {height: 0}}
+controls: {u: 0}
+regions:
+  drive:
+    initial: waits
+    variables: {s: 0}
+    states:
+      waits: {}
+      pushes: {sets: {u: 2}, flows: {s: u}}
+      holds: {}
+    transitions:
+      - {name: go, from: waits, to: pushes, after: 0.25}
+      - {name: done, from: pushes, to: holds, guard: slider.x >= 0.6}
+outputs: {place: {value: slider.x}, fastest: {maximum: slider.dx}}
+"""
+    laws = """  push: {bodies: [box, slider], friction: 0, restitution: 0}
+  ground: {bodies: [box], surfaces: [floor], friction: 0, restitution: 0}
+"""
+    result = _run(bodies, laws, more)
+    assert result.outputs["place"] == pytest.approx(0.6, abs=2.1e-3)
+    assert result.outputs["fastest"] == pytest.approx(2.0)
+    # The box goes on at 2 where the slider stops.
+    assert result.trace.final[3] == pytest.approx(2.0, abs=1e-12)
+    assert result.trace.final[0] == pytest.approx(0.9 + 2 * 0.45, abs=4e-3)
+
+
+JUMPS = """surfaces: {floor: {height: 0}}
+controls: {u: 2}
+regions:
+  lift:
+    initial: down
+    states: {down: {}, up: {sets: {u: TO}}}
+    transitions: [{name: go, from: down, to: up, after: 0.3}]
+"""
+
+
+def test_a_path_that_jumps_is_judged_again() -> None:
+    bodies = f"""
+  box: {{{MOVED}, start: {{x: 0, y: 0.1}}}}
+  shelf: {{position: [u, -0.1], shape: {{polygon: [[-1, -0.1], [1, -0.1], [1, 0.1], [-1, 0.1]]}}}}
+"""
+    law = "  all: {bodies: [box, shelf], friction: 0.3, restitution: 0}"
+    resting = bodies.replace("[u, -0.1]", "[u - 2, -0.1]")
+    # Away from below the box, which falls from then on, and no farther sideways.
+    result = _run(resting, law, JUMPS.replace("TO", "9"), until=0.5)
+    assert result.trace.final[:2] == pytest.approx([0.0, 0.1 - G / 2 * 0.2**2], abs=3e-3)
+    law += "\n  ground: {bodies: [box], surfaces: [floor], friction: 0.3, restitution: 0}"
+    result = _run(
+        bodies.replace("-0.1], shape", "0.05], shape"), law, JUMPS.replace("TO", "0"), throw=False
+    )
+    assert result.trace.outcome is Outcome.NO_CONSISTENT_MODE
+    assert "the path of body 'shelf' jumps" in result.trace.message
+    assert "body 'box' is 0." in result.trace.message
+
+
+def test_a_fast_led_body_strikes_between_steps() -> None:
+    # The bat passes the ball's place within a step, seen from one to the next.
+    bodies = """
+  ball: {mass: 1, inertia: 0.0004, shape: {disc: 0.02}, start: {x: 0, y: 0}}
+  bat: {position: [-1 + 40*time, 0], shape: {polygon: [[-0.01, -0.3], [0.01, -0.3], [0.01, 0.3],
+        [-0.01, 0.3]]}}
+"""
+    law = "  all: {bodies: [ball, bat], friction: 0, restitution: 1}"
+    for h in (1e-2, 1e-3):
+        result = _run(bodies, law, "", until=0.1, step=h)
+        assert result.trace.final[3] == pytest.approx(80.0, rel=1e-9), h
+        struck = [jump.t for jump in result.trace.jumps]
+        assert struck == pytest.approx([(1 - 0.03) / 40], abs=h)
+
+
+def test_properties_hold_and_are_checked_against_paths() -> None:
+    text = f"""
+kind: scene
+name: n
+gravity: {G}
+parameters: {{v: 1.5}}
+bodies: {BELT}
+collisions:
+{RUB}
+stop: {{time: 0.6}}
+settings: {{engine: impulse, step: 0.001}}
+"""
+    model = interpret(read_text(text))
+    subject = Subject(model)
+    for item in body_properties():
+        item.holds(subject.case({}))
+    trace, numbers, paths = (
+        subject.case({}).trace,
+        body_numbers(model, model.values()),
+        Paths(model),
+    )
+
+    def raised(times: Array, memories: Array, states: Mapping[str, str]) -> Positions:
+        found = paths.at({"v": 1.5}, times, memories, states)
+        return found._replace(poses=found.poses + np.array([0.0, 0.01, 0.0]))
+
+    with pytest.raises(AssertionError, match=r"0\.01 deep in a body that moves as prescribed"):
+        assert_depths(numbers, trace, raised)
+
+
+MISTAKES = {
+    "  a: {fixed: true, mass: 1, shape: {disc: 1}}": "a fixed body has no mass",
+    "  a: {fixed: true, shape: {disc: 1}, start: {dx: 1}}": "a fixed body has no velocity",
+    "  a: {fixed: true}": "a fixed body needs a shape",
+    "  a: {shape: {disc: 1}}": "a body needs a mass",
+    "  a: {position: [box.x, 0], shape: {disc: 1}}": "box.x",
+    "  a: {position: [0, 0], inertia: 1, shape: {disc: 1}}": "no inertia",
+    "  a: {static: true, shape: {disc: 1}}": "fixed: true",
+}
+
+
+@pytest.mark.parametrize("body", MISTAKES)
+def test_mistakes_are_named(body: str) -> None:
+    law = "  all: {bodies: [box, a], friction: 0.3, restitution: 0}"
+    with pytest.raises(DeclarationError, match=MISTAKES[body]):
+        _run(f"  box: {{{MOVED}, start: {{y: 9}}}}\n{body}", law)
+
+
+def test_a_fixed_body_needs_collisions() -> None:
+    scene = {"kind": "scene", "name": "n", "bodies": {
+        "a": {"fixed": True, "shape": {"disc": 1}}, "b": {"mass": 1}}}  # fmt: skip
+    with pytest.raises(ValueError, match="a fixed body takes part in collisions"):
+        Scene.model_validate(scene)
+
+
+def test_forces_and_joints_do_not_hold_what_moves_as_prescribed() -> None:
+    law = "  all: {bodies: [box, a], friction: 0.3, restitution: 0}"
+    bodies = f"  box: {{{MOVED}, start: {{y: 9}}}}\n  a: {{fixed: true, shape: {{disc: 1}}}}"
+    for more, message in (
+        ("forces: {f: {body: a, force: [1, 0]}}", "no force moves it"),
+        ("joints: {j: {point: {body: box}, to: {body: a}}}", "joints hold bodies that move"),
+    ):
+        with pytest.raises(DeclarationError, match=message):
+            _run(bodies, law, more)
+
+
+def test_a_spring_pulls_a_body_to_a_led_one() -> None:
+    # m x'' = -k (x - a t) from rest: x = a t - (a/w) sin(w t).
+    bodies = f"""
+  box: {{{MOVED}, start: {{y: 5}}}}
+  guide: {{position: [0.3*time, 0], shape: {{disc: 0.1}}}}
+"""
+    law = "  all: {bodies: [box, guide], friction: 0.3, restitution: 0}"
+    more = "forces: {f: {body: box, force: [-50*(box.x - guide.x), 2*9.81]}}"
+    x = _run(bodies, law, more, step=2e-4).trace.final[0]
+    assert x == pytest.approx(0.3 - 0.3 / 5 * math.sin(5), abs=1e-4)
+
+
+def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
+    bodies = f"""
+  box: {{{MOVED}, start: {{y: 0.1}}}}
+  wall: {{fixed: true, shape: {{polygon: [[3, 0], [3.001, 0], [3.001, 1], [3, 1]]}}}}
+"""
+    law = "  all: {bodies: [box], friction: 0.3, restitution: 0}"
+    bat = "  bat: {position: [50*time, 9], shape: {disc: 0.1}}\n"
+
+    def step(bodies: str) -> float:
+        text = f"kind: scene\nname: n\ngravity: {G}\nbodies:\n{bodies}\ncollisions:\n{law}\n"
+        model = interpret(read_text(text))
+        assert isinstance(model, Scene)
+        found = bodies_automaton(model).own_step
+        assert found is not None
+        return found()
+
+    without = bodies.split("  wall")[0]
+    assert step(bodies) == step(without)
+    assert step(without + bat) == pytest.approx(0.1 * 0.1 / 50, rel=0.1)
+
+
+def test_a_wheel_that_turns_faster_than_steps_see_is_told() -> None:
+    bodies = """
+  ball: {mass: 1, inertia: 0.004, shape: {disc: 0.1}, start: {y: 1}}
+  vane: {position: [5, 0], angle: 900*time, shape: {polygon: [[-1, -0.1], [1, -0.1], [1, 0.1],
+         [-1, 0.1]]}}
+"""
+    law = "  all: {bodies: [ball, vane], friction: 0, restitution: 1}"
+    trace = _run(bodies, law, until=0.05, step=1e-2).trace
+    assert any("turn by more than half a turn" in warning for warning in trace.warnings)
