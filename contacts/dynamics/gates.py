@@ -93,9 +93,15 @@ class Gate:
             Margin(name, -margin, relation=self.off, whole=whole) for name, margin in found
         )
 
-    def by_steps(self, values: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-        """Return the margin of the gate where steps judge it at their ends: > 0 while it holds."""
-        if len(self.atoms) == 1:
+    def by_steps(
+        self, values: Mapping[sp.Symbol, sp.Expr], valleys: Mapping[str, sp.Expr] | None = None
+    ) -> sp.Expr:
+        """Return the margin of the gate where steps judge it at their ends: > 0 while it holds.
+
+        An end of an edge counts for nothing where its value in `valleys` is positive.
+        """
+        eased = valleys or {}
+        if len(self.atoms) == 1 and not eased:
             return self.atoms[0].margin.xreplace(values)
 
         def margin(tree: Any) -> sp.Expr:
@@ -103,6 +109,8 @@ class Gate:
                 return (sp.Min if isinstance(tree, Every) else sp.Max)(*map(margin, tree.parts))
             atom = self.atoms[tree]
             found = atom.margin.xreplace(values)
+            if atom.words in eased:
+                found = sp.Max(found, eased[atom.words])
             if atom.words not in self.wholes:
                 return found
             return found + sp.Float(_TIE if atom.closed else -_TIE)

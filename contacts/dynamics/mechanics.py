@@ -462,6 +462,32 @@ class Mechanics(Geometry):
             )
         return self._gates[name]
 
+    def valleys(self, name: str) -> dict[str, sp.Expr]:
+        """Return how sharply edges for the same point turn up at the ends of a contact's edge.
+
+        Ends are named as in `gate`. A positive value is a valley: what is beyond the end is below
+        the other edge.
+        """
+        contact, found = self.scene.contacts[name], {}
+        surface = self.scene.surfaces[contact.surface]
+        for other in self.scene.contacts.values():
+            beside = self.scene.surfaces[other.surface]
+            moved = {"edge": surface.edge}
+            if (
+                surface.edge is None
+                or beside.edge is None
+                or (other.point, other.radius) != (contact.point, contact.radius)
+                or beside.model_copy(update=moved) != surface
+            ):
+                continue
+            one, two = self._corners(surface.edge), self._corners(beside.edge)
+            (ax, ay), (bx, by) = ((x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in (one, two))
+            if one[1] == two[0]:
+                found[f"{name}: end of its edge"] = ax * by - ay * bx
+            if one[0] == two[1]:
+                found[f"{name}: begin of its edge"] = bx * ay - by * ax
+        return found
+
     def _stuck(
         self, name: str, contact: Contact, anchor: Vector, tangent: Vector
     ) -> tuple[Vector, dict[sp.Symbol, sp.Expr]]:

@@ -73,6 +73,9 @@ class SceneFields(Declaration):
         **dict.fromkeys(
             ("motor", "motors"), "forces: {motor: {body: arm, moment: M}}, or controls and regions"
         ),
+        **dict.fromkeys(
+            ("damper", "dampers"), "forces: {damper: {body: rod, force: [-c*rod.dx, 0]}}"
+        ),
         **JOINT_WORDS,
         **dict.fromkeys(("hinges", "constraints"), JOINT_WORDS["hinge"]),
         **dict.fromkeys(

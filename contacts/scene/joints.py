@@ -15,6 +15,10 @@ JOINT_WORDS = {
         ("hinge", "pin", "revolute", "pivot"), "joints: {NAME: {point: {body: arm}, to: [0, 0]}}"
     ),
     "weld": "joints: {NAME: {point: {body: arm}, to: [0, 0], angle: held}}",
+    **{
+        word: f"joints: {{NAME: {{point: {{body: load}}, to: [0, 0], {word}: L}}}}"
+        for word in ("rope", "rod")
+    },
 }
 """Names of joints in other programs -> what to write here."""
 
@@ -26,6 +30,7 @@ class Force(Part):
         "torque": "moment",
         **dict.fromkeys(("stiffness", "spring", "k"), "force: [-k*rod.x, 0]"),
         **dict.fromkeys(("damping", "c"), "force: [-c*rod.dx, 0]"),
+        "rest_length": "it into the force: [-k*(rod.x - L), 0]",
         "fx": "force: [fx, fy]",
         "fy": "force: [fx, fy]",
     }
@@ -121,6 +126,9 @@ class Joint(Part):
         "damping": "a moment among the forces: {body: arm, moment: -c*arm.dangle}",
         **dict.fromkeys(("stiffness", "spring"), "a moment among the forces: -k*arm.angle"),
         "motor": "a moment among the forces, or to: {x: ..., y: ...}, a path in time",
+        "fixed": "angle: held",
+        "type": "what it holds: to: [0, 0], angle: held, rope: L or rod: L",
+        **dict.fromkeys(("breaking_force", "max_force"), "enabled: RELATION"),
         **JOINT_WORDS,
     }
 

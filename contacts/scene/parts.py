@@ -77,7 +77,7 @@ class Body(Part):
         "I": "inertia",
         "velocity": "start: {dx: ..., dy: ...}",
         **dict.fromkeys(
-            ("static", "immovable"),
+            ("static", "immovable", "is_static", "type"),
             "fixed: true, of a body with a shape that collides; else "
             "surfaces: {floor: {height: 0}}",
         ),

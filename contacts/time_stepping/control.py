@@ -76,7 +76,7 @@ class StepControl:
         shown = recorder.shown(chunk)
         due = self._due(chunk.ends(start), chunk.states[1:], chunk.solved, chunk.h, shown)
         asked: Bools = np.any(due, axis=1)
-        if self._listening.waits(self._names, self.states):
+        if self._listening.waits(self._controllers, self.states):
             asked |= recorder.changes(chunk)
         if not asked[:-1].any():
             return chunk, bool(asked.any())

@@ -190,8 +190,11 @@ class ContactForces(NamedTuple):
     jammed: int
 
 
-CONTACT = 6
-"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition."""
+CONTACT = 7
+"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition.
+
+The last is the condition without the ends of edges at which another edge makes a valley.
+"""
 
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""

@@ -126,6 +126,12 @@ def switch_contacts(
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
         if not off[i] and condition < 0.0:
+            speed = math.hypot(numbers[row + 2 * n + 3], numbers[row + 2 * n + 4])
+            reach = _STEPS * h * speed
+            near_kink = numbers[row + 2 * n + 6] > 0.0 and max(gap, -condition) <= reach
+            if near_kink and not memory.closed[i]:
+                # Deep in one side of a valley a point is beyond the end of the other.
+                continue
             inside = memory.closed[i] or memory.level[i] < 0.0
             met.leaving[i] = inside and scene.held[i] == 0
             off[i], memory.behind[i] = not met.leaving[i], met.leaving[i]

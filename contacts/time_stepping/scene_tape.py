@@ -30,12 +30,12 @@ class Rows(NamedTuple):
     @property
     def gaps(self) -> Array:
         """Gaps (c,)."""
-        return self.contacts[:, -4]
+        return self.contacts[:, -5]
 
     @property
     def velocities(self) -> Array:
         """Rates of gaps, and slips (c, 2)."""
-        return self.contacts[:, -3:-1]
+        return self.contacts[:, -4:-2]
 
 
 class SteppedTape:
@@ -60,7 +60,9 @@ class SteppedTape:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t, geometry.bias_n]
             outputs += [geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip]
             gate = mechanics.gate(name)
-            outputs.append(sp.S.One if gate is None else gate.by_steps(known))
+            holds = sp.S.One if gate is None else gate.by_steps(known)
+            valleys = mechanics.valleys(name)
+            outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
         rows = mechanics.joint_rows
         for row in rows:
             # The row of a joint that is off couples nothing.
@@ -117,7 +119,7 @@ class SteppedTape:
 
     def contacts(self, values: Array, state: Array) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) at the start."""
-        return self.rows(values, state, 0.0).contacts[:, -4:]
+        return self.rows(values, state, 0.0).contacts[:, -5:-1]
 
 
 class _Signs:

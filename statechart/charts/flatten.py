@@ -118,7 +118,7 @@ class _Flattening:
             self._named,
             {
                 name: tuple(
-                    Trigger(place, arrow.declared, self._guard(place))
+                    Trigger(place, arrow.declared, arrow.declared.events, self._guard(place))
                     for place in self._ranks
                     if (arrow := found.arrows[place]).source in active
                 )
@@ -359,6 +359,7 @@ class Trigger(NamedTuple):
 
     place: int  # among the arrows of the region
     declared: Transition
+    events: tuple[Event, ...]
     # The relation that fires it; None where events do, at which its own guard must hold.
     guard: str | None
 
@@ -435,6 +436,11 @@ class FlatRegion:
         return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
 
     @cached_property
+    def awaited(self) -> tuple[Event, ...]:
+        """The events that its transitions wait for."""
+        return tuple(event for arrow in self._tree.arrows for event in arrow.declared.events)
+
+    @cached_property
     def done(self) -> tuple[str, ...]:
         """The states that can be done, and the region itself if it can."""
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
@@ -454,10 +460,17 @@ class FlatRegion:
 
     def answer(self, state: str, enabled: Collection[int]) -> FlatTransition:
         """Return the transition that is taken where some arrows are enabled at once."""
-        key = state, selected(self._tree, *self._configurations[state], enabled)
-        if key not in self._taken:
-            self._taken[key] = self._flattening.take(*key)
-        return self._taken[key]
+        asked = state, frozenset(enabled)
+        if asked not in self._answers:
+            key = state, selected(self._tree, *self._configurations[state], enabled)
+            if key not in self._taken:
+                self._taken[key] = self._flattening.take(*key)
+            self._answers[asked] = self._taken[key]
+        return self._answers[asked]
+
+    @cached_property
+    def _answers(self) -> dict[tuple[str, Nodes], FlatTransition]:
+        return {}
 
 
 def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:

@@ -357,7 +357,7 @@ def guards_at_events(place: int, region: FlatRegion, state: str) -> list[Guard]:
     return [
         Guard(place, t.declared.name, parse_relation(t.declared.guard), t.place)
         for t in region.triggers[state]
-        if t.declared.events and t.declared.guard is not None
+        if t.events and t.declared.guard is not None
     ]
 
 
@@ -403,10 +403,11 @@ class Listening:
 
     def __init__(self, regions: Sequence[Region], declared: Mapping[str, FlatRegion]) -> None:
         self._regions = regions
+        # Region -> the causes that it waits for in some state.
         self._waiting = {
-            name: region
+            name: causes
             for name, region in declared.items()
-            if any(one.declared.events for found in region.triggers.values() for one in found)
+            if (causes := {event.cause for event in region.awaited})
         }
 
     def heard(
@@ -416,15 +417,18 @@ class Listening:
         if not self._waiting:
             return {}
         new = raised(self._regions, jump)
-        return {name: (*pending.get(name, ()), *new) for name in self._waiting}
+        return {
+            name: (*pending.get(name, ()), *(event for event in new if event.cause in causes))
+            for name, causes in self._waiting.items()
+        }
 
-    def waits(self, names: Sequence[str], mode: Key) -> bool:
+    @staticmethod
+    def waits(declared: Mapping[str, FlatRegion], mode: Key) -> bool:
         """Tell whether some of the regions wait for an event in their states."""
         return any(
-            trigger.declared.events
-            for name, state in zip(names, mode, strict=True)
-            if name in self._waiting
-            for trigger in self._waiting[name].triggers[state]
+            trigger.events
+            for region, state in zip(declared.values(), mode, strict=True)
+            for trigger in region.triggers[state]
         )
 
     def first(
@@ -445,7 +449,7 @@ class Listening:
                 enabled = [
                     trigger
                     for trigger in region.triggers[state]
-                    if any(event.answers(e, name, region.done) for e in trigger.declared.events)
+                    if any(event.answers(e, name, region.done) for e in trigger.events)
                 ]
                 if any(trigger.declared.guard is not None for trigger in enabled):
                     true = holding()

@@ -6,6 +6,7 @@ import pytest
 
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
 from statechart.running.runner import Runner
 
 SCENE = """\
@@ -38,7 +39,7 @@ MISTAKES = {
     "a unit without a blank": ("mass: m", "mass: 1kg", "'1' runs into 'k'; write a product as 2*x"),
     "three components": ("gravity: g", "gravity: [0, -g, 0]", "must have 2 items, not 3"),
     "misspelt key": ("mass: m", "mas: m", "7:9: unknown key 'mas'; did you mean 'mass'?"),
-    "forgotten key": ("mass: m, ", "", "7:8: 'mass' is missing; such as mass: m"),
+    "forgotten key": ("mass: m, ", "", "7:8: bodies.rod: a body needs a mass; write mass: 1, or"),
     "section misspelt": ("surfaces:", "surface:", "unknown key 'surface'; did you mean 'surfaces'"),
     "power by ^": ("L**2", "L^2", "unexpected '^'; write a power as **"),
     "product without *": ("m*L**2", "m L**2", "unexpected 'L'; write a product as a*b"),
@@ -177,8 +178,8 @@ MISTAKES = {
     "gravity by its letter": ("gravity: g", "g: 9.81", "5:1: unknown key 'g'; write gravity"),
     "friction by its letter": ("friction: mu", "mu: 0.5", "unknown key 'mu'; write friction"),
     "two coefficients": ("friction: mu", "mu_s: 0.5", "write friction: a number for both, or"),
-    "body at rest": ("mass: m", "mass: m, static: true", "write surfaces: {floor: {height: 0}}"),
-    "body that is led": ("mass: m", "mass: m, kinematic: true", "write a surface with a displace"),
+    "body at rest": ("mass: m", "mass: m, static: true", "write fixed: true, of a body with"),
+    "body that is led": ("mass: m", "mass: m, kinematic: true", "write position: ["),
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
     "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
@@ -382,3 +383,55 @@ def test_independent_mistakes_are_reported_together(
         Runner(read_text(text, "f.yaml"))
     lines = str(caught.value).splitlines()
     assert tuple(line.split(": ")[0].removeprefix("f.yaml:") for line in lines) == places
+
+
+LINKED = SCENE.replace(
+    "stop:",
+    "forces: {push: {body: rod, force: [1, 0]}}\n"
+    "joints: {pivot: {point: {body: rod}, to: [0, 0]}}\nstop:",
+)
+OF_JOINTS = {
+    "stiffness of a force": ("force: [1, 0]", "stiffness: 9",
+        "write force: [-k*rod.x, 0]"),
+    "rest length": ("force: [1, 0]", "rest_length: 1",
+        "write it into the force: [-k*(rod.x - L)"),
+    "friction of a joint": ("to: [0, 0]", "to: [0, 0], friction: 1",
+        "write couplings: {bearing:"),
+    "motor of a joint": ("to: [0, 0]", "to: [0, 0], motor: 1",
+        "write a moment among the forces"),
+    "type of a joint": ("to: [0, 0]", "to: [0, 0], type: rope",
+        "write what it holds: to: [0, 0]"),
+    "joint that holds all": ("to: [0, 0]", "to: [0, 0], fixed: true",
+        "write angle: held"),
+    "joint that breaks": ("to: [0, 0]", "to: [0, 0], max_force: 9",
+        "write enabled: RELATION"),
+    "rope of a scene": (
+        "stop:",
+        "rope: {}\nstop:",
+        "write joints: {NAME: {point: {body: load}, to: [0",
+    ),
+    "damper of a scene": (
+        "stop:",
+        "damper: {}\nstop:",
+        "write forces: {damper: {body: rod, force: [",
+    ),
+    "motor of a scene": (
+        "stop:",
+        "motor: {}\nstop:",
+        "write forces: {motor: {body: arm, moment: M}}",
+    ),
+    "spring of a scene": (
+        "stop:",
+        "spring: {}\nstop:",
+        "write forces: {spring: {body: rod, force: [",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", OF_JOINTS)
+def test_keys_of_other_programs_are_told_what_to_write(mistake: str) -> None:
+    old, new, words = OF_JOINTS[mistake]
+    assert old in LINKED
+    with pytest.raises(DeclarationError) as caught:
+        Runner(interpret(read_text(LINKED.replace(old, new, 1), "f.yaml")))
+    assert words in str(caught.value)

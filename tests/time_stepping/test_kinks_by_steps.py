@@ -87,3 +87,36 @@ def test_a_point_that_slides_to_and_fro_over_a_kink_does_not_fall_through(h: flo
     model = interpret(read_text(KINK, "f.yaml"))
     final = Runner(model, engine="impulse", step=h).run().trace.final
     assert np.abs(final[:2]).max() < 4 * h
+
+
+# Acute and obtuse valleys, with and without rebounds and friction: a point that lies deep in one
+# edge is beyond the end of the other.
+@pytest.mark.parametrize("h", [2e-3, 4e-4])
+@pytest.mark.parametrize(
+    ("left", "right", "start", "friction", "restitution"),
+    [
+        ("[-2, 2.3033]", "[2, 2.2852]", "x: 0.3355, y: 0.4864, dx: 0.472", 0, 0),
+        ("[-1.367064, 4.095629]", "[2.593651, 3.531769]", "x: 0.2857, y: 0.4661, dx: 0.227", 0, 0),
+        ("[-2, 1.1095]", "[2, 1.9894]", "x: 0.0401, y: 0.1399, dx: 0.573", 0, 0.4),
+        ("[-2, 1.1095]", "[2, 1.9894]", "x: 0.0401, y: 0.1399, dx: 0.573", 0.3, 0.4),
+    ],
+)
+def test_a_point_comes_to_rest_in_a_valley_of_edges(left, right, start, friction, restitution, h):
+    law = f"friction: {friction}, restitution: {restitution}, impact: moreau"
+    text = f"""
+kind: scene
+name: valley
+gravity: 9.81
+bodies: {{b: {{mass: 1, start: {{{start}}}}}}}
+surfaces:
+  f: {{edge: [{left}, [0, 0]]}}
+  g: {{edge: [[0, 0], {right}]}}
+contacts:
+  c: {{point: {{body: b}}, surface: f, {law}}}
+  d: {{point: {{body: b}}, surface: g, {law}}}
+stop: {{time: 1.2}}
+"""
+    final = statechart.run(interpret(read_text(text)), engine="impulse", step=h).trace.final
+    # It lies as deep as its way in two steps.
+    assert np.abs(final[:2]).max() < 8 * h
+    assert final[2:] == pytest.approx([0, 0], abs=1e-9)
