@@ -10,8 +10,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.scene.modes import Bearing
@@ -20,7 +18,6 @@ from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.components import Data, composed, reserved_words, split
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
-from statechart.errors import StatechartError
 
 _REGIONS = ("contacts", "couplings", "regions")
 _MOVING = ("coordinates", "bodies", *_REGIONS, "joints", "forces", "controls")
@@ -54,18 +51,17 @@ def components(
         return made
 
     parts = split(data, _MOVING, _REGIONS, _reserved)
-    try:
-        return composed(
-            parts,
-            _form,
-            automaton,
-            lambda made: partial(_restricted, numbers[id(made)]),
-            _shown,
-            joint=True,
-        )
-    except (StatechartError, ValidationError):
-        # A part may not be a scene by itself, such as one without anything that moves.
+    if not all(part.get("bodies") for part, _ in parts):
+        # A controller of time alone is no scene by itself.
         return ()
+    return composed(
+        parts,
+        _form,
+        automaton,
+        lambda made: partial(_restricted, numbers[id(made)]),
+        _shown,
+        joint=True,
+    )
 
 
 def _form(part: Data) -> Data:

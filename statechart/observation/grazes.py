@@ -8,6 +8,7 @@ tolerance where the flow began, is a missed event, and is reported, too.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -31,6 +32,8 @@ _EDGE = 1.0 / 4096.0
 _ROUNDS = 18
 # The last part of a step, which tells how a guard would have gone on.
 _LAST = 1.0 / 64.0
+# Jumps that are no later than this part of the time are of one instant.
+_SAME = 1e-12
 
 
 class Graze(NamedTuple):
@@ -41,6 +44,7 @@ class Graze(NamedTuple):
     least: float  # Its least value there; where it has fired, what it would have been.
     room: float  # What it may be off by.
     fired: bool  # Whether it has.
+    turned: bool = False  # Whether an event of another region turned it back.
 
 
 def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
@@ -53,6 +57,12 @@ def graze_warnings(found: Sequence[Graze]) -> tuple[str, ...]:
 
 def _sentence(several: Sequence[Graze]) -> str:
     graze, more = several[0], len(several) - 1
+    again = f"; so {more} time{'s' if more > 1 else ''} more" if more else ""
+    if graze.turned:
+        return (
+            f"{graze.guard} comes to its boundary at t = {graze.t:.6g}, where another event turns "
+            f"it back, and does not fire{again}"
+        )
     if graze.least < -graze.room:
         return (
             f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, "
@@ -61,7 +71,6 @@ def _sentence(several: Sequence[Graze]) -> str:
         )
     how = "fires" if graze.fired else "comes to its boundary"
     would = "would have been" if graze.fired else "is"
-    again = f"; so {more} time{'s' if more > 1 else ''} more" if more else ""
     return (
         f"{graze.guard} {how} at t = {graze.t:.6g}, where its least value {would} "
         f"{graze.least:.2g} and the run leaves {graze.room:.2g} open: whether it passes is not "
@@ -83,13 +92,20 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
         groups.setdefault((arc.roles, arc.coefficients.shape[2]), []).append(arc)
     last = {arc.j: arc for arc in trace.arcs}
     ended = {id(last[jump.j]): jump for jump in trace.jumps if jump.fired and jump.j in last}
+    times = [jump.t for jump in trace.jumps]
     found: list[Graze] = []
     for (roles, _), arcs in groups.items():
         look = _Look(trace, simulator.compiled(roles, trace.zeros))
         for first in range(0, len(arcs), _ARCS):
             some = arcs[first : first + _ARCS]
             found += look.between(some)
-            found += look.beyond([(arc, ended[id(arc)]) for arc in some if id(arc) in ended])
+            ends = [(arc, ended[id(arc)]) for arc in some if id(arc) in ended]
+            found += look.beyond(ends)
+            for graze in look.turned_back(ends):
+                late = graze.t + _SAME * max(graze.t, 1.0)
+                now = trace.jumps[bisect_left(times, graze.t) : bisect_right(times, late)]
+                if graze.guard.split(".")[0] not in {jump.region for jump in now}:
+                    found.append(graze)
     return tuple(sorted(found, key=lambda one: one.t))
 
 
@@ -184,14 +200,7 @@ class _Look:
         ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
             return
-        s = 1.0 - _LAST * np.arange(3)
-        terms = np.array([arc.coefficients[-1] for arc, _ in ends])
-        spans = np.array([arc.times[-1] - arc.times[-2] for arc, _ in ends])
-        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
-        times = np.array([arc.start.high + arc.times[-1] for arc, _ in ends])
-        at = (times[:, None] - (1.0 - s) * spans[:, None]).ravel()
-        rows = self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(ends), 3, -1)
-        for (arc, jump), guards in zip(ends, rows, strict=True):
+        for (arc, jump), guards in zip(ends, self._last([arc for arc, _ in ends]), strict=True):
             k = names.index(self._named[jump.fired[0]])
             now, before, first = guards[:, k].tolist()
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
@@ -201,6 +210,39 @@ class _Look:
                 )
                 if graze:
                     yield graze
+
+    def turned_back(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
+        """Yield the transitions on their boundary, to its error, where another event ends a flow.
+
+        A flow that would have passed the boundary ends on it: the state that the event leaves
+        decides alone whether they fire.
+        """
+        places = [
+            k
+            for k, (name, kind) in enumerate(self._watched)
+            if kind == "plain" and "." in name and ": " not in name
+        ]
+        if not (ends and places):
+            return
+        rows = self._last([arc for arc, _ in ends])[:, :, places]
+        with np.errstate(all="ignore"):
+            falling = rows[:, 0] < rows[:, 1]
+            near = np.abs(rows[:, 0]) <= self._near * np.abs(rows[:, 1])
+        for i, place in np.argwhere(falling & near).tolist():
+            (arc, jump), k = ends[i], places[place]
+            graze = self._open(arc, k, arc.times.item(-1), 0.0, fired=False)
+            if graze and self._named.get(jump.fired[0]) != graze.guard:
+                yield graze._replace(turned=True)
+
+    def _last(self, arcs: Sequence[Arc]) -> Array:
+        """Return the guards at the end of flows and shortly before, (m, 3, k)."""
+        s = 1.0 - _LAST * np.arange(3)
+        terms = np.array([arc.coefficients[-1] for arc in arcs])
+        spans = np.array([arc.times[-1] - arc.times[-2] for arc in arcs])
+        states = np.swapaxes(terms @ s ** np.arange(terms.shape[2])[:, None], 1, 2)
+        times = np.array([arc.start.high + arc.times[-1] for arc in arcs])
+        at = (times[:, None] - (1.0 - s) * spans[:, None]).ravel()
+        return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), 3, -1)
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
         """Return what is open of a guard that is least at a local time, but for what is added."""

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 import statechart
+from contacts.dynamics.components import components
+from contacts.dynamics.setup_evaluation import SceneNumbers
+from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Trace
 from statechart.documents.yaml_reader import read_text
 from statechart.engines.taylor import Taylor
+from statechart.errors import DeclarationProblem
 from statechart.execution.simulator import Simulator
 from statechart.loading.kind import kind
 from statechart.loading.load import interpret, load
@@ -219,3 +223,44 @@ stop: {time: 3}
 """
     trace = statechart.run(interpret(read_text(text))).trace
     assert [(jump.t, jump.cause) for jump in trace.jumps] == [(1.0, "turn"), (1.0, "halt")]
+
+
+_ALONE = """
+kind: scene
+name: alone
+gravity: 9.81
+bodies: {p: {mass: 1, start: {y: 1}}, q: {mass: 1, start: {y: 2}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  a: {point: {body: p}, surface: floor, friction: 0, restitution: 0}
+  b: {point: {body: q}, surface: floor, friction: 0, restitution: 0}
+CLOCK
+stop: {time: 0.7}
+"""
+_CLOCK = """
+regions:
+  clock:
+    initial: w
+    states: {w: {}, d: {}}
+    transitions: [{name: rings, from: w, to: d, after: 0.5}]
+"""
+
+
+@pytest.mark.parametrize(("clock", "count"), [("", 2), (_CLOCK, 0)])
+def test_a_controller_of_time_alone_is_no_component(clock: str, count: int) -> None:
+    model = interpret(read_text(_ALONE.replace("CLOCK", clock)))
+    assert len(kind("scene").automaton(model).components()) == count
+    jumps = [(j.region, j.t) for j in statechart.run(model).trace.jumps if j.t > 0.0]
+    expected = [("a", (2 / 9.81) ** 0.5), ("clock", 0.5), ("b", (4 / 9.81) ** 0.5)]
+    expected = [one for one in expected if clock or one[0] != "clock"]
+    assert [name for name, _ in jumps] == [name for name, _ in expected]
+    assert [t for _, t in jumps] == pytest.approx([t for _, t in expected])
+
+
+def test_an_error_in_a_component_is_not_taken_for_a_part_that_is_no_scene() -> None:
+    def failing(scene: Scene) -> tuple[Automaton, SceneNumbers]:
+        raise DeclarationProblem("no equations")
+
+    model = interpret(read_text(_ALONE.replace("CLOCK", "")))
+    with pytest.raises(DeclarationProblem, match="no equations"):
+        components(model, failing)

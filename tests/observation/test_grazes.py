@@ -142,3 +142,50 @@ def test_a_margin_that_rests_on_its_bound_is_no_graze(engine: str) -> None:
 @pytest.mark.parametrize("model", ["bouncing_ball", "stick_slip_block", "toppling_stick"])
 def test_events_of_shipped_models_are_in_no_doubt(engine: str, model: str) -> None:
     assert not told(statechart.run(model, engine=engine))
+
+
+_TURNED = """
+kind: chart
+name: turned
+variables: {{x: 0}}
+regions:
+  m:
+    initial: a
+    states: {{a: {{flows: {{x: 1}}}}, b: {{flows: {{x: -1}}}}}}
+    transitions: [{{name: back, {back}}}]
+  e:
+    initial: w
+    states: {{w: {{}}, d: {{}}}}
+    transitions: [{{name: hit, from: w, to: d, guard: "{guard}"}}]
+stop: {{time: 1.5}}
+outputs: {{hits: {{count: e.hit}}}}
+"""
+_BACK = [
+    'from: a, to: a, guard: "x >= 1", updates: {x: 0}',
+    "from: a, every: 1, updates: {x: 0}",
+    'from: a, to: b, guard: "x >= 1"',
+    "from: a, to: b, after: 1",
+]
+
+
+@pytest.mark.parametrize("back", _BACK)
+@pytest.mark.parametrize("guard", ["x >= 1", "x >= 1 and time <= 2", "abs(x - 1) <= 0"])
+def test_a_guard_that_another_event_turns_back_on_its_boundary_gives_a_warning(
+    engine: str, back: str, guard: str
+) -> None:
+    result = statechart.run(read_text(_TURNED.format(back=back, guard=guard)), engine=engine)
+    assert result.outputs["hits"] == 0
+    (warning,) = result.warnings
+    assert warning == (
+        "e.hit comes to its boundary at t = 1, where another event turns it back, and does not fire"
+    )
+
+
+@pytest.mark.parametrize("back", _BACK)
+@pytest.mark.parametrize(("guard", "hits"), [("x >= 0.9999", 1), ("x >= 1.0001", 0)])
+def test_a_guard_that_passes_or_stays_clear_before_the_event_gives_none(
+    engine: str, back: str, guard: str, hits: int
+) -> None:
+    result = statechart.run(read_text(_TURNED.format(back=back, guard=guard)), engine=engine)
+    assert result.outputs["hits"] == hits
+    assert not result.warnings
