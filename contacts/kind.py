@@ -44,10 +44,10 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        if scene.couplings:
+        if mechanics.scene.couplings:
             raise Unsupported(
-                f"coupling {next(iter(scene.couplings))!r}: steps have no couplings yet; run with "
-                "--engine taylor or scipy"
+                f"coupling {next(iter(mechanics.scene.couplings))!r}: steps have no couplings yet; "
+                "run with --engine taylor or scipy"
             )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
@@ -94,7 +94,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
     from contacts.dynamics.controllers import controller
     from contacts.scene.couplings import coupling_region, coupling_state
     from contacts.scene.regions import edges, region
-    from contacts.states import DISENGAGED
+    from contacts.states import OPEN
     from statechart.automaton.regions import State
 
     scene = mechanics.scene
@@ -131,7 +131,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
 
     def coupling(name: str, role: Role) -> State:
         gate, symbols = mechanics.gate(name), mechanics.coupling(name)
-        if role.state == DISENGAGED:
+        if role.state in OPEN:
             return State((mechanics.couples[name],), back(name))
         built = coupling_state(symbols, role)
         return built if gate is None else replace(built, margins=(*built.margins, *gate.margins))

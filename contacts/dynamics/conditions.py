@@ -329,9 +329,11 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     if not any(state in INACTIVE for state in mode):
         return snapshot
     jacobians, biases = snapshot.jacobians.copy(), snapshot.biases.copy()
-    contacts = [*snapshot.contacts]
+    contacts, forces = [*snapshot.contacts], snapshot.forces
     for i, state in enumerate(mode):
         if state in INACTIVE:
+            if snapshot.pushes is not None:
+                forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
             zeros = dict.fromkeys(PerContact._fields[1:-1], 0.0)
             contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)
@@ -339,5 +341,5 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     if held is not None:
         held = replace(held, whole=hidden(held.whole, mode))
     return snapshot._replace(
-        contacts=tuple(contacts), jacobians=jacobians, biases=biases, held=held
+        contacts=tuple(contacts), forces=forces, jacobians=jacobians, biases=biases, held=held
     )

@@ -22,7 +22,7 @@ from contacts.dynamics.parameters import (
     friction_cones,
     scene_parameters,
 )
-from contacts.scene.couplings import CouplingSymbols
+from contacts.scene.couplings import CouplingSymbols, Rolling
 from contacts.scene.expansion import Stop, stops, switched
 from contacts.scene.joints import Joint
 from contacts.scene.modes import ContactSymbols
@@ -338,7 +338,11 @@ class Mechanics(Geometry):
             for name, forces in self.forces.items()
             for force, rate in zip(forces, self.surface_rate(name), strict=True)
         )
-        return sp.Add(*applied, *pushed, *(row.force * row.path_rate for row in self.joint_rows))
+        # Springs of compliant contacts keep no energy that counts.
+        soft = [self.contact(name).symbols for name in self.pads]
+        pressed = (symbols.V * symbols.gap_rate for symbols in soft)
+        led = (row.force * row.path_rate for row in self.joint_rows)
+        return sp.Add(*applied, *pushed, *led, *pressed)
 
     def surface_rate(self, name: str) -> Vector:
         """Return the normal and tangential velocity of a contact's surface that moves in time."""
@@ -366,13 +370,19 @@ class Mechanics(Geometry):
         return self._contacts[name]
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
-        """Return the bounds of a coupling's couple, at rest and in motion."""
+        """Return the bounds of a coupling's couple, at rest and in motion.
+
+        Of rolling resistance, those over the normal force of its contact.
+        """
         static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
         return static, kinetic
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""
-        return CouplingSymbols(self.contact(name).symbols, *self.limits(name))
+        static, kinetic = self.limits(name)
+        coupling = self.scene.couplings[name]
+        load = self.forces[coupling.contact][0] if isinstance(coupling, Rolling) else sp.S.One
+        return CouplingSymbols(self.contact(name).symbols, static * load, kinetic * load)
 
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
@@ -548,12 +558,45 @@ class Mechanics(Geometry):
         """Return the terms of a row of coefficients times the accelerations."""
         return [j * a for j, a in zip(row, self.a, strict=True) if j != 0]
 
+    @cached_property
+    def pads(self) -> dict[str, int]:
+        """Compliant contacts -> numbers of their pads.
+
+        A pad is a coordinate behind those of the scene: the normal force of its contact holds it
+        against the spring, so that forces are found as those of rigid contacts.
+        """
+        soft = (n for n, one in self.scene.contacts.items() if one.stiffness is not None)
+        return {name: k for k, name in enumerate(soft)}
+
+    @property
+    def _no_pads(self) -> tuple[sp.Expr, ...]:
+        return (sp.S.Zero,) * len(self.pads)
+
+    def _padded(
+        self, name: str, normal: Sequence[sp.Expr], along: Sequence[sp.Expr]
+    ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
+        """Return what forces of a contact do to every coordinate, pads included."""
+        pads = [*self._no_pads]
+        if name in self.pads:
+            normal = (sp.S.Zero,) * len(normal)
+            pads[self.pads[name]] = sp.S.One
+        return (*normal, *pads), (*along, *self._no_pads)
+
+    def _compliance(self, contact: Contact, around: _Surroundings) -> sp.Expr | None:
+        """Return the normal force of a compliant contact that is closed."""
+        if contact.stiffness is None:
+            return None
+        k, d = (self._formula(text or 0) for text in (contact.stiffness, contact.damping))
+        return -k * around.gap - d * around.gap_rate
+
     def _turning(self, name: str) -> ContactGeometry:
         """Return the geometry of a coupling: its slip is a rate of angles, its gap is closed."""
         along = self.scene.along_guide(name)
         if along:
             joint = self.scene.joints[self.scene.couplings[name].joint or ""]
             turn = self.point(joint.point)["XY".index(along)]
+        elif isinstance(coupling := self.scene.couplings[name], Rolling):
+            turn = self._rim(self.scene.contacts[coupling.contact]).turn
         else:
             angles = [self.body_frame(body)[1] for body in self.scene.coupled(name)]
             turn = angles[0] - sp.Add(*angles[1:])
@@ -566,7 +609,8 @@ class Mechanics(Geometry):
         couple = self.couples[name]
         symbols = ContactSymbols(
             name, zero, zero, zero, slip, zero, acceleration, zero, couple, zero, sp.S.One,
-            (none, jacobian), tuple(row.jacobian for row in self.joint_rows),
+            self._padded(name, none, jacobian),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), Hold((), (), ()),
             Hold((turn - anchor,), (acceleration,), (couple,), {anchor: turn}),
         )  # fmt: skip
@@ -596,8 +640,8 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
-            *self._cones[name], (jacobian, zeros),
-            tuple(row.jacobian for row in self.joint_rows),
+            *self._cones[name], self._padded(name, jacobian, zeros),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), hold, hold,
         )  # fmt: skip
         x, y = self.point(contact.point)
@@ -641,12 +685,13 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
-            *self._cones[name], (jacobian_n, jacobian_t),
-            tuple(row.jacobian for row in self.joint_rows),
+            *self._cones[name], self._padded(name, jacobian_n, jacobian_t),
+            tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
             # Not its distance: of the height of a ground y follows with a factor of 1.
             Hold((around.function,), (normal_a,), (V,), steep=self.curved(name)),
             Hold(stuck, (normal_a, tangential_a), (V, H), anchors),
+            self._compliance(contact, around),
         )  # fmt: skip
         point = x - rim.radius * normal[0], y - rim.radius * normal[1]
         return ContactGeometry(

@@ -60,7 +60,11 @@ class Projection:
         self._compile = mechanics.tape
         self.tape = mechanics.tape(outputs)
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
-        self._curved = tuple(mechanics.curved(name) for name in mechanics.scene.contacts)
+        self._soft = tuple(name in mechanics.pads for name in mechanics.scene.frictional)
+        self._curved = tuple(
+            mechanics.curved(name) and not soft
+            for name, soft in zip(mechanics.scene.contacts, self._soft, strict=False)
+        )
         self._within: dict[Key, Tape | None] = {}
 
     def constraints(
@@ -147,9 +151,11 @@ class Projection:
 
     def _weights(self, flow: Key, near: float, slow: float) -> Array:
         listed: list[float] = []
-        for name in flow:
+        for name, soft in zip(flow, self._soft, strict=True):
             if name in OPEN:
                 listed += _FREE
+            elif soft:
+                listed += (0.0, 0.0, slow if name == "pin" else 0.0, 0.0, 0.0)
             elif name in STICKING:
                 listed += (near, slow, slow, near, near)
             else:
@@ -255,7 +261,8 @@ def _brought(
     change = answer(whole, jacobian, jacobian, sides[:, 1].copy())
     if shift is None or change is None:
         return state
-    return state + np.concatenate([shift[0], change[0]])
+    half = len(state) // 2
+    return state + np.concatenate([shift[0][:half], change[0][:half]])
 
 
 def dead_point(snapshot: Snapshot, laws: Sequence[ContactLaw], moving: Key, sizes: Array) -> str:

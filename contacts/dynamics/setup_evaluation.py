@@ -20,7 +20,7 @@ from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
 from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, captured, magnified, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
-from contacts.scene.couplings import coupling_states
+from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
 from contacts.scene.regions import states as states_of
 from contacts.solvers.dependence import implied
@@ -206,14 +206,24 @@ class SceneNumbers:
         self, values: Array, states: Mapping[str, str] | None = None
     ) -> tuple[ContactLaw, ...]:
         """Return the contacts' laws."""
+        names = [*self.scene.contacts]
         places, fixed = self.coefficients(states)
         found = np.where(places >= 0, values[places], fixed).tolist()
         return tuple(
             ContactLaw(name, self._region_states[name], n, t, e, contact.impact)
             for (name, contact), (n, t, e) in zip(self.scene.contacts.items(), found, strict=True)
         ) + tuple(
-            ContactLaw(name, self._region_states[name], 0.0, 1.0, 0.0, "newton", coupling=True)
-            for name in self.scene.couplings
+            ContactLaw(
+                name,
+                self._region_states[name],
+                0.0,
+                1.0,
+                0.0,
+                "newton",
+                True,
+                names.index(one.contact) if isinstance(one, Rolling) else -1,
+            )
+            for name, one in self.scene.couplings.items()
         )
 
     def coefficients(self, states: Mapping[str, str] | None = None) -> tuple[Ints, Array]:

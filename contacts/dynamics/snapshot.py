@@ -61,6 +61,9 @@ class Snapshot(NamedTuple):
     held: Held | None = None  # None where there are no joints
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
+    pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
+    # (c, n): What normal forces of compliant contacts do to the bodies; part of `forces`
+    pushes: Array | None = None
 
     @property
     def whole(self) -> Snapshot:
@@ -71,8 +74,8 @@ class Snapshot(NamedTuple):
         """Return `state` (of the scene) after its velocity (n,) has jumped to `velocity`."""
         size = len(state) // 2
         if self.held is None:
-            return np.concatenate([state[:size], velocity])
-        change = self.held.basis @ (velocity - self.velocity)
+            return np.concatenate([state[:size], velocity[:size]])
+        change = (self.held.basis @ (velocity - self.velocity))[:size]
         return np.concatenate([state[:size], state[size:] + change])
 
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
@@ -84,14 +87,14 @@ class Snapshot(NamedTuple):
             Those of redundant rows are taken as zero.
         """
         if self.held is None:
-            return accelerations, np.zeros(0)
+            return accelerations[: len(accelerations) - self.pads], np.zeros(0)
         whole = self.whole
         full = self.held.basis @ accelerations + self.held.drift
         left = whole.mass @ full - whole.forces - np.einsum("ckn,ck->n", whole.jacobians, forces)
         needed = ~self.held.joints.redundant
         found = np.zeros(len(needed))
         found[needed] = np.linalg.lstsq(self.held.joints.jacobian[needed].T, left)[0]
-        return full, found
+        return full[: len(full) - whole.pads], found
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,8 @@ class SnapshotTape:
             forces[i] += mechanics.parameters.ordered[place]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         outputs.append(mechanics.energy)
-        contacts = [mechanics.contact(name) for name in mechanics.scene.frictional]
+        names = [*mechanics.scene.frictional]
+        contacts = [mechanics.contact(name) for name in names]
         # Numbers of a kind stand side by side, so that arrays of them need no copy.
         for geometry in contacts:
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
@@ -125,6 +129,7 @@ class SnapshotTape:
         for geometry in contacts:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.anchor, *geometry.slipping]
+        self._pads = tuple((names.index(name), pad) for name, pad in mechanics.pads.items())
         n, count = self.size, self.count
         lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
         # Ends of mass matrix, forces and energy, Jacobians, biases and scalars.
@@ -132,14 +137,22 @@ class SnapshotTape:
         rows = mechanics.joint_rows
         self.joints = len(rows)
         self._blocks: tuple[JointGroup, ...] = joint_groups(
-            np.array([[j != 0 for j in row.jacobian] for row in rows], dtype=np.bool_).reshape(
-                self.joints, self.size
+            np.pad(
+                np.array([[j != 0 for j in row.jacobian] for row in rows], np.bool_).reshape(
+                    self.joints, self.size
+                ),
+                ((0, 0), (0, len(self._pads))),
             )
         )
         for row in rows:
             outputs += [row.gap, row.gap_rate, row.bias, row.status]
         for row in rows:
             outputs += row.jacobian
+        for name in mechanics.pads:
+            body = mechanics.scene.contacts[name].point.body
+            symbols = mechanics.contact(name).symbols
+            mass, _ = mechanics.inertia(body, mechanics.scene.bodies[body])
+            outputs += [mass, symbols.compliance, symbols.gap_rate]
         couplings = mechanics.scene.couplings
         self._limits = 2 * len(couplings)
         for name in couplings:
@@ -182,11 +195,50 @@ class SnapshotTape:
             numbers[end : end + further].reshape(count, 2),
             limits=numbers[len(numbers) - self._limits :].reshape(-1, 2),
         )
+        if self._pads:
+            end = len(numbers) - self._limits
+            whole = self._padded(whole, numbers[end - 3 * len(self._pads) : end])
         if not self.joints:
             return whole, None
         gaps, rates, bias, status = numbers[last : last + 4 * self.joints].reshape(-1, 4).T
-        rows = numbers[last + 4 * self.joints :][: n * self.joints].reshape(self.joints, n)
+        behind = last + 4 * self.joints
+        rows = numbers[behind : behind + self.joints * n].reshape(self.joints, n)
+        rows = np.pad(rows, ((0, 0), (0, len(self._pads))))
         return whole, JointNumbers(gaps, rates, bias, rows, status != 0.0, status < OFF_ROW)
+
+    def _padded(self, whole: Snapshot, numbers: Array) -> Snapshot:
+        """Return the numbers with the pads of compliant contacts (`Mechanics.pads`).
+
+        The mass of a pad, which the force of its contact holds at rest, is that of the body.
+        """
+        n, pads = self.size, len(self._pads)
+        masses, forces, rates = numbers.reshape(pads, 3).T
+        # What comes near presses no less than nothing: its gap is closed up to round-off.
+        pressed = np.where(rates < 0.0, np.maximum(forces, 0.0), forces)
+        pushes = np.zeros((self.count, n + pads))
+        mass = np.pad(whole.mass, (0, pads))
+        mass[range(n, n + pads), range(n, n + pads)] = masses
+        jacobians = np.pad(whole.jacobians, ((0, 0), (0, 0), (0, pads)))
+        biases, contacts = whole.biases.copy(), [*whole.contacts]
+        for i, pad in self._pads:
+            if contacts[i].gap <= 0.0 < pressed[pad]:
+                pushes[i] = pressed[pad] * jacobians[i, 0]
+            jacobians[i, 0], biases[i, 0] = 0.0, 0.0
+            jacobians[i, 0, n + pad] = 1.0
+            gap = max(contacts[i].gap, 0.0)
+            contacts[i] = contacts[i]._replace(gap=gap, gap_rate=0.0, bias_n=0.0)
+        return whole._replace(
+            mass=mass,
+            forces=np.concatenate([whole.forces, -pressed]) + pushes.sum(axis=0),
+            velocity=np.concatenate([whole.velocity, np.zeros(pads)]),
+            contacts=tuple(
+                one._replace(jacobian=rows) for one, rows in zip(contacts, jacobians, strict=True)
+            ),
+            jacobians=jacobians,
+            biases=biases,
+            pads=pads,
+            pushes=pushes,
+        )
 
 
 def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:
@@ -211,6 +263,8 @@ def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) ->
         biases,
         Held(whole, joints, basis, allowed.acceleration),
         whole.limits,
+        whole.pads,
+        None if whole.pushes is None else whole.pushes @ basis,
     )
 
 

@@ -3,6 +3,6 @@
 `laws` classifies the contacts at the start and after every event; `switching` takes contacts with
 conditions off and back; `compiled_laws` lets the compiled `scene_loop` take one run or many through
 `compiled_instants`; `decision` is a mode or a jam, `impact_jump` what an impact makes of it,
-`accumulation` ends impacts in turn. `controlled_laws` adds controllers,
-`handovers` warns of contacts that stay off.
+`accumulation` ends impacts in turn. `controlled_laws` adds controllers, `handovers` warns of
+contacts that stay off, `compliance` watches flights inside soft surfaces.
 """

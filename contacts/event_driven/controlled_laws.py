@@ -308,7 +308,11 @@ class ControlledLaws:
         rows = guarded.rows(setup, clock.high, state, guarded.typical(setup))
         tolerances = guarded.watch.tolerances(rows, setup.precision)
         inner, motion = self._memory.within(setup, state), self._memory.parted(state)
-        own = self._at(states).conditions.at(inner, motion, clock.high).tolerances()
+        laws = self._at(states)
+        own = laws.conditions.at(inner, motion, clock.high).tolerances()
+        if laws.compliance is not None:
+            mode = moving_mode(flow.roles)
+            own |= laws.compliance.tolerances(inner, mode, motion, clock.high)
         return flow._replace(
             mode=(*flow.mode, *states),
             roles=(*flow.roles, *roles_in(states)),

@@ -16,8 +16,10 @@ from contacts.dynamics.snapshot import Snapshot, SnapshotTape
 from contacts.event_driven.decision import check_listed, decide, explained
 from contacts.impacts.bounces import corrected, rests_of_bounces, stands_for_bounces
 from contacts.impacts.jamming import Jam, listed, struck, without_collision
+from contacts.impacts.rolling import resisted
 from contacts.impacts.simultaneous import Impacts, impacts
 from contacts.modes.classification import Before, ForceUncertainty
+from contacts.scene.modes import INSIDE, OUTSIDE
 from contacts.scene.parts import Resolution, Simultaneous
 from contacts.states import INACTIVE, OPEN
 from statechart.arrays import Array
@@ -25,6 +27,9 @@ from statechart.automaton.laws import Flow, Instant, moving_mode, roles_in
 from statechart.automaton.lazy import LazyMapping
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode
+
+# Margins of a contact that are none of its forces.
+_NO_FORCES = ("gap", "slip", INSIDE, OUTSIDE)
 
 
 class Rules(NamedTuple):
@@ -49,7 +54,7 @@ class Rules(NamedTuple):
 
         sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
         off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
-        others = tuple(f"{name}.{kind}" for name in names for kind in ("gap", "slip"))
+        others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
         fell = [
             i
             for i, name in enumerate(names)
@@ -197,6 +202,7 @@ def _struck(rules: Rules, here: Landing, jam: Jam | None) -> _Struck:
             result = without_collision(snapshot, laws, jam.places)
         else:
             result = impacts(snapshot, laws, struck(laws, closed), rules.simultaneous)
+        result = resisted(snapshot, laws, result, 2.0 * here.slow)
         after = snapshot.moved(state, result.velocity)
         following = hidden(rules.tape.at(setup.values, after, clock.high), flow.mode)
         return _Struck(laws, result, after, following, rests)
@@ -248,7 +254,10 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     moving = moving_mode(roles)
     state = landed(moving, following, struck.state, setup.tolerances)
     # A contact whose bounces are skipped is still free, and moves as if closed.
-    target = tuple("free" if i in struck.rests else name for i, name in enumerate(moving))
+    target = tuple(
+        "free" if not struck.rests.keys().isdisjoint((i, law.carrier)) else name
+        for i, (name, law) in enumerate(zip(moving, struck.laws, strict=True))
+    )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
     said = choice.considered, (choice.warning,), choice.notes, choice.doubted

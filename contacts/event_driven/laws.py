@@ -26,6 +26,7 @@ from contacts.dynamics.starting import (
 )
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
+from contacts.event_driven.compliance import Compliance
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import (
@@ -78,6 +79,7 @@ class SceneLaws:
         self.conditions = self.numbers.conditions
         self._switching = Switching(self._names, self.conditions, self._paradox)
         self._held = HeldForces(mechanics)
+        self.compliance = Compliance(mechanics) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
     # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
@@ -98,7 +100,8 @@ class SceneLaws:
     def compiled_laws(self) -> CompiledLaws | None:
         """The compiled part of the laws; None with joints, and where stop conditions overlap."""
         scene = self._mechanics.scene
-        if self._mechanics.joint_rows or scene.couplings or not self.numbers.disjoint:
+        slow = self._mechanics.joint_rows or self._mechanics.pads or scene.couplings
+        if slow or not self.numbers.disjoint:
             return None
         return CompiledSceneLaws(self._names, self.numbers, self._tape, self._projection, self.jump)
 
@@ -131,6 +134,9 @@ class SceneLaws:
         flow, state = self._begun(setup, setup.initial)
         if self.conditions.present:
             _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
+        if self.compliance is not None:
+            own = self.compliance.tolerances(setup, moving_mode(flow.roles), state, 0.0)
+            flow = flow._replace(tolerances={**flow.tolerances, **own})
         return flow, state
 
     def _begun(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
@@ -203,8 +209,14 @@ class SceneLaws:
             within = self._held.within(at.setup, at.flow, at.state, at.clock.high, self._tape)
             at = at._replace(setup=within)
         made = self._with_gap_offsets(at, self._jump(at))
-        if not self.conditions.present:
-            return made
+        if self.conditions.present:
+            made = self._conditional(at, made)
+        return made if self.compliance is None else self.compliance.watched(at, made)
+
+    def _conditional(
+        self, at: Instant, made: tuple[Jump | None, Flow] | None
+    ) -> tuple[Jump | None, Flow] | None:
+        """Give the flow the round-off of the conditions that decide there."""
         assert isinstance(at.setup, SceneSetup)
         if made is None:
             return self._switching.kept(at, at.setup)
@@ -334,6 +346,7 @@ class SceneLaws:
         jam = self._grown(here)
         if jam is None:
             sizes = setup.scales.sizes[: len(here.at.state) // 2]
+            sizes = np.append(sizes, np.ones(snapshot.whole.pads))
             # Contacts that share a load have dependent constraints, and rightly so.
             why = dead_point(snapshot, setup.contacts, moving, sizes)
             if why and roles_in(moving) == uncaptured(here.at.flow.roles):
@@ -401,7 +414,9 @@ class SceneLaws:
             if f"{name}.slip" in fired
             and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1]) @ rounding)
             else state
-            for name, state, contact in zip(self._names, moving, snapshot.contacts, strict=True)
+            for name, state, contact in zip(
+                self._names, moving, snapshot.whole.contacts, strict=True
+            )
         )
 
     def accumulate(

@@ -234,7 +234,7 @@ def _sliding(
 ) -> Key:
     return tuple(
         closed_state(law, contact, still_below)
-        if i in places or (law.coupling and contact.gap < np.inf)
+        if i in places or (law.coupling and contact.gap < np.inf and law.carrier in (-1, *places))
         else off_state(law) if contact.gap == np.inf else "free"
         for i, (law, contact) in enumerate(zip(laws, snapshot.contacts, strict=True))
     )  # fmt: skip

@@ -51,6 +51,7 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
+    SLIPPING,
     STICKING,
     declared_state,
     undetermined,
@@ -144,7 +145,7 @@ def candidates(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     the cones explain its motion; of those with one motion, the one that keeps most contacts closed,
     then most of them pinned, stands for all.
     """
-    return _solved_combinations(case, *_combinations(tuple(options)))
+    return _solved_combinations(case, *_combinations(tuple(options), _loads(tuple(case.laws))))
 
 
 def _solved_combinations(
@@ -164,7 +165,7 @@ def _solved_combinations(
         edges,
         carriers(tuple(laws)),
         codes,
-        _flags(tuple(closed)),
+        _flags(tuple(shut and not law.coupling for shut, law in zip(closed, laws, strict=True))),
         _flags(tuple(still)),
         scales.force,
         scales.acceleration,
@@ -239,11 +240,23 @@ def _flags(marks: tuple[bool, ...]) -> Bools:
 
 
 @lru_cache(maxsize=1024)
+def _loads(laws: tuple[ContactLaw, ...]) -> tuple[tuple[int, int], ...]:
+    return tuple((i, law.carrier) for i, law in enumerate(laws) if law.carrier >= 0)
+
+
+@lru_cache(maxsize=1024)
 def _combinations(
-    options: tuple[Sequence[str], ...],
+    options: tuple[Sequence[str], ...], loads: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[tuple[str, ...], ...], Ints]:
-    """Return every combination of states, in names and as the kernel numbers them."""
-    combinations = tuple(product(*options))
+    """Return every combination of states, in names and as the kernel numbers them.
+
+    `loads` are rolling resistances and their contacts, which are open together.
+    """
+    combinations = tuple(
+        states
+        for states in product(*options)
+        if all((states[i] in OPEN) == (states[carrier] in OPEN) for i, carrier in loads)
+    )
     return combinations, np.array([[CODES[state] for state in s] for s in combinations], np.int64)
 
 
@@ -320,6 +333,9 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
                 states[i] = "slide"
             else:
                 states[i] = "slide+" if along > 0.0 else "slide-"
+        for i, carrier in _loads(tuple(laws)):
+            if states[carrier] in OPEN:
+                states[i] = "free"
         if all(state in several for state, several in zip(states, options, strict=True)):
             found.append(tuple(states))
     combinations = tuple(dict.fromkeys(found))
@@ -625,6 +641,8 @@ def choose(
     """
     still = [abs(contact.slip) <= still_below for contact in snapshot.contacts]
     options = [*map(_options, snapshot.contacts, laws, closed, still)]
+    for i, carrier in _loads(tuple(laws)):
+        options[i] = options[i] if closed[carrier] else ("free",)
     case = Case(snapshot, laws, closed, still, scales, tie)
     before = before or Before(bearing=frozenset(range(len(laws))))
     tried: list[Candidate] = []
@@ -710,7 +728,11 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     taken = min(clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
-    others = [c for c in sure if c is not taken and not same_motion(c, taken, scales)]
+    others = [
+        c
+        for c in sure
+        if c is not taken and not same_motion(c, taken, scales) and not _locks(taken, c, case)
+    ]
     if not others and taken.share is not None:
         # What lies along a surface is on its edge wherever it goes.
         new = _bearing(taken) - before.bearing
@@ -736,6 +758,18 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     return (
         taken,
         f"indeterminate: {labels} all agree with the state; {_label(laws, taken.states)} taken",
+    )
+
+
+def _locks(taken: Candidate, other: Candidate, case: Case) -> bool:
+    """Return whether a static limit holds a coupling that its kinetic one would let slip."""
+    first = len(case.laws) - len(case.snapshot.limits)
+    limits = zip(
+        case.snapshot.limits.tolist(), taken.states[first:], other.states[first:], strict=True
+    )
+    return any(
+        one == "locked" and two in SLIPPING and static > kinetic
+        for (static, kinetic), one, two in limits
     )
 
 

@@ -214,6 +214,10 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         at, surface = ("contacts", name), scene.surfaces[contact.surface]
         if contact.radius is not None:
             yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
+            if contact.rolling_resistance is not None:
+                yield Limit(
+                    (*at, "rolling_resistance"), contact.rolling_resistance, 0.0, _MAX_NUMBER
+                )
             if surface.hollow:
                 yield Limit(
                     (*at, "radius"),
@@ -224,6 +228,11 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     "the circle has to be the larger one",
                     (contact.radius, surface.radius or 0),
                 )
+    for name, contact in scene.contacts.items():
+        if contact.stiffness is not None:
+            yield Limit(("contacts", name, "stiffness"), contact.stiffness, *_POSITIVE)
+        if contact.damping is not None:
+            yield Limit(("contacts", name, "damping"), contact.damping, 0.0, _MAX_NUMBER)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
             if law.friction is not None:

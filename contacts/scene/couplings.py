@@ -116,6 +116,15 @@ class Coupling(Part):
         return conjunction(self.enabled)
 
 
+class Rolling(Coupling):
+    """Rolling resistance of a contact: its limit is a length times the normal force.
+
+    It is free while the contact is.
+    """
+
+    contact: str
+
+
 class CouplingSymbols(NamedTuple):
     """A coupling's quantities as expressions."""
 
@@ -126,6 +135,8 @@ class CouplingSymbols(NamedTuple):
 
 def coupling_states(coupling: Coupling) -> tuple[str, ...]:
     """Return the states of a coupling's region."""
+    if isinstance(coupling, Rolling):
+        return ("free", *COUPLING_STATES)
     return (*COUPLING_STATES, DISENGAGED) if coupling.enabled else COUPLING_STATES
 
 
@@ -141,6 +152,11 @@ def coupling_edges(coupling: Coupling) -> tuple[Edge, ...]:
     for state, beyond in (("slip+", f"M > {kinetic}"), ("slip-", f"M < -{kinetic}")):
         other = SLIPPING[state == "slip+"]
         found.append(Edge("reverse", state, other, f"slip = 0, {beyond}"))
+    if isinstance(coupling, Rolling):
+        opens, closes = f"{coupling.contact} opens", f"{coupling.contact} closes"
+        found += [Edge("liftoff", state, "free", opens) for state in COUPLING_STATES]
+        found += [Edge("touchdown", "free", state, closes) for state in SLIPPING]
+        found.append(Edge("lock", "free", "locked", f"{closes}, slip = 0"))
     if coupling.enabled:
         gate = coupling.gate
         found += [Edge("open", state, DISENGAGED, f"not ({gate})") for state in COUPLING_STATES]
@@ -180,6 +196,8 @@ def coupling_region(
     """Return the region of a coupling; `build` adds the margins of its conditions."""
 
     def claims(state: str) -> tuple[Claim, ...]:
+        if not coupling.enabled:
+            return ()
         if state == DISENGAGED:
             return (Claim(f"{name} is enabled", coupling.enabled, holds=False),)
         return tuple(Claim(f"{name}: {text}", (text,), holds=True) for text in coupling.enabled)
@@ -193,6 +211,6 @@ def coupling_region(
         superstates_of(states),
         ("slipping",),
         forces=forces,
-        default=DISENGAGED if coupling.enabled else "",
+        default=next((state for state in (DISENGAGED, "free") if state in states), ""),
         claims=claims,
     )

@@ -12,7 +12,7 @@ from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any
 
 from contacts.scene.controls import Controller, ControlState
-from contacts.scene.couplings import Coupling
+from contacts.scene.couplings import Coupling, Rolling
 from contacts.scene.joints import Joint, Path
 from contacts.scene.parts import Contact, Pair, Point, Surface
 from contacts.states import CLOSED, OFF
@@ -114,16 +114,29 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             for one, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
                 touches(one, joint, stop, gate)
-    if not contacts and not controllers:
+    resisted = {
+        f"{name}_rolling": _resistance(scene, name, contact)
+        for name, contact in scene.contacts.items()
+        if contact.rolling_resistance is not None
+    }
+    if not contacts and not controllers and not resisted:
         return {}
-    _check_names(scene, {*contacts, *controllers}.difference(scene.joints))
+    _check_names(scene, {*contacts, *controllers, *resisted}.difference(scene.joints))
     return {
         "joints": joints,
-        "couplings": {name: _in_joint(scene, one) for name, one in scene.couplings.items()},
+        "couplings": {name: _in_joint(scene, one) for name, one in scene.couplings.items()}
+        | resisted,
         "surfaces": {**scene.surfaces, **surfaces},
         "contacts": {**scene.contacts, **contacts},
         "regions": {**scene.regions, **controllers},
     }
+
+
+def _resistance(scene: SceneFields, name: str, contact: Contact) -> Rolling:
+    """Return the rolling resistance of a contact as a coupling of its body with its surface."""
+    carrier = scene.surface_of(name).body
+    bodies = (contact.point.body,) if carrier is None else (contact.point.body, carrier)
+    return Rolling.model_construct(limit=contact.rolling_resistance, bodies=bodies, contact=name)
 
 
 def _in_joint(scene: SceneFields, coupling: Coupling) -> Coupling:
@@ -139,7 +152,7 @@ def _check_names(scene: SceneFields, added: AbstractSet[str]) -> None:
     for section in ("bodies", "contacts", "joints", "couplings", "regions"):
         for name in added & getattr(scene, section).keys():
             raise DeclarationProblem(
-                f"{name!r} is a region of joint {name.rpartition('_')[0]!r}",
+                f"{name!r} is a region of {name.rpartition('_')[0]!r}",
                 advice="choose another name",
                 loc=(section, name),
                 key=True,

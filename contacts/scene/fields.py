@@ -324,12 +324,15 @@ class SceneFields(Declaration):
         declared = self.contacts[contact]
         body = self.bodies[declared.point.body]
         rubs = "slide" in declared.kinds and not declared.frictionless
+        rubs = rubs and declared.stiffness is None
         turns = body.inertia is not None or body.position is not None
         return rubs and (turns or len(self.contacts) > 1) and self.paradox == "impact"
 
     def bounces(self, contact: str) -> bool:
         """Return whether impacts may accumulate: its own, or in turn with others that feel them."""
         declared = self.contacts[contact]
+        if declared.stiffness is not None:
+            return False
         if "free" not in declared.kinds or declared.restitution != 0:
             return "free" in declared.kinds
         moved = self._moved_with(declared.point.body)

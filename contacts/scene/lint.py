@@ -191,7 +191,7 @@ def nearly_meeting_ends(scene: SceneFields) -> Iterator[str]:
 def replaced(scene: SceneFields, values: Mapping[str, float]) -> dict[str, str]:
     """Return what a run by time stepping does without: a declared law -> what is done instead."""
     found = {}
-    hit = {name: c for name, c in scene.contacts.items() if "free" in c.kinds}
+    hit = {n: c for n, c in scene.contacts.items() if "free" in c.kinds and c.stiffness is None}
     if scene.simultaneous == "sequential" and hit and _meet(scene):
         found["simultaneous: sequential"] = (
             "by steps, simultaneous impacts follow Moreau's law, as with capped"

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
+INSIDE, OUTSIDE = "inside", "outside"
+"""Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,15 @@ class ContactSymbols:
     # move
     closing: Hold
     sticking: Hold
+    # Normal force of a closed compliant contact, in positions and rates; None if it is rigid
+    compliance: sp.Expr | None = None
+
+    @property
+    def normal_law(self) -> sp.Expr:
+        """What is zero along the normal while the contact is closed."""
+        if self.compliance is None:
+            return self.normal_acceleration
+        return self.V - self.compliance
 
 
 class Free(Part):
@@ -58,10 +69,22 @@ class Free(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
+        import sympy as sp
+
         from statechart.formulas.writer import Difference
 
         gap = Difference(contact.gap, contact.gap_offset)
-        return State((contact.V, contact.H), (Margin(f"{contact.name}.gap", gap, "gap"),))
+        margins = [Margin(f"{contact.name}.gap", gap, "gap")]
+        if contact.compliance is not None:
+            # It may lift off while it is inside, and press again there.
+            relation = f"{contact.name}.free"
+            whole = sp.Max(contact.gap, -contact.compliance, evaluate=False)
+            margins = [
+                Margin(margins[0].name, gap, "gap", relation, whole),
+                Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
+                Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
+            ]
+        return State((contact.V, contact.H), tuple(margins))
 
 
 class Slide(Part):
@@ -79,8 +102,9 @@ class Slide(Part):
         margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
-        equations = (contact.normal_acceleration, t * contact.V + n * contact.H)
-        return State(equations, tuple(margins), holds=(contact.closing,))
+        equations = (contact.normal_law, t * contact.V + n * contact.H)
+        holds = () if contact.compliance is not None else (contact.closing,)
+        return State(equations, tuple(margins), holds=holds)
 
 
 class Pin(Part):
@@ -95,8 +119,9 @@ class Pin(Part):
         if n != 0:
             margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, "force"))
             margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, "force"))
-        equations = (contact.normal_acceleration, contact.tangential_acceleration)
-        return State(equations, tuple(margins), holds=(contact.sticking,))
+        equations = (contact.normal_law, contact.tangential_acceleration)
+        holds = () if contact.compliance is not None else (contact.sticking,)
+        return State(equations, tuple(margins), holds=holds)
 
 
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
@@ -139,7 +164,7 @@ def share_of(
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
-    constraints = {"n": contact.normal_acceleration, "t": contact.tangential_acceleration}
+    constraints = {"n": contact.normal_law, "t": contact.tangential_acceleration}
     kept = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
@@ -176,6 +201,8 @@ def share_of(
             # A spring in the joint, which it holds at rest: pivots need no joint to be nonzero.
             balances[y[i]] += row[i] * (reaction + parted)
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
+    if contact.compliance is not None:
+        kept = tuple(equation.xreplace(carried) for equation in kept)
     return State(kept, margins, loads=loads)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.scene.shapes import INDEX, LAW_WORDS, SOFT, Shapes
+from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
 from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
@@ -408,7 +408,7 @@ Relations = Annotated[
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "stiffness": SOFT, "damping": SOFT}
+    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "k": "stiffness", "d": "damping"}
 
     point: Point = Field(
         description="Point of a body that may touch the surface.",
@@ -421,6 +421,15 @@ class Contact(Part):
             "a wheel, a ball, a round foot."
         ),
         examples=["r"],
+        json_schema_extra=unit("length"),
+    )
+    rolling_resistance: FiniteText | None = Field(
+        default=None,
+        description=(
+            "Of a disc that rolls: a couple against its rolling of at most this length times the "
+            "normal force V."
+        ),
+        examples=["0.02*r"],
         json_schema_extra=unit("length"),
     )
     surface: str = Field(description="What it may touch.", examples=["floor"])
@@ -442,6 +451,21 @@ class Contact(Part):
         description=("Coefficient of restitution, 0 (plastic) to 1 (elastic); needed with free."),
         examples=[0],
         json_schema_extra=unit("1"),
+    )
+    stiffness: FormulaText | None = Field(
+        default=None,
+        description=(
+            "Makes the contact compliant: the normal force is stiffness times depth, plus damping "
+            "times its rate, and never pulls. It has no impacts."
+        ),
+        examples=["k"],
+        json_schema_extra=unit("force/length"),
+    )
+    damping: FormulaText | None = Field(
+        default=None,
+        description="Of a compliant contact, 0 by default.",
+        examples=["d"],
+        json_schema_extra=unit("force time/length"),
     )
     impact: ImpactLaw = Field(
         default="stronge",
@@ -473,6 +497,13 @@ class Contact(Part):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
+        if self.rolling_resistance is not None and self.radius is None:
+            raise DeclarationProblem(
+                "rolling resistance is of a disc that rolls",
+                advice="give the contact a radius, or remove it",
+                loc=("rolling_resistance",),
+                key=True,
+            )
         if len({mode.mode for mode in self.modes}) != len(self.modes):
             raise DeclarationProblem(
                 "a mode is listed twice", advice="list each once", loc=("modes",)
@@ -483,7 +514,22 @@ class Contact(Part):
                 advice="write friction: mu, or friction: 0",
                 loc=("friction",),
             )
-        if "free" in self.kinds and self.restitution is None:
+        if self.stiffness is None and self.damping is not None:
+            raise DeclarationProblem(
+                "damping is that of a compliant contact",
+                advice="give a stiffness, too",
+                loc=("damping",),
+                key=True,
+            )
+        for key in ("restitution", "impact"):
+            if self.stiffness is not None and key in self.model_fields_set:
+                raise DeclarationProblem(
+                    f"a compliant contact has no impacts, and no {key}",
+                    advice=f"remove {key}, or stiffness; damping takes energy out of a bounce",
+                    loc=(key,),
+                    key=True,
+                )
+        if self.stiffness is None and "free" in self.kinds and self.restitution is None:
             raise DeclarationProblem(
                 "a contact that can be free needs a coefficient of restitution",
                 advice="write restitution: 0 for an impact without rebound",

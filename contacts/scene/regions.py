@@ -113,9 +113,12 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         # A plastic impact ends in flight, too, where the surface recedes at once.
         plastic = contact.restitution == 0
         rebound = _landing("free") if plastic else "impact: rebound by restitution"
-        result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
+        soft = contact.stiffness is not None
+        if not soft:
+            result.append(Edge("touchdown", "free", "free", "gap = 0, dgap < 0", rebound))
         for state in closed:
-            result.append(Edge("touchdown", "free", state, "gap = 0, dgap < 0", _landing(state)))
+            reset = "" if soft else _landing(state)
+            result.append(Edge("touchdown", "free", state, "gap = 0, dgap < 0", reset))
             if bounces:
                 guard = "bounces accumulate"
                 result.append(Edge("zeno", "free", state, guard, _landing(state, "skip them; ")))

@@ -83,9 +83,6 @@ LAW_WORDS = {
 }
 """Names of coefficients in other programs -> ours."""
 
-SOFT = "a force on the body: surfaces are rigid"
-"""Advice on compliant contacts."""
-
 
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""

@@ -15,7 +15,7 @@ import sympy as sp
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
-from contacts.states import DISENGAGED, OPEN
+from contacts.states import OPEN
 from contacts.testing.assertions import (
     assert_in_cone,
     largest_of,
@@ -41,8 +41,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
     """Check that no contact point is inside its surface, unless off, by more than gap_tol.
 
-    What is closed is held at the ends of steps. In between dense output, which may be of a lower
-    order than a step, leaves the surface by no more than what its slopes miss of the rates.
+    Compliant contacts are, by their depth. What is closed is held at the ends of steps. In between
+    dense output, which may be of a lower order than a step, leaves the surface by no more than what
+    its slopes miss of the rates.
 
     Parameters
     ----------
@@ -50,12 +51,13 @@ def assert_gaps(scene: Scene, subject: Subject, trace: Trace) -> None:
         What was declared, the same compiled, and a run of it.
     """
     gaps = [subject.automaton.observables[f"{name}.gap"] for name in scene.contacts]
+    rigid = [contact.stiffness is None for contact in scene.contacts.values()]
     for arc, tau in dense(trace):
         states = arc.mode[: len(gaps)]
         size = float(np.abs(arc.coefficients[:, :, 0]).max())
         allowed = trace.tolerances["gap"] * (1.0 + ROUND_OFF) + ROUND_OFF * size
-        closed = [state not in OPEN for state in states]
-        free = [state == "free" for state in states]
+        closed = [s not in OPEN and hard for s, hard in zip(states, rigid, strict=True)]
+        free = [s == "free" and hard for s, hard in zip(states, rigid, strict=True)]
         between = (
             allowed + missed_by_slopes(subject, trace, arc, tau, gaps) if any(closed) else allowed
         )
@@ -106,17 +108,27 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     expressions = [
         expression
         for name in scene.couplings
-        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.limits(name))
+        for expression in (
+            known[f"{name}.M"],
+            known[f"{name}.slip"],
+            *mechanics.coupling(name)[1:],
+        )
     ]
     first = len(scene.contacts)
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         columns = iter(subject.solved(trace, arc, tau, expressions).T)
         rows = zip(
-            scene.couplings, arc.mode[first:], columns, columns, columns, columns, strict=False
+            scene.couplings,
+            moving_mode(arc.roles)[first:],
+            columns,
+            columns,
+            columns,
+            columns,
+            strict=False,
         )
         for name, state, couple, slip, static, kinetic in rows:
-            limit = np.zeros_like(couple) if state == DISENGAGED else kinetic
+            limit = np.zeros_like(couple) if state in OPEN else kinetic
             if state == "locked":
                 limit = static
             allowed = trace.tolerances["force"] + ROUND_OFF * np.abs(limit)
@@ -124,7 +136,7 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
             slow = trace.tolerances["speed"] + ROUND_OFF * np.abs(slip)
             if state == "locked":
                 _no_less(-np.abs(slip), -slow, f"{name}: no slip, -|slip|", times, state)
-            elif state != DISENGAGED:
+            elif state not in OPEN:
                 _no_less(-couple * np.sign(slip), -slow * limit, f"{name}: -M slip", times, state)
 
 

@@ -113,6 +113,8 @@ class _Change:
             "length/time**2": (self.x * per**2, self.y * per**2, self.y * per**2),
             "force": (force * self.x, force * self.y, force * self.y),
             "force length": (force * self.x * self.y,) * 3,
+            "force/length": (force,) * 3,
+            "force time/length": (self.mass * per,) * 3,
         }
 
     def reading(self, states: Mapping[str, str]) -> Reading:

@@ -42,7 +42,8 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
         gap, normal, tangential = (samples.columns[f"{name}.{what}"] for what in ("gap", "V", "H"))
         closed = np.array([key[place] not in ("free", OFF) for key in samples.modes])[samples.mode]
         off = np.array([key[place] == OFF for key in samples.modes])[samples.mode]
-        deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
+        if scene.contacts[name].stiffness is None:
+            deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
         # Of every mode; what a controller sets may differ.
         n, t = np.array([edges[name] for edges in cones])[samples.mode[closed]].T
         V, H = normal[closed], tangential[closed]

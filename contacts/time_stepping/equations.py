@@ -59,6 +59,8 @@ class StepConstants(NamedTuple):
     # least, and twice this energy at least.
     slowest: float
     negligible: float
+    # (c, 2): stiffness and damping of compliant contacts; 0 of rigid ones.
+    soft: Array
 
 
 class ContactMemory(NamedTuple):
@@ -171,6 +173,7 @@ class ContactProblem(NamedTuple):
     # (m,): who asks for restitution; whose impulse is one at an instant.
     rebounds: Bools
     sudden: Bools
+    yields: Bools  # (m,): who is compliant.
 
 
 class ContactForces(NamedTuple):

@@ -122,6 +122,8 @@ def switch_contacts(
     deepest = np.empty(len(off))
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
+        if scene.soft[i, 0] > 0.0:
+            deepest[i] = -math.inf
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
@@ -352,7 +354,7 @@ def keep_leaving(
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
     which = indices(met.active)
-    problem = contact_problem(scene, tape, equations, which, met)
+    problem = contact_problem(scene, tape, equations, which, met, h)
     bears = np.zeros(len(which), np.bool_)
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
@@ -506,7 +508,7 @@ def step_scene(
         chunk.efforts[k, CONTACTS] = len(which)
         clear_contacts(memory.off, forces, k, chunk)
         if len(which) > 0:
-            problem = contact_problem(scene, tape, equations, which, met)
+            problem = contact_problem(scene, tape, equations, which, met, h)
             good, z, basis, pushes, least = solve_impacts(
                 problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
                 problem.cones, problem.rebounds, initial_guess(problem, memory.bases),
@@ -534,7 +536,8 @@ def step_scene(
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE, nothing, none, none
-        if unsettle(memory, k, chunk):
+        # Compliant contacts have no accelerations to read modes from.
+        if unsettle(memory, k, chunk) and not scene.soft.any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)
         _flow_memory(scene, time, middle, h, state)

@@ -126,6 +126,8 @@ class SteppedScene(SteppedSystem):
         self._source = source
         self._cones = smoothed(cones(tuple(contacts)))
         self._restitution = np.array([law.restitution for law in contacts])
+        nowhere = np.zeros(source.soft.n_variables)
+        self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
         allowed = [{_CODES[state] for state in law.states} for law in contacts]
         self._undeclared = np.array(
             [[code not in codes for code in range(len(STATES))] for codes in allowed],
@@ -191,7 +193,7 @@ class SteppedScene(SteppedSystem):
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
             self._restitution, source.plastic, source.bodies, source.pairs, source.held,
             source.slips, r, source.signs, self._near, self._still, ROUNDING * self._speed,
-            self._speed, _SLOWEST * self._speed, self._negligible,
+            self._speed, _SLOWEST * self._speed, self._negligible, self._soft,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
@@ -218,7 +220,7 @@ class SteppedScene(SteppedSystem):
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`."""
         n, found = self._source.size, self._source.rows(self._values, state, time)
-        on = ~self._memory.contacts.off
+        on = ~self._memory.contacts.off & (self._soft[:, 0] == 0.0)
         return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
@@ -417,6 +419,8 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
+            if self._scene.contacts[law.name].stiffness is not None:
+                continue
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
                 check_start(surface, law, row[:3], near, near, slow)

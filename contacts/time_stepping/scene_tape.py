@@ -15,6 +15,7 @@ from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
+from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 
 
@@ -89,9 +90,12 @@ class SteppedTape:
         # Pins prescribe the velocity, slides without friction its normal component.
         self.held = np.array(
             [
-                2 if contact.kinds == {"pin"} else 1 if contact.kinds == {"slide"} and smooth else 0
+                0
+                if contact.stiffness is not None
+                else 2
+                if contact.kinds == {"pin"}
+                else int(contact.kinds == {"slide"} and contact.frictionless)
                 for contact in mechanics.scene.contacts.values()
-                for smooth in (contact.frictionless,)
             ],
             dtype=np.int64,
         )
@@ -99,6 +103,14 @@ class SteppedTape:
         self.slips = np.array(
             [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
             dtype=np.int64,
+        )
+        # (c, 2): stiffness and damping, 0 of rigid contacts.
+        self.soft: Tape = mechanics.whole_tape(
+            [
+                parse(text or 0).to_sympy(mechanics.known)
+                for contact in declared
+                for text in (contact.stiffness, contact.damping)
+            ]
         )
         self.size = len(mechanics.q)
         self.bodies, self.pairs = _touching_bodies(mechanics.scene)

@@ -254,6 +254,14 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
+        if scene.soft[i, 0] > 0.0:
+            # Implicit Euler: h times the force at the gap at the start plus h times the rate at
+            # the end, never below 0. It takes energy from steps longer than a contact lasts.
+            start = gap - 0.5 * h * before[0]
+            met.active[i] = min(start, gap) <= 0.0
+            met.wanted[i, 0] = h * scene.soft[i, 0] * start / _yielding(scene, i, h)
+            met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
+            continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
         closing, reached = h * (slow - (free[0] + bias)), BESIDE * h * nearing
@@ -276,6 +284,13 @@ def find_active(
             met.wanted[i, 0] = -scene.restitution[i] * nearing
             chunk.approach[k] = max(chunk.approach[k], nearing)
             chunk.closing[k] = max(chunk.closing[k], -gap)
+
+
+@kernel
+def _yielding(scene: StepConstants, i: int, h: float) -> float:
+    """Return the impulse per velocity of a compliant contact in a step, implicitly."""
+    found: float = h * (h * scene.soft[i, 0] + scene.soft[i, 1])
+    return found
 
 
 @kernel
@@ -338,7 +353,7 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 @kernel
 def contact_problem(
     scene: StepConstants, tape: TapeValues, equations: FactoredEquations, which: Ints,
-    met: ContactRoles,
+    met: ContactRoles, h: float,
 ) -> ContactProblem:  # fmt: skip
     """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
     m = len(which)
@@ -348,6 +363,7 @@ def contact_problem(
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
+    yields = np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
@@ -357,12 +373,15 @@ def contact_problem(
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
+        yields[a] = scene.soft[i, 0] > 0.0
+        if yields[a]:
+            delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
     for a in range(m):
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
     return ContactProblem(
-        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden
+        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden, yields
     )  # fmt: skip
 
 
@@ -418,7 +437,8 @@ def largest_energy_gain(
     work, moving, rows = np.empty(m), np.empty(m), np.empty(m, np.int64)
     for a in range(m):
         work[a], rows[a] = 0.0, tape.first + tape.per * problem.which[a]
-        for d in range(2):
+        # The spring of a compliant contact gives energy back.
+        for d in range(1 if problem.yields[a] else 0, 2):
             both = problem.before[a, d] + problem.free[a, d]
             for b in range(2 * m):
                 both += delassus[2 * a + d, b] * pushes[b // 2, b % 2]
@@ -440,6 +460,7 @@ def mixed_with_impacts(
         late = _LATE * abs(problem.free[a, 0] + nearing)
         bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
         arrives = nearing > late or abs(problem.wanted[a, 0] - bias) > late
+        arrives = arrives and not problem.yields[a]
         if pushes[a, 0] > 0.0 and (problem.sudden[a] or (not memory.closed[i] and arrives)):
             for b in range(m):
                 if groups[b] == groups[a]:
@@ -546,7 +567,8 @@ def share_forces(
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""
     m, n = len(problem.which), tape.size
-    if m < 2:
+    # Compliant contacts share a load by their depths.
+    if m < 2 or problem.yields.any():
         return steady
     reach, struck = np.empty((m, 2, n)), False
     for a in range(m):

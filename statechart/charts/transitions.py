@@ -105,12 +105,14 @@ class Transition(Part):
     @property
     def trigger(self) -> str:
         """Its trigger, in words."""
-        condition = f" [{self.guard}]" if self.guard is not None else ""
-        if self.period is not None:
-            return f"{'after' if self.every is None else 'every'} {self.period}{condition}"
+        if self.on_zeno:
+            return "jumps accumulate"
         if self.on is not None:
-            return "jumps accumulate" if self.on_zeno else f"on {self.on}{condition}"
-        return self.guard or ""
+            return f"on {self.on}" if self.guard is None else f"on {self.on} if {self.guard}"
+        if self.period is None:
+            return self.guard or ""
+        over = f"{'after' if self.every is None else 'every'} {self.period}"
+        return over if self.guard is None else f"{over} and {self.guard}"
 
     @model_validator(mode="after")
     def _one_trigger(self) -> Self:

@@ -112,6 +112,7 @@ def _arrow(edge: HierarchicalEdge) -> dict[str, Any]:
         "guard": edge.guard,
         "reset": edge.reset,
         "choices": [{"to": c.target, "reset": c.reset} for c in edge.choices],
+        **({"internal": True} if edge.internal else {}),
     }
 
 
@@ -169,7 +170,7 @@ def _edges(region: Mapping[str, Any]) -> list[Block]:
         (
             f"  {edge['from']} -> {edge['to']}",
             edge["cause"],
-            f"[{edge['guard']}]",
+            f"[{edge['guard']}]" + (", internal" if "internal" in edge else ""),
             _resets(edge["choices"]),
         )
         for edge in region["hierarchical_edges"]

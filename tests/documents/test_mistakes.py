@@ -107,7 +107,7 @@ MISTAKES = {
     "key of another part": ("{height: 0}", "{height: 0, friction: mu}", "9:23: unknown key 'frict"
                             "ion'; 'friction' is a key of collisions and of contacts"),
     "key of a part of it": ("point: {body: rod, at: [0, -L]}", "body: rod", "unknown key 'body'; "
-                            "'body' is a key of contacts.point and of forces; known keys here: en"),
+                            "'body' is a key of contacts.point and of forces; known keys here: da"),
     "start beside start": ("start: {y: h, angle: 0.3}", "y: h", "'y' is a key of bodies.start and"),
     "setting outside": ("outputs:", "step: 0.001\noutputs:", "'step' is a key of settings; known"),
     "colon without a blank": ("mass: m", "mass:m", "unknown key 'mass:m'; a colon has a"),
@@ -181,7 +181,7 @@ MISTAKES = {
     "body at rest": ("mass: m", "mass: m, static: true", "write fixed: true, of a body with"),
     "body that is led": ("mass: m", "mass: m, kinematic: true", "write position: ["),
     "density": ("mass: m", "density: 7800", "write mass, and inertia: of a disc m*r**2/2"),
-    "soft contact": ("friction: mu", "stiffness: 1e5", "write a force on the body: surfaces are"),
+    "soft contact": ("friction: mu", "stiffness: 1e5", "a contact that can slide needs a friction"),
     "hinge": ("stop:", "hinge: {}\nstop:", "write joints: {NAME: {point: {body: arm}, to: [0"),
     "weld": ("stop:", "weld: {}\nstop:", "angle: held"),
     "spring": ("stop:", "spring: {}\nstop:", "write forces: {spring: {body: rod, force: [-k*rod.x"),

@@ -412,3 +412,86 @@ def test_coupling_is_open_while_the_joint_that_it_is_in_is_off() -> None:
     result = run(text, start=0.05)
     assert [name for name, _ in events(result.trace)] == ["pivot disable", "bearing open"]
     assert result.outputs["couple"] == 0.0
+
+
+ROLLING = """
+kind: scene
+name: rolling
+parameters: {m: 1, r: 0.1, L: 0.002, v0: 2, g: 9.81, slope: 0}
+gravity: [g*sin(slope), -g*cos(slope)]
+bodies:
+  ball: {mass: m, inertia: 2*m*r**2/5, start: {y: r, dx: v0, dangle: -v0/r}}
+surfaces: {floor: {height: 0}}
+contacts:
+  rim:
+    point: {body: ball}
+    radius: r
+    surface: floor
+    friction: 0.5
+    restitution: 0
+    rolling_resistance: L
+stop: {time: 20}
+outputs: {way: {value: ball.x}}
+"""
+
+
+@ENGINES
+@pytest.mark.parametrize("slope", [0.0, 0.005, -0.015])
+def test_rolling_resistance_stops_a_ball_and_holds_it(engine: str, slope: float) -> None:
+    # r F = I a/r, and the moment about the point of contact: (1 + 2/5) a = g sin - (L/r) g cos.
+    result = run(ROLLING, engine, slope=slope)
+    a = 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    ((name, t),) = events(result.trace)
+    assert name == "rim_rolling lock"
+    assert t == pytest.approx(-2.0 / a, abs=EXACT * 10)
+    assert result.outputs["way"] == pytest.approx(-2.0 / a, abs=EXACT * 10)
+    assert result.trace.arcs[-1].mode == ("pin", "locked")
+
+
+@pytest.mark.parametrize(("part", "holds"), [(0.999, True), (1.001, False)])
+def test_rolling_resistance_holds_a_disc_below_the_angle_of_its_length(
+    part: float, holds: bool
+) -> None:
+    slope = part * math.atan(0.02)
+    result = run(ROLLING, v0=0, slope=slope)
+    assert result.trace.arcs[0].mode == ("pin", "locked" if holds else "slip-")
+    a = 0.0 if holds else 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    assert result.outputs["way"] == pytest.approx(a * 200, abs=EXACT)
+
+
+@ENGINES
+def test_ball_that_slips_rolls_at_last_and_stops(engine: str) -> None:
+    # Slip is braked by mu g, spin driven by (mu r - L) g m/I; both resist when it rolls.
+    text = ROLLING.replace("dangle: -v0/r", "dangle: 0").replace("friction: 0.5", "friction: 0.1")
+    found = events(run(text, engine).trace)
+    assert [name for name, _ in found] == ["rim stick", "rim_rolling lock"]
+    g, r = 9.81, 0.1
+    brake, spin = 0.1 * g, (0.1 * r - 0.002) * g / (0.4 * r**2)
+    rolls = 2.0 / (brake + spin * r)
+    speed = 2.0 - brake * rolls
+    assert found[0][1] == pytest.approx(rolls, abs=EXACT)
+    assert found[1][1] == pytest.approx(rolls + speed / (0.02 * g / 1.4), abs=EXACT * 10)
+
+
+@ENGINES
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.6])
+def test_rolling_resistance_is_free_in_flight_and_acts_in_impacts(engine: str, e: float) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 1, dangle: -5")
+    trace = run(text.replace("restitution: 0\n", f"restitution: {e}\n"), engine).trace
+    assert trace.arcs[0].mode == ("free", "free")
+    assert trace.jumps[-1].cause == "lock"
+    assert trace.arcs[-1].mode == ("pin", "locked")
+    # About the ground, m r v - I w is used up by L times the normal impulse, m g T in all.
+    spin = 1 * 0.1 * 1 + 0.4 * 0.1**2 * 5
+    assert trace.jumps[-1].t == pytest.approx(spin / (0.002 * 9.81), rel=1e-7)
+
+
+def test_rolling_resistance_is_of_a_disc() -> None:
+    with pytest.raises(statechart.DeclarationError, match="rolling resistance is of a disc"):
+        run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
+
+
+@pytest.mark.parametrize("text", [RAMP, ROLLING])
+def test_steps_refuse_couplings(text: str) -> None:
+    with pytest.raises(statechart.Unsupported, match="steps have no couplings"):
+        statechart.run(interpret(read_text(text)), engine="impulse", step=1e-3)

@@ -22,11 +22,13 @@ from statechart.reporting.run_store import write_store
 from statechart.running.runner import Runner
 
 KINDS = ("modes", "poses", "nothing")
-# All but charts, and controllers beside contacts that remember: steps do not carry what these do.
+# All but charts, couplings, and controllers beside contacts that remember: steps do not carry what
+# these do.
 STEPPED = [
     name
     for name, model in MODELS.items()
     if model.kind == "scene"
+    and not model.couplings
     and (model.collisions or not any(region.variables for region in model.regions.values()))
 ]
 # Of each model so many steps.
