@@ -80,6 +80,8 @@ def _form(part: Data) -> Data:
 
 def _class(value: Any) -> Any:
     """Return what the structure of equations shows of a number: whether it is 0, or 1."""
+    if isinstance(value, dict):
+        return {key: _class(one) for key, one in value.items()}
     if isinstance(value, bool) or not isinstance(value, int | float):
         return value
     return value if value in (0, 1) else "a number"

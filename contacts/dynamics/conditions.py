@@ -335,8 +335,8 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
             if snapshot.pushes is not None:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
-            zeros = dict.fromkeys(PerContact._fields[1:-1], 0.0)
-            contacts[i] = PerContact(gap=math.inf, jacobian=jacobians[i], **zeros)
+            zeros = (0.0,) * len(PerContact._fields[1:-2])
+            contacts[i] = PerContact._make((math.inf, *zeros, jacobians[i], None))
     held = snapshot.held
     if held is not None:
         held = replace(held, whole=hidden(held.whole, mode))

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from statechart.arrays import Array, Ints
+
+if TYPE_CHECKING:
+    from contacts.dynamics.snapshot import PerContact, Snapshot
 
 
 class ContactLaw(NamedTuple):
@@ -17,7 +20,7 @@ class ContactLaw(NamedTuple):
 
     name: str  # Name of the contact
     states: tuple[str, ...]  # Its region's states
-    # `cone_n`, `cone_t`: Unit edge of the friction cone
+    # `cone_n`, `cone_t`: Unit edge of the friction cone at rest
     cone_n: float
     cone_t: float
     restitution: float  # Coefficient, 0 where the contact is never free
@@ -27,10 +30,19 @@ class ContactLaw(NamedTuple):
     carrier: int = -1
 
 
-@lru_cache(maxsize=1024)
-def cones(laws: tuple[ContactLaw, ...]) -> Array:
-    """Return the unit edges (c, 2) of the contacts' friction cones."""
-    return np.array([(law.cone_n, law.cone_t) for law in laws], dtype=float).reshape(-1, 2)
+def cones(laws: Sequence[ContactLaw], contacts: Sequence[PerContact]) -> Array:
+    """Return the unit edges (c, 6) of the friction cones: at rest, in slide+, in slide-."""
+    edges = [
+        (law.cone_n, law.cone_t, *(contact.edges or 2 * (law.cone_n, law.cone_t)))
+        for law, contact in zip(laws, contacts, strict=True)
+    ]
+    return np.array(edges, dtype=float).reshape(-1, 6)
+
+
+def sliding_edge(law: ContactLaw, contact: PerContact) -> tuple[float, float]:
+    """Return the unit edge of a contact's cone in the direction of its slip."""
+    plus_n, plus_t, minus_n, minus_t = contact.edges or 2 * (law.cone_n, law.cone_t)
+    return (plus_n, plus_t) if contact.slip > 0.0 else (minus_n, minus_t)
 
 
 @lru_cache(maxsize=1024)
@@ -39,12 +51,11 @@ def carriers(laws: tuple[ContactLaw, ...]) -> Ints:
     return np.array([law.carrier for law in laws], np.int64)
 
 
-def bounds(laws: Sequence[ContactLaw], limits: Array) -> Array:
-    """Return the cones (c, 2) of contacts, and the limits of couplings, which are the last."""
-    found = cones(tuple(laws))
-    if not len(limits):
-        return found
-    return np.concatenate([found[: len(found) - len(limits)], limits])
+def bounds(laws: Sequence[ContactLaw], snapshot: Snapshot) -> Array:
+    """Return the `cones` (c, 6) of contacts; first the two limits of couplings, the last rows."""
+    found = cones(laws, snapshot.contacts)
+    found[len(found) - len(snapshot.limits) :, :2] = snapshot.limits
+    return found
 
 
 def edge(mu: float) -> tuple[float, float]:
@@ -52,3 +63,9 @@ def edge(mu: float) -> tuple[float, float]:
     if math.isinf(mu):
         return 0.0, 1.0
     return 1.0 / math.hypot(1.0, mu), mu / math.hypot(1.0, mu)
+
+
+def edges(mu: Array) -> tuple[Array, Array]:
+    """Return the unit edges of cones of friction (k,), as two columns (k,)."""
+    n, t = np.array([edge(one) for one in mu.tolist()]).reshape(-1, 2).T
+    return n, t

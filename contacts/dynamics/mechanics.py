@@ -16,10 +16,11 @@ from contacts.dynamics.gates import Gate, gate_of
 from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surface_frame
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
-    COEFFICIENTS,
     GAP_OFFSET,
     HELD_FORCE,
     friction_cones,
+    friction_symbols,
+    kinetic_friction,
     scene_parameters,
 )
 from contacts.scene.couplings import CouplingSymbols, Rolling
@@ -66,7 +67,6 @@ class Mechanics(Geometry):
         self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
         super().__init__(scene, {**symbols, **controls, **self.memory})
         self.parameters = given
-        cones = friction_cones(scene, symbols)
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
             for i, name in enumerate(scene.contacts)
@@ -75,12 +75,20 @@ class Mechanics(Geometry):
         self.couples = {
             name: sp.Symbol(f"M{i}", real=True) for i, name in enumerate(scene.couplings)
         }
-        self._cones = cones
         self._controls = controlled
-        self._coefficients = {
-            name: sp.Symbol(f"mu{i}", real=True)
-            for i, (name, contact) in enumerate(scene.contacts.items())
-            if self._controls.region_of(contact.friction) is not None
+        self._coefficients = friction_symbols(scene, symbols)
+        # Contacts whose coefficients states of a region set.
+        self._switched = {
+            name: region
+            for name in self._coefficients
+            if (law := scene.friction_of(name)) is not None
+            and (region := controlled.region_of(law.both)) is not None
+        }
+        # Those that are in use, where contacts have a static and a kinetic one.
+        self.used_friction = {
+            name: sp.Symbol(f"{name}.friction", real=True)
+            for name, coefficients in self._coefficients.items()
+            if "static" in coefficients
         }
         self._asked = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
@@ -95,10 +103,10 @@ class Mechanics(Geometry):
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts and the scene's controls.
         self.controls = (
-            *self._coefficients.values(),
-            *(s for name in self._coefficients for s in cones[name]),
+            *(symbol for name in self._switched for symbol in self._coefficients[name].values()),
             *controls.values(),
             *self._asked.values(),
+            *self.used_friction.values(),
             *self._closed.values(),
         )
         self._contacts: dict[str, ContactGeometry] = {}
@@ -369,6 +377,17 @@ class Mechanics(Geometry):
             )
         return self._contacts[name]
 
+    def sliding_edges(self, contact: ContactSymbols) -> tuple[sp.Expr, ...]:
+        """Return the unit edges of a contact's cone in slide+ and slide-, at the slip's size."""
+        law = self.scene.friction_of(contact.name)
+        if law is None or not law.varies:
+            return (*contact.friction.edges[1], *contact.friction.edges[-1])
+        found: list[sp.Expr] = []
+        for direction in (1, -1):
+            mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
+            found += [1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)]
+        return tuple(found)
+
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:
         """Return the bounds of a coupling's couple, at rest and in motion.
 
@@ -387,9 +406,9 @@ class Mechanics(Geometry):
     def sets(self, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
         """Return what a state of a controller sets: some of `controls`."""
         found: dict[sp.Symbol, sp.Expr] = {}
-        for name, friction in self._coefficients.items():
-            if self._controls.region_of(self.scene.contacts[name].friction) == region:
-                for key, symbol in zip(COEFFICIENTS, (friction, *self._cones[name]), strict=True):
+        for name, setting in self._switched.items():
+            if setting == region:
+                for key, symbol in self._coefficients[name].items():
                     found[symbol] = self.parameters.symbols[f"{name}.{key}.{state}"]
         for control, text in self._controls.values(region, state).items():
             found[self.known[control]] = self._formula(text)
@@ -409,7 +428,9 @@ class Mechanics(Geometry):
         states : mapping, optional
             Controller -> its state; those at the start by default.
         """
-        found: dict[sp.Symbol, sp.Expr] = {}
+        found = {
+            used: self._coefficients[name]["static"] for name, used in self.used_friction.items()
+        }
         for region, state in (states or self._controls.initial).items():
             found |= self.sets(region, state)
         return [(symbol, found[symbol]) for symbol in self.controls]
@@ -429,12 +450,13 @@ class Mechanics(Geometry):
         for name, couple in self.couples.items():
             result |= {f"{name}.slip": self.contact(name).symbols.slip, f"{name}.M": couple}
         result |= {f"{row.joint}.{row.component}": row.force for row in self.joint_rows}
+        result |= {f"{name}.friction": used for name, used in self.used_friction.items()}
+        for name in self._switched.keys() - self.used_friction.keys():
+            result[f"{name}.friction"] = self._coefficients[name]["friction"]
         for name, joint in self.scene.joints.items():
             if joint.limits is not None:
                 low, high = (self.forces[stop][0] for stop in stops(name))
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
-        for name, friction in self._coefficients.items():
-            result[f"{name}.friction"] = friction
         result["energy"] = self.energy
         return result
 
@@ -608,7 +630,8 @@ class Mechanics(Geometry):
         anchor = sp.Symbol(f"{name}.angle0", real=True)
         couple = self.couples[name]
         symbols = ContactSymbols(
-            name, zero, zero, zero, slip, zero, acceleration, zero, couple, zero, sp.S.One,
+            name, zero, zero, zero, slip, zero, acceleration, zero, couple,
+            friction_cones(self.scene, name, None, self.known, slip),
             self._padded(name, none, jacobian),
             tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), Hold((), (), ()),
@@ -640,7 +663,8 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, gap, offset, rate, sp.S.Zero, bearing, sp.S.Zero, V, H,
-            *self._cones[name], self._padded(name, jacobian, zeros),
+            friction_cones(self.scene, name, None, self.known, sp.S.Zero),
+            self._padded(name, jacobian, zeros),
             tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows), hold, hold,
         )  # fmt: skip
@@ -685,7 +709,8 @@ class Mechanics(Geometry):
         offset = self.parameters.symbols.get(f"{name}.{GAP_OFFSET}", sp.S.Zero)
         symbols = ContactSymbols(
             name, around.gap, offset, around.gap_rate, slip, normal_a, tangential_a, V, H,
-            *self._cones[name], self._padded(name, jacobian_n, jacobian_t),
+            friction_cones(self.scene, name, self._coefficients.get(name), self.known, slip),
+            self._padded(name, jacobian_n, jacobian_t),
             tuple((*row.jacobian, *self._no_pads) for row in self.joint_rows),
             tuple(row.force for row in self.joint_rows),
             # Not its distance: of the height of a ground y follows with a factor of 1.

@@ -43,11 +43,14 @@ def _written(mechanics: Mechanics) -> dict[sp.Symbol, sp.Expr]:
     for name, body in scene.bodies.items():
         if body.inertia is not None:
             found[symbols[f"{name}.inertia"]] = parse(body.inertia).to_sympy(symbols)
-    for name, contact in scene.contacts.items():
-        cone = mechanics.contact(name).symbols
-        if contact.friction is not None and cone.cone_t in symbols.values():
-            found[cone.cone_n] = sp.S.One
-            found[cone.cone_t] = parse(contact.friction).to_sympy(symbols)
+    for name in scene.contacts:
+        law = scene.friction_of(name)
+        for direction, (cone_n, cone_t) in mechanics.contact(name).symbols.friction.edges.items():
+            if law is not None and cone_t in symbols.values():
+                text = law.kinetic if direction else law.static
+                at_rest = dict.fromkeys(law.slips, sp.S.Zero)
+                found[cone_n] = sp.S.One
+                found[cone_t] = parse(text).to_sympy({**symbols, **at_rest})
     return found
 
 

@@ -8,6 +8,8 @@ from functools import partial
 import sympy as sp
 
 from contacts.scene.checks import has_switches
+from contacts.scene.friction import FrictionLaw
+from contacts.scene.modes import FrictionSymbols
 from contacts.scene.parts import Point
 from contacts.scene.scene import Scene
 from statechart.documents.fields import FormulaText
@@ -16,6 +18,12 @@ from statechart.formulas.parameters import Parameters
 
 COEFFICIENTS = ("friction", "cone_n", "cone_t")
 """Parameters of a contact with friction; ``tip.friction.ice`` where the state `ice` sets it."""
+STATIC = ("static", "cone_n", "cone_t")
+KINETIC = ("kinetic", "kinetic_n", "kinetic_t")
+"""Those of a contact whose friction at rest and in motion differ; of formulas of slip no KINETIC.
+
+``tip.friction`` is then what the mode of the contact uses.
+"""
 
 GAP_OFFSET = "gap_offset"
 """Parameter of a contact, ``tip.gap_offset``: see `contacts.scene.modes.ContactSymbols`."""
@@ -27,22 +35,75 @@ ORDINARY = 1e-40, 1e40
 """Masses (kg) of which determinants, with products of five and of lengths, are floats."""
 
 
-def friction_cones(
+def coefficients_of(law: FrictionLaw) -> tuple[tuple[str, ...], ...]:
+    """Return the parameters of friction: coefficient and cone, at rest and in motion."""
+    if not law.splits:
+        return (COEFFICIENTS,)
+    return (STATIC,) if law.varies else (STATIC, KINETIC)
+
+
+def friction_symbols(
     scene: Scene, known: Mapping[str, sp.Symbol]
-) -> dict[str, tuple[sp.Expr, sp.Expr]]:
-    """Return (cone_n, cone_t) per contact: symbols, or numbers where nothing is to be known."""
-    result: dict[str, tuple[sp.Expr, sp.Expr]] = {}
+) -> dict[str, dict[str, sp.Symbol]]:
+    """Return the coefficients of contacts with friction: key of `coefficients_of` -> symbol.
+
+    States of controllers set those that are no parameters.
+    """
+    result: dict[str, dict[str, sp.Symbol]] = {}
     for i, (name, contact) in enumerate(scene.contacts.items()):
-        if contact.frictionless:
-            result[name] = (sp.S.One, sp.S.Zero)
-        elif contact.friction is None:  # without slide a pin holds whatever it takes (no-slip)
-            result[name] = (sp.S.Zero, sp.S.One)
-        elif scene.controlled.region_of(contact.friction) is not None:
-            # States set them; their values are parameters (see `COEFFICIENTS`).
-            result[name] = (sp.Symbol(f"n{i}", real=True), sp.Symbol(f"m{i}", real=True))
-        else:
-            result[name] = (known[f"{name}.cone_n"], known[f"{name}.cone_t"])
+        law = scene.friction_of(name)
+        if law is not None and not contact.frictionless:
+            controlled = scene.controlled.region_of(law.both) is not None
+            result[name] = {
+                key: sp.Symbol(f"{key}{i}", real=True) if controlled else known[f"{name}.{key}"]
+                for keys in coefficients_of(law)
+                for key in keys
+            }
     return result
+
+
+def friction_cones(
+    scene: Scene,
+    name: str,
+    coefficients: Mapping[str, sp.Symbol] | None,
+    known: Mapping[str, sp.Expr],
+    slip: sp.Expr,
+) -> FrictionSymbols:
+    """Return the friction of a contact whose coefficients are these; None: it has no friction.
+
+    Edges are numbers where no coefficient is needed.
+    """
+    if coefficients is None:
+        # Without slide a pin holds whatever it takes (no-slip).
+        smooth = name in scene.contacts and scene.contacts[name].frictionless
+        edge = (sp.S.One, sp.S.Zero) if smooth else (sp.S.Zero, sp.S.One)
+        return FrictionSymbols(dict.fromkeys((0, 1, -1), edge))
+    at_rest = coefficients["cone_n"], coefficients["cone_t"]
+    law = scene.friction_of(name)
+    assert law is not None
+    if not law.splits:
+        return FrictionSymbols(dict.fromkeys((0, 1, -1), at_rest))
+    used = sp.Symbol(f"{name}.friction", real=True)
+    edges, values = {0: at_rest}, {0: {used: coefficients["static"]}}
+    for direction in (1, -1):
+        if law.varies:
+            kinetic = kinetic_friction(law, direction, known, direction * slip)
+            edges[direction] = sp.S.One, kinetic
+        else:
+            kinetic = coefficients["kinetic"]
+            edges[direction] = coefficients["kinetic_n"], coefficients["kinetic_t"]
+        values[direction] = {used: kinetic}
+    return FrictionSymbols(edges, values)
+
+
+def kinetic_friction(
+    law: FrictionLaw, direction: int, known: Mapping[str, sp.Expr], speed: sp.Expr
+) -> sp.Expr:
+    """Return the kinetic coefficient for slip at a `speed` in a direction, 1 or -1."""
+    size = sp.Symbol("speed", positive=True)
+    slips = dict.fromkeys(law.slips, direction * size)
+    # Of a positive symbol SymPy knows abs and sign.
+    return parse(law.kinetic).to_sympy({**known, **slips}).xreplace({size: speed})
 
 
 def scene_parameters(scene: Scene) -> Parameters:
@@ -79,19 +140,26 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     """Return the coefficients of contacts, moments of inertia, redundancies of joints."""
     result: dict[str, sp.Expr] = {}
 
-    def values(text: FormulaText) -> Iterator[tuple[str, sp.Expr]]:
+    def in_states(text: FormulaText) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
         for state, seen in scene.controlled.seen_in_states(text, known, Formula.to_sympy):
-            yield f".{state}" if state else "", parse(text).to_sympy(seen)
+            yield f".{state}" if state else "", seen
 
     for name, contact in scene.contacts.items():
-        if contact.friction is not None and not contact.frictionless:
-            for state, mu in values(contact.friction):
-                # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
-                edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
-                for key, value in zip(COEFFICIENTS, (mu, *edge), strict=True):
-                    result[f"{name}.{key}{state}"] = value
+        law = scene.friction_of(name)
+        if law is not None and not contact.frictionless:
+            at_rest = dict.fromkeys(law.slips, sp.S.Zero)
+            for state, seen in in_states(law.both):
+                for keys, text in zip(
+                    coefficients_of(law), (law.static, law.kinetic), strict=False
+                ):
+                    mu = parse(text).to_sympy({**seen, **at_rest})
+                    # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
+                    edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
+                    for key, value in zip(keys, (mu, *edge), strict=True):
+                        result[f"{name}.{key}{state}"] = value
         if contact.restitution is not None:
-            for state, value in values(contact.restitution):
+            for state, seen in in_states(contact.restitution):
+                value = parse(contact.restitution).to_sympy(seen)
                 result[f"{name}.restitution{state}"] = value
     for name, body in scene.bodies.items():
         if body.inertia is not None:

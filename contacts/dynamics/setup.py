@@ -14,6 +14,9 @@ from statechart.automaton.laws import Setup
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
 # not grow with the tolerance of the integration: events are those of the trajectory computed.
 FORCE_BAND = 1e-12
+# Of that, for bounds of static friction: kinetic friction is less, and nothing comes back from
+# slip. More than the part of a tie that is nearly none (`contacts.modes.classification`).
+HOLD_PART = 0.1
 # A violation of an inequality of a mode by up to this part of the force's tolerance is a tie.
 TIE = 0.5
 # Sequences of impacts are looked at from here on; how high the contacts still fly decides.

@@ -18,7 +18,15 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
-from contacts.dynamics.setup import ROUNDING, SHORT, SceneSetup, captured, magnified, tolerated
+from contacts.dynamics.setup import (
+    HOLD_PART,
+    ROUNDING,
+    SHORT,
+    SceneSetup,
+    captured,
+    magnified,
+    tolerated,
+)
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
@@ -97,7 +105,12 @@ class SceneNumbers:
         # Numbers were checked when they were read.
         varying = [limit for limit in limits(scene) if parse(limit.text).names]
         if all(scene.controlled.region_of(limit.text) is None for limit in varying):
-            bounded = [parse(limit.text).to_sympy(mechanics.known) for limit in varying]
+            bounded = [
+                parse(limit.text).to_sympy(
+                    {**mechanics.known, **{n: sp.Float(s) for n, s in limit.slips.items()}}
+                )
+                for limit in varying
+            ]
             if not any(expression.has(sp.oo) for expression in bounded):
                 self.limits = mechanics.tape(bounded)
                 self.bounds = (
@@ -145,6 +158,7 @@ class SceneNumbers:
             "gap": max(gap * scales.length, scales.rounding),
             "speed": speed * scales.speed,
             "force": force * scales.force,
+            "hold": HOLD_PART * force * scales.force,
             "plain": 0.0,
         }
         return SceneSetup(
@@ -244,11 +258,12 @@ class SceneNumbers:
             # Without symbols: frictionless (1, 0), or without slide (0, 1), as in `friction_cones`.
             found = [
                 (
-                    place(name, "cone_n", one.friction),
-                    place(name, "cone_t", one.friction),
+                    place(name, "cone_n", None if law is None else law.both),
+                    place(name, "cone_t", None if law is None else law.both),
                     place(name, "restitution", one.restitution),
                 )
                 for name, one in self.scene.contacts.items()
+                for law in (self.scene.friction_of(name),)
             ]
             fixed = [
                 (1.0, 0.0, 0.0) if one.frictionless else (0.0, 1.0, 0.0)

@@ -17,8 +17,9 @@ from statechart.arrays import Array
 from statechart.errors import SingularMode
 from statechart.formulas.tape import Tape
 
-SCALARS = 7
-"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent."""
+SCALARS, EDGES = 11, 7
+"""Numbers of a contact behind all Jacobians and biases: gap, its rate, slip, point, tangent; then
+from `EDGES` on the unit edges of its cone in slide+ and slide-, at the size of its slip."""
 
 UNTRUSTED = "the equations of a mode cannot be solved to 1e-8: masses or lengths differ too much"
 """Why a system has no solution."""
@@ -41,6 +42,9 @@ class PerContact(NamedTuple):
     bias_n: float
     bias_t: float
     jacobian: Array  # (2, n): Rows: normal, tangential
+    # Unit edges (n, t) of the friction cone in slide+ and slide-, at the size of the slip; None:
+    # those at rest
+    edges: tuple[float, float, float, float] | None = None
 
 
 class Snapshot(NamedTuple):
@@ -129,6 +133,7 @@ class SnapshotTape:
         for geometry in contacts:
             outputs += [geometry.symbols.gap, geometry.symbols.gap_rate, geometry.symbols.slip]
             outputs += [*geometry.anchor, *geometry.slipping]
+            outputs += mechanics.sliding_edges(geometry.symbols)
         self._pads = tuple((names.index(name), pad) for name, pad in mechanics.pads.items())
         n, count = self.size, self.count
         lengths = n * n, n + 1, 2 * n * count, 2 * count, SCALARS * count
@@ -183,12 +188,14 @@ class SnapshotTape:
                 [
                     PerContact._make(
                         (
-                            *listed[further + SCALARS * i : further + SCALARS * (i + 1)],
+                            *listed[at : at + EDGES],
                             *listed[2 * i : 2 * i + 2],
                             jacobian,
+                            tuple(listed[at + EDGES : at + SCALARS]),
                         )
                     )
                     for i, jacobian in enumerate(jacobians)
+                    for at in (further + SCALARS * i,)
                 ]
             ),
             jacobians,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from contacts.dynamics.conditions import hidden
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.projection import landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer
@@ -162,8 +162,8 @@ def _settled(
         rows.append(normal)
         rates.append(-contact.gap_rate)
         if abs(contact.slip) > still_below or "pin" not in law.states:
-            edge = -np.sign(contact.slip) * law.cone_t
-            columns.append(law.cone_n * normal + edge * tangent)
+            cone_n, cone_t = sliding_edge(law, contact)
+            columns.append(cone_n * normal - np.sign(contact.slip) * cone_t * tangent)
             slides.append(contact)
         else:
             rows.append(tangent)

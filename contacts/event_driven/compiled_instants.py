@@ -25,7 +25,7 @@ from contacts.dynamics.gates import (
 from contacts.dynamics.snapshot import SCALARS
 from contacts.impacts.impact import ENDED, MEANINGS, RAISES, strike
 from contacts.impacts.impulses import strike_group
-from contacts.modes.classification import ModeRules, classify
+from contacts.modes.classification import ModeRules, classify, write_edges
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
@@ -69,7 +69,7 @@ class SceneWatch(NamedTuple):
     sizes: Array  # (n + 1,): of the state, and of time.
     relative: float  # Margins that are so small in parts of their terms are zero.
     allowed: Bools  # shape (c, 5)
-    cones: Array  # shape (c, 2)
+    cones: Array  # (c, 2): unit edges of friction cones at rest.
     restitution: Array  # shape (c,)
     meanings: Ints  # (c,): what it means; -1 where the impact is none of a path.
     offsets: Ints  # (c,): places of the gaps' offsets among the parameters.
@@ -142,11 +142,13 @@ def _single_impact(
     n, before = velocity.shape[0], velocity.copy()
     jacobian = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
     approach, slip = numbers[place + 1], numbers[place + 2]
+    edges = np.empty((scene.cones.shape[0], 6))
+    write_edges(scene.cones, numbers, place - SCALARS * c, edges)
     status, normal, tangential, path, _, _ = strike(
         mass,
         jacobian,
         (approach, slip),
-        scene.cones[c],
+        edges[c],
         scene.meanings[c],
         scene.restitution[c],
         False,

@@ -58,11 +58,12 @@ class ControlledLaws:
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time
         )
-        region_of = mechanics.scene.controlled.region_of
+        scene = mechanics.scene
         self._varying = any(
-            region_of(text) is not None
-            for contact in mechanics.scene.contacts.values()
-            for text in (contact.friction, contact.restitution)
+            scene.controlled.region_of(text) is not None
+            for name, contact in scene.contacts.items()
+            for law in (scene.friction_of(name),)
+            for text in (law and law.both, contact.restitution)
         )
         self._joints = {row.joint for row in mechanics.joint_rows if row.closed is not None}
         self._considered = {r.name: considered(r) for r in regions if r.name in self._controllers}

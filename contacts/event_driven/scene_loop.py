@@ -13,6 +13,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
 from contacts.dynamics.setup import (
     FORCE_BAND,
+    HOLD_PART,
     SHORT,
     TIE,
     SceneSetup,
@@ -51,6 +52,7 @@ from statechart.automaton.trace_store import ARCS, EVENTS, TERMS, TIMES, TraceBu
 from statechart.engines.compiled_flow import (
     FORCE,
     GAP,
+    HOLD,
     IN_VAIN,
     KINDS,
     LAWS_AT,
@@ -396,6 +398,7 @@ def _tolerances(scene: SceneBatch, scales: Array, kinds: Array) -> None:
     """Write the tolerance of each kind of margin."""
     kinds[PLAIN], kinds[GAP] = 0.0, max(scene.gap * scales[0], scales[4])
     kinds[SPEED], kinds[FORCE] = scene.speed * scales[1], FORCE_BAND * scales[3]
+    kinds[HOLD] = HOLD_PART * kinds[FORCE]
 
 
 @kernel

@@ -71,6 +71,8 @@ def corrected(
     if plastic.held is not None:
         accelerations = plastic.held.basis @ accelerations + plastic.held.drift
     n = len(state) // 2
+    # Pads of compliant contacts are no coordinates of the scene.
+    accelerations = accelerations[:n]
     fast, still = (_falling(setup, snapshot, lying) for snapshot in (resolved, plastic))
     found: dict[int, float] = {}
     for i in rests:

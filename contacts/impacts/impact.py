@@ -5,6 +5,7 @@ direction while it sticks; velocities are affine along each piece, so every piec
 and the path has at most a few. Restitution is Stronge's (energetic: the work of the normal
 impulse in restitution is e^2 of that in compression; energy never grows), Poisson's (impulse) or
 Newton's (velocity). Moreau's law has no path; one that is asked for (a jam) ends as Newton's.
+Slip takes the kinetic coefficient at the slip before the impact, a stick is held by the static one.
 Routh 1905; Stronge, Proc. R. Soc. A 431 (1990); Wang and Mason 1992.
 """
 
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from contacts.dynamics import snapshot as numbers
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.scene.parts import MOREAU
 from contacts.solvers.mode_solver import dot
@@ -91,9 +92,10 @@ def _guided(jacobian: Array) -> bool:
 
 @kernel
 def _piece(
-    mass: Array, jacobian: Array, cone_n: float, cone_t: float, u_t: float, change: Array
+    mass: Array, jacobian: Array, cone: Array, u_t: float, change: Array
 ) -> tuple[int, int, float, float, float, float]:
     """Piece that follows; `WEDGE` where friction keeps the point from going anywhere."""
+    cone_n, cone_t = cone[0], cone[1]
     if cone_t == 0.0 or (u_t == 0.0 and _guided(jacobian)):
         status, un, ut, normal, along = _along(mass, jacobian, cone_n, 0.0, change)
         return status, SLIP, un, ut, normal, along
@@ -109,7 +111,9 @@ def _piece(
     for sign in (1.0, -1.0):
         if u_t * sign < 0.0:
             continue
-        status, un, ut, normal, along = _along(mass, jacobian, cone_n, -sign * cone_t, change)
+        at = 2 if sign > 0.0 else 4
+        n, t = cone[at], -sign * cone[at + 1]
+        status, un, ut, normal, along = _along(mass, jacobian, n, t, change)
         if status != ENDED or u_t != 0.0 or sign * ut > 0.0:
             return status, SLIP_PLUS if sign > 0.0 else SLIP_MINUS, un, ut, normal, along
     return ENDED, WEDGE, 0.0, 0.0, 0.0, 0.0
@@ -145,8 +149,8 @@ def strike(
     mass : (n, n), jacobian : (2, n) array
     rates : (float, float)
         Of the gap, and along the surface.
-    cone : (2,) array
-        cone_n, cone_t.
+    cone : (6,) array
+        Unit edges of the cone at rest, which hold a stick, and in slip+ and slip-.
     meaning : int
         NEWTON, POISSON or STRONGE.
     restitution : float
@@ -165,14 +169,14 @@ def strike(
     u_n, u_t : float
         Rates of the gap and along the surface where it ended.
     """
-    size, cone_n, cone_t = len(velocity), cone[0], cone[1]
+    size = len(velocity)
     before, change = velocity.copy(), np.empty(len(velocity))
     approach, u_t = rates
     u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
     compressed, stored, compressing = 0.0, 0.0, True
     path, place, last = 0, 0, 0
     for _ in range(_MAX_PIECES):
-        status, name, un, ut, pn, pt = _piece(mass, jacobian, cone_n, cone_t, u_t, change)
+        status, name, un, ut, pn, pt = _piece(mass, jacobian, cone, u_t, change)
         if status != ENDED:
             return status, normal, tangential, path, u_n, u_t
         terms = 0.0
@@ -262,7 +266,7 @@ def impact(
         np.ascontiguousarray(snapshot.mass),
         np.ascontiguousarray(contact.jacobian),
         (contact.gap_rate, contact.slip),
-        np.array([law.cone_n, law.cone_t]),
+        cones([law], [contact])[0],
         MEANINGS[law.impact],
         restitution,
         braking,

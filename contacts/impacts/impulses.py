@@ -19,17 +19,18 @@ import numpy as np
 
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import SCALARS, Snapshot
-from contacts.modes.classification import ModeRules
+from contacts.modes.classification import ModeRules, write_edges
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
 from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.dependence import independent
 from contacts.solvers.lcp import LcpStatus, solve_lcp
-from contacts.solvers.mode_solver import solve_modes
+from contacts.solvers.mode_solver import choose_edges, solve_modes
 from contacts.solvers.redundancy import connected, mode_columns, smallest
 from contacts.solvers.saddle_point import SOLVED
 from contacts.solvers.step_impulses import into_cone
 from contacts.states import FREE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS, SLIDING
 from statechart.arrays import Array, Bools, Ints
+from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 # Enumeration can prove that there is one solution or several; beyond this it costs too much.
@@ -59,7 +60,7 @@ class ImpactProblem(NamedTuple):
 
     mass: Array  # (m, m)
     jacobians: Array  # (g, 2, m)
-    cones: Array  # (g, 2)
+    cones: Array  # (g, 6): Unit edges at rest, in slip+ and in slip-; see `hold_at_rest`
     start: Array  # (g, 2): What v_n + e min(v_n-, 0) and v_t are without impulses
     velocity: Array  # (m,): Before
     plastic: bool  # Whether nothing rebounds: then no impulses can raise the energy
@@ -152,7 +153,7 @@ def work_of(problem: ImpactProblem, change: Array, impulses: Array) -> tuple[flo
 
 @kernel
 def _judge_impact(
-    problem: ImpactProblem, code: Ints, change: Array, impulses: Array
+    problem: ImpactProblem, code: Ints, cones: Array, change: Array, impulses: Array
 ) -> tuple[float, float]:
     """Return the largest violation of a combination, and how near it is to an inequality's edge.
 
@@ -175,7 +176,7 @@ def _judge_impact(
         if code[g] == FREE:
             edge = max(edge, -normal)
             continue
-        cone_n, cone_t = problem.cones[g, 0], problem.cones[g, 1]
+        cone_n, cone_t = cones[g, 0], cones[g, 1]
         V, H = impulses[g, 0], impulses[g, 1]
         size = math.hypot(V, H)
         worst = max(worst, abs(normal))
@@ -184,8 +185,9 @@ def _judge_impact(
             outside = sign * cone_t * H - cone_n * V
             edge = max(edge, -sign * slip)
         else:
-            outside = max(-V, cone_n * abs(H) - cone_t * V) if cone_t > 0.0 else -V
+            outside = -V
             if code[g] == PIN or cone_t > 0.0:
+                outside = max(outside, cone_n * abs(H) - cone_t * V)
                 worst = max(worst, abs(slip))
         edge = max(edge, outside / size if size > 0.0 else 0.0)
     worst = max(worst, edge)
@@ -217,6 +219,7 @@ def solve_impacts(
     """
     total, count = codes.shape
     status, judged = np.empty(total, np.int64), np.zeros(count, np.bool_)
+    cones = np.empty((count, 2))
     solve_modes(
         problem.mass, np.zeros(problem.mass.shape[0]), problem.jacobians, problem.start,
         problem.cones, np.full(count, -1), codes, judged, judged, 1.0, 1.0, status, changes,
@@ -224,10 +227,13 @@ def solve_impacts(
     )  # fmt: skip
     for k in range(total):
         violations[k] = edges[k] = math.inf
+        choose_edges(problem.cones, codes[k], cones)
         if status[k] == SOLVED:
-            violations[k], edges[k] = _judge_impact(problem, codes[k], changes[k], impulses[k])
+            violations[k], edges[k] = _judge_impact(
+                problem, codes[k], cones, changes[k], impulses[k]
+            )
         if violations[k] <= _TIE:
-            columns, _ = mode_columns(codes[k], problem.cones, problem.jacobians, -1)
+            columns, _ = mode_columns(codes[k], cones, problem.jacobians, -1)
             if independent(columns)[0] < columns.shape[0]:
                 violations[k] = edges[k] = math.inf
 
@@ -244,6 +250,21 @@ def _list_modes(allowed: Bools, cone: Array, modes: Ints) -> int:
         return 2
     modes[1], modes[2], modes[3], modes[4] = SLIDE_PLUS, SLIDE_MINUS, PIN, SLIDE
     return 5 if cone[1] > _STEEP * cone[0] else 4
+
+
+@kernel
+def hold_at_rest(start: Array, cones: Array) -> None:
+    """Let contacts that slip before an impact stop by kinetic friction; static holds the others.
+
+    Slips up to round-off of the fastest contact are none.
+    """
+    fastest = 0.0
+    for g in range(len(start)):
+        fastest = max(fastest, abs(start[g, 0]), abs(start[g, 1]))
+    for g in range(len(start)):
+        if abs(start[g, 1]) > _EDGE * fastest:
+            at = 2 if start[g, 1] > 0.0 else 4
+            cones[g, 0], cones[g, 1] = cones[g, at], cones[g, at + 1]
 
 
 @kernel
@@ -279,7 +300,9 @@ def strike_group(
     mass = numbers[: n * n].reshape((n, n))
     at = n * n + n + 1
     scalars = at + (2 * n + 2) * contacts
-    jacobians, start, cones = np.empty((count, 2, n)), np.empty((count, 2)), np.empty((count, 2))
+    jacobians, start, cones = np.empty((count, 2, n)), np.empty((count, 2)), np.empty((count, 6))
+    edges = np.empty((contacts, 6))
+    write_edges(rules.cones, numbers, scalars, edges)
     modes, counts = np.empty((count, 5), np.int64), np.empty(count, np.int64)
     total, linked = 1, mass != 0.0
     for g in range(count):
@@ -289,7 +312,7 @@ def strike_group(
             return 0
         total *= counts[g]
         jacobians[g] = numbers[at + 2 * n * c : at + 2 * n * (c + 1)].reshape((2, n))
-        cones[g] = rules.cones[c]
+        put(edges[c], cones[g])
         place = scalars + SCALARS * c
         start[g, 0], start[g, 1] = numbers[place + 1], numbers[place + 2]
         for i in range(n):
@@ -309,19 +332,21 @@ def strike_group(
             codes[k, g] = modes[g, left % counts[g]]
             left //= counts[g]
     changes, forces = np.empty((total, n)), np.empty((total, count, 2))
-    violations, edges = np.empty(total), np.empty(total)
+    violations, near = np.empty(total), np.empty(total)
+    hold_at_rest(start, cones)
     problem = ImpactProblem(mass, jacobians, cones, start, velocity, True)
-    solve_impacts(problem, codes, changes, forces, violations, edges)
+    solve_impacts(problem, codes, changes, forces, violations, near)
     agreeing, several = -1, False
     for k in range(total):
         if violations[k] <= _EDGE:
             several, agreeing = several or agreeing >= 0, k
-    if several or agreeing < 0 or violations[agreeing] > _TIE or edges[agreeing] > -_EDGE:
+    if several or agreeing < 0 or violations[agreeing] > _TIE or near[agreeing] > -_EDGE:
         return 0
-    path = 1
+    path, chosen = 1, np.empty((count, 2))
+    choose_edges(cones, codes[agreeing], chosen)
     for g in range(count - 1, -1, -1):
         path = 8 * path + codes[agreeing, g]
-        impulse[group[g]] = into_cone(forces[agreeing, g], cones[g])
+        impulse[group[g]] = into_cone(forces[agreeing, g], chosen[g])
     for i in range(n):
         velocity[i] += changes[agreeing, i]
     return path
@@ -391,11 +416,13 @@ def _problem(
         (c.gap_rate + restitution[i] * min(c.gap_rate, 0.0), c.slip)
         for i, c in ((i, snapshot.contacts[i]) for i in group)
     ]
+    edges = cones([laws[i] for i in group], [snapshot.contacts[i] for i in group])
+    hold_at_rest(np.array(start, float).reshape(-1, 2), edges)
     problem = ImpactProblem(
         np.ascontiguousarray(snapshot.mass[np.ix_(moved, moved)]),
         np.ascontiguousarray(jacobians[:, :, moved]),
-        cones(tuple(laws[i] for i in group)),
-        np.array(start, float),
+        edges,
+        np.array(start, float).reshape(-1, 2),
         snapshot.velocity[moved],
         not any(restitution[i] > 0.0 for i in group),
     )
@@ -441,12 +468,13 @@ def _by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
     """
     size = len(problem.mass)
     contacts, _ = delassus(problem.mass, problem.jacobians, np.zeros(size))
-    matrix, vector = contact_problem(contacts, problem.start, problem.cones)
+    held = np.ascontiguousarray(problem.cones[:, :2])
+    matrix, vector = contact_problem(contacts, problem.start, held)
     solution = solve_lcp(matrix, vector)
     if solution.status is not LcpStatus.SOLVED:
         return []
-    impulses = contact_impulses(solution.z, problem.cones)
-    return [tuple(map(_mode, impulses.tolist(), problem.cones.tolist()))]
+    impulses = contact_impulses(solution.z, held)
+    return [tuple(map(_mode, impulses.tolist(), held.tolist()))]
 
 
 def _mode(impulse: tuple[float, float], cone: tuple[float, float]) -> int:
@@ -492,12 +520,14 @@ def _shared_out(
         np.where(still, PIN, np.where(after[:, 1] > 0.0, SLIDE_PLUS, SLIDE_MINUS)),
     )
     code = np.where(shut, code, FREE)
-    given, unknown = smallest(code, problem.jacobians, problem.cones, collision.impulses)
+    edges = np.empty((len(code), 2))
+    choose_edges(problem.cones, code, edges)
+    given, unknown = smallest(code, problem.jacobians, edges, collision.impulses)
     if unexplained(problem, collision.change, given, fastest) > _TIE:
         given = collision.impulses
     change, impulses = np.zeros(size[0]), np.zeros((size[1], 2))
     change[moved] = collision.change
-    impulses[group] = list(map(into_cone, given, problem.cones))
+    impulses[group] = list(map(into_cone, given, edges))
     states, indeterminate = ["open"] * size[1], [False] * size[1]
     for k, i in enumerate(group):
         states[i], indeterminate[i] = collision.states[k], unknown[k]

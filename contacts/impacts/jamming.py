@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, sliding_edge
 from contacts.dynamics.snapshot import PerContact, Snapshot, answer, solve_kkt
 from contacts.impacts.impact import impact
 from contacts.impacts.impulses import Impulses, collisions
@@ -75,7 +75,8 @@ def paradoxes(
         if law.coupling:
             continue
         sign = math.copysign(1.0, contact.slip)
-        p = _response(snapshot, contact, law.cone_n, -sign * law.cone_t)
+        cone_n, cone_t = sliding_edge(law, contact)
+        p = _response(snapshot, contact, cone_n, -sign * cone_t)
         straight = _response(snapshot, contact, 1.0, 0.0)
         if p > max(nearly, _NONE) * straight:
             continue
@@ -85,12 +86,12 @@ def paradoxes(
         if p >= 0.0 and not b < 0.0:
             continue
         across = sign * _response(snapshot, contact, 0.0, 1.0)
-        steep = law.cone_n == 0.0
+        steep = cone_n == 0.0
         found[i] = Paradox(
             law.name,
-            p if steep else p / law.cone_n,
+            p if steep else p / cone_n,
             b,
-            math.inf if steep else law.cone_t / law.cone_n,
+            math.inf if steep else cone_t / cone_n,
             straight / across if across > 0.0 else math.inf,
         )
     return found

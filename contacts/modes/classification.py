@@ -21,7 +21,7 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SCALARS, PerContact, Snapshot
+from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, share
 from contacts.scene.modes import OWN
 from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
@@ -33,6 +33,7 @@ from contacts.solvers.mode_solver import (
     NEGATIVE,
     OUTSIDE,
     PULLS,
+    choose_edges,
     judge_forces,
     solve_modes,
 )
@@ -51,7 +52,6 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
-    SLIPPING,
     STICKING,
     declared_state,
     undetermined,
@@ -152,7 +152,7 @@ def _solved_combinations(
     case: Case, combinations: Sequence[tuple[str, ...]], codes: Ints
 ) -> list[Candidate]:
     snapshot, laws, closed, still, scales, tie = case
-    edges = bounds(laws, snapshot.limits)
+    edges = bounds(laws, snapshot)
     count, contacts = codes.shape
     status, verdicts = np.empty(count, np.int64), np.empty((count, 4))
     accelerations = np.empty((count, len(snapshot.forces)))
@@ -214,8 +214,10 @@ def _explain(
             _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
             for one, code in failed
         ):
+            chosen = np.empty((len(codes[k]), 2))
+            choose_edges(edges, codes[k], chosen)
             given = share(
-                codes[k], snapshot, edges, carriers(tuple(case.laws)), candidate.forces, inward
+                codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
             )
         if given is None or given.violation > tie * scales.force:
             failed.append((candidate, codes[k]))
@@ -288,8 +290,11 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     """
     snapshot, laws, closed, still, scales, _ = case
     group = [i for i, shut in enumerate(closed) if shut]
-    edges = cones(tuple(laws))[group]
     slides = np.array([0.0 if still[i] else np.sign(snapshot.contacts[i].slip) for i in group])
+    # The first answer of a contact at rest is by its static friction.
+    edges = np.empty((len(group), 2))
+    sliding = np.where(slides > 0.0, SLIDE_PLUS, np.where(slides < 0.0, SLIDE_MINUS, PIN))
+    choose_edges(cones(laws, snapshot.contacts)[group], sliding, edges)
     contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
     for k, i in enumerate(group):
@@ -352,7 +357,7 @@ class ModeRules(NamedTuple):
     """Inputs of the classification of contacts."""
 
     allowed: Bools  # (c, 5): Whether a contact may be in the state of that code
-    cones: Array  # (c, 2): cone_n, cone_t
+    cones: Array  # (c, 2): cone_n, cone_t at rest
     # `near`, `creep`: A closed contact's gap and velocities that need no projection; tolerances
     near: float
     creep: float
@@ -394,6 +399,16 @@ def _doubted(
                 if codes[k, c] == PIN and kept[c] != PIN and closed[c] and still[c]:
                     return True
     return False
+
+
+@kernel
+def write_edges(cones: Array, numbers: Array, scalars: int, edges: Array) -> None:
+    """Write the edges (c, 6) of friction cones, of those at rest and of the scene's numbers."""
+    for c in range(len(edges)):
+        place = scalars + SCALARS * c + EDGES
+        edges[c, 0], edges[c, 1] = cones[c, 0], cones[c, 1]
+        for k in range(4):
+            edges[c, 2 + k] = numbers[place + k]
 
 
 @kernel
@@ -473,12 +488,14 @@ def classify(
             left //= counts[c]
     status, verdicts = np.empty(total, np.int64), np.empty((total, 4))
     forces = np.empty((total, contacts, 2))
+    edges = np.empty((contacts, 6))
+    write_edges(rules.cones, numbers, scalars, edges)
     redundant, agreeing = solve_modes(
         numbers[: n * n].reshape((n, n)),
         numbers[n * n : n * n + n],
         numbers[at:biases_at].reshape((contacts, 2, n)),
         numbers[biases_at:scalars].reshape((contacts, 2)),
-        rules.cones,
+        edges,
         np.full(contacts, -1),
         codes,
         closed,
@@ -547,9 +564,10 @@ class ForceUncertainty(NamedTuple):
         if one.share is not None:
             return True
         verdict, codes = np.full(4, -np.inf), np.array([CODES[one.states[i]] for i in fell])
-        edges = bounds(case.laws, case.snapshot.limits)[fell]
+        edges = np.empty((len(fell), 2))
+        choose_edges(bounds(case.laws, case.snapshot)[fell], codes, edges)
         judge_forces(verdict, one.forces[fell], edges, codes, case.scales.force)
-        return bool(verdict[0] > case.tie)
+        return bool(verdict[0] > _NEARLY * case.tie)
 
     def _spread(self, case: Case, one: Candidate) -> float:
         """Return by how much, in the scales, what a mode breaks may be off."""
@@ -588,11 +606,35 @@ _UNCHECKED = (
 )
 
 
-def _verdicts(
-    laws: Sequence[ContactLaw], tried: Iterable[Candidate], taken: Candidate | None, tie: float
-) -> dict[str, str]:
-    found = {_label(laws, c.states): _verdict(c, tie) for c in tried}
-    return found if taken is None else {**found, _label(laws, taken.states): "taken"}
+def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -> dict[str, str]:
+    laws, coefficients = case.laws, _coefficients(case)
+    found = {_label(laws, c.states): _verdict(c, case.tie) + coefficients(c.states) for c in tried}
+    if taken is not None:
+        found |= {
+            _label(laws, c.states): c.reason + coefficients(c.states)
+            for c in tried
+            if c.violation > _NEARLY * case.tie and _held(c, taken, case)
+        }
+        found[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
+    return found
+
+
+def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
+    """Return how to say which coefficients a mode uses, where a contact has two."""
+    edges = cones(case.laws, case.snapshot.contacts)
+    split = [k for k, row in enumerate(edges) if not (row[:2] == row[2:].reshape(2, 2)).all()]
+
+    def words(states: Sequence[str]) -> str:
+        said = []
+        for k in split:
+            if states[k] in ("pin", "slide+", "slide-"):
+                kind = "static" if states[k] == "pin" else "kinetic"
+                n, t = edges[k].reshape(3, 2)[("pin", "slide+", "slide-").index(states[k])]
+                mu = math.inf if n == 0.0 else t / n
+                said.append(f"{case.laws[k].name}: {kind} friction {mu:.7g}")
+        return f" ({', '.join(said)})" if said else ""
+
+    return words
 
 
 class Choice(NamedTuple):
@@ -662,7 +704,7 @@ def choose(
                 "forces or inertias have no finite value in this state; look for a logarithm, a "
                 "root or a quotient without a value there"
             )
-        refused = _verdicts(laws, tried, None, tie)
+        refused = _verdicts(case, tried, None)
         only = "only modes that Lemke's algorithm ends in were tried" if many else ""
         words = (
             "no mode of the contacts agrees with the state",
@@ -671,7 +713,7 @@ def choose(
             *_advice(laws, closed, tried),
         )
         raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
-    taken, warning = _rivals(_continuing(agreeing, tried, scales, before), case, before)
+    taken, warning = _rivals(_continuing(agreeing, tried, case, before), case, before)
     doubted = None if many or uncertainty is None else uncertainty.sticking(case, options, taken)
     if doubted is not None:
         taken, warning = doubted, ""
@@ -689,14 +731,14 @@ def choose(
             for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
             if _comes_to_rest(state, was)
         )
-    considered = LazyMapping(partial(_verdicts, laws, tried, taken, tie))
+    considered = LazyMapping(partial(_verdicts, case, tried, taken))
     return Choice(taken, considered, warning, notes, doubted is not None)
 
 
 def _continuing(
     agreeing: list[Candidate],
     tried: Iterable[Candidate],
-    scales: Scales,
+    case: Case,
     before: Before,
 ) -> list[Candidate]:
     """Return those of the candidates that agree that move on as the mode left, or all.
@@ -709,7 +751,10 @@ def _continuing(
         left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
-    return [c for c in agreeing if same_motion(c, left, scales, _GOES_ON)] or agreeing
+    if left.violation > _NEARLY * case.tie and any(_held(left, c, case) for c in agreeing):
+        # Static friction has just been exceeded, and kinetic friction is less.
+        return agreeing
+    return [c for c in agreeing if same_motion(c, left, case.scales, _GOES_ON)] or agreeing
 
 
 def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[Candidate, str]:
@@ -731,7 +776,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     others = [
         c
         for c in sure
-        if c is not taken and not same_motion(c, taken, scales) and not _locks(taken, c, case)
+        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, case)
     ]
     if not others and taken.share is not None:
         # What lies along a surface is on its edge wherever it goes.
@@ -761,15 +806,15 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     )
 
 
-def _locks(taken: Candidate, other: Candidate, case: Case) -> bool:
-    """Return whether a static limit holds a coupling that its kinetic one would let slip."""
-    first = len(case.laws) - len(case.snapshot.limits)
-    limits = zip(
-        case.snapshot.limits.tolist(), taken.states[first:], other.states[first:], strict=True
-    )
+def _held(taken: Candidate, other: Candidate, case: Case) -> bool:
+    """Return whether static friction holds what kinetic friction would let slip."""
+    edges = bounds(case.laws, case.snapshot)
+    mu = edges[:, 1::2] / np.maximum(edges[:, ::2], np.finfo(float).tiny)
     return any(
-        one == "locked" and two in SLIPPING and static > kinetic
-        for (static, kinetic), one, two in limits
+        one in STICKING
+        and two not in (*STICKING, *OPEN)
+        and (edges[k, 0] > edges[k, 1] if law.coupling else (mu[k, 0] > mu[k, 1:]).any())
+        for k, (law, one, two) in enumerate(zip(case.laws, taken.states, other.states, strict=True))
     )
 
 
@@ -792,7 +837,10 @@ def _without_new_loads(
     if len(moving) == len(without):
         return min(moving, key=openness, default=one), ""
     pressing = [i for i in sorted(_bearing(one)) if not case.laws[i].coupling]
-    both = pressed_together(jacobians, cones(tuple(case.laws)), pressing)
+    edges = np.empty((len(one.states), 2))
+    chosen = np.array([CODES[state] for state in one.states])
+    choose_edges(cones(case.laws, case.snapshot.contacts), chosen, edges)
+    both = pressed_together(jacobians, edges, pressing)
     if not new <= both:
         return one, ""
     names = ", ".join(case.laws[i].name for i in sorted(both))

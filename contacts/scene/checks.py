@@ -6,11 +6,19 @@ import math
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise, product
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
+from contacts.scene.friction import (
+    AT_REST,
+    Friction,
+    check_sides,
+    friction_law,
+    friction_texts,
+)
 from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
@@ -97,7 +105,8 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
             if section == "surfaces" or loc[-1] in ("x", "y"):
                 return parameters | {TIME, *(scene.controlled.memory if scene.collisions else ())}
         case "contacts", "friction" | "restitution":
-            return parameters | {*scene.controls}
+            law = scene.friction_of(name) if key == "friction" and loc[-1] != "static" else None
+            return parameters | {*scene.controls} | (law.slips if law else frozenset())
         case "forces", "force" | "moment":
             # A force on copies may use the coordinates of each copy.
             copied = scene.bodies.get(scene.forces[name].body)
@@ -123,8 +132,24 @@ def check_formulas(scene: SceneFields, found: Findings) -> None:
                             f"{node.name!r}: {what}", advice=advice, loc=loc, offset=node.offset
                         )
             check_names(formula, known, *loc)
-            if loc[0] == "contacts" and loc[-1] in ("friction", "restitution"):
+            if _is_coefficient(loc):
                 scene.controlled.check_coefficient(text, scene.parameters, *loc)
+    for name in scene.contacts:
+        with found:
+            _check_law(scene, name)
+
+
+def _is_coefficient(loc: Loc) -> bool:
+    return loc[0] == "contacts" and loc[2] in ("friction", "restitution")
+
+
+def _check_law(scene: SceneFields, name: str) -> None:
+    """Check that one region sets both coefficients, and that only the kinetic one has a side."""
+    law, loc = scene.friction_of(name), ("contacts", name, "friction")
+    if law is None or not law.splits:
+        return
+    scene.controlled.check_coefficient(law.both, scene.parameters, *loc)
+    check_sides(law.kinetic, law.slips, loc)
 
 
 def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> tuple[str, str]:
@@ -148,7 +173,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "declare bodies that differ in more one by one",
         )
     if TIME not in known and name in _changing(scene):
-        switched = loc[0] == "contacts" and loc[-1] in ("friction", "restitution")
+        switched = _is_coefficient(loc)
         advice = {"surfaces": _MOVED, "gravity": _PULLED}.get(str(loc[0]), _CONSTANT)
         return "it changes along a run, and this does not", _SWITCHED if switched else advice
     return "", ""
@@ -172,6 +197,7 @@ class Limit(NamedTuple):
     words: str = "must be zero or positive, not {:g}"
     advice: str = ""
     shown: tuple[FormulaText, ...] = ()  # Formulas whose values the sentence tells, if not its own
+    slips: Mapping[str, float] = MappingProxyType({})  # Names of the slip -> its value
 
 
 _MAX_NUMBER = sys.float_info.max
@@ -235,8 +261,7 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             yield Limit(("contacts", name, "damping"), contact.damping, 0.0, _MAX_NUMBER)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
-            if law.friction is not None:
-                yield Limit((section, name, "friction"), law.friction, 0.0, math.inf)
+            yield from _friction_limits(scene, (section, name, "friction"), law.friction)
             if law.restitution is not None:
                 yield Limit((section, name, "restitution"), law.restitution, *_PART)
     for name, joint in scene.joints.items():
@@ -258,13 +283,37 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
             )
 
 
+def _friction_limits(
+    scene: SceneFields, loc: Loc, friction: FormulaText | Friction | None
+) -> Iterator[Limit]:
+    law = friction_law(friction, str(loc[1]), {*scene.parameters, *scene.controls})
+    if law is None:
+        return
+    for side in (1.0, -1.0) if law.varies else (1.0,):
+        slips = dict.fromkeys(law.slips, side * AT_REST)
+        for at, text in friction_texts(friction, loc):
+            yield Limit(at, text, 0.0, math.inf, slips=slips)
+        if isinstance(friction, Friction):
+            yield Limit(
+                loc,
+                f"({law.static}) - ({law.kinetic})",
+                0.0,
+                math.inf,
+                "the static coefficient {:g} is below the kinetic one at rest, {:g}",
+                "what rests holds at least as much: exchange them, or write one number for both",
+                (law.static, law.kinetic),
+                slips,
+            )
+
+
 def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check the `limits` of a scene, in all states that set coefficients; and its polygons."""
     found = Findings()
     wrong: set[Loc] = set()
-    for loc, text, least, most, words, advice, shown in limits(scene):
+    for loc, text, least, most, words, advice, shown, slips in limits(scene):
         region = scene.controlled.region_of(text)
-        for state, seen in scene.controlled.seen_in_states(text, values, Formula.value):
+        known = {**values, **slips}
+        for state, seen in scene.controlled.seen_in_states(text, known, Formula.value):
             with found:
                 value = value_of(text, seen, *loc)
                 if least <= value <= most or loc in wrong:
@@ -304,7 +353,7 @@ def check_finite(scene: SceneFields, values: Mapping[str, float]) -> None:
     """Check that formulas of parameters alone are finite, and that lines have two ends."""
     for loc, text in scene_formulas(scene):
         # A start that uses the number of a copy is checked with each copy's own number.
-        if loc[-1] == "friction" or not parse(text).names <= values.keys():
+        if loc[2:3] == ("friction",) or not parse(text).names <= values.keys():
             continue
         value = value_of(text, values, *loc)
         if not math.isfinite(value):

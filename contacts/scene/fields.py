@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag
 
 from contacts.scene.controls import Controller, Controls
 from contacts.scene.couplings import Coupling
+from contacts.scene.friction import SLIP, FrictionLaw, friction_law
 from contacts.scene.joints import JOINT_WORDS, Force, Joint
 from contacts.scene.parts import (
     Body,
@@ -295,6 +296,8 @@ class SceneFields(Declaration):
         rates = {self.rate_name(coordinate): coordinate for coordinate in self.coordinates}
         if name in rates:
             return Quantity(f"rate of {rates[name]}")
+        if name == SLIP:
+            return Quantity("slip velocity", "length/time")
         return Quantity(name, "energy") if name == "energy" else super().stated(name)
 
     def facts(self) -> Iterator[Fact]:
@@ -370,6 +373,13 @@ class SceneFields(Declaration):
     def controlled(self) -> Controls:
         """The controls and the regions that set them."""
         return Controls(self.controls, self.regions)
+
+    def friction_of(self, contact: str) -> FrictionLaw | None:
+        """Return the coefficients of a contact; None where none is declared."""
+        if contact not in self.contacts:  # A coupling
+            return None
+        declared = self.contacts[contact].friction
+        return friction_law(declared, contact, {*self.parameters, *self.controls})
 
     @property
     def frictional(self) -> tuple[str, ...]:

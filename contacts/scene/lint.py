@@ -8,6 +8,7 @@ from contextlib import suppress
 from itertools import combinations, pairwise
 
 from contacts.scene.fields import SceneFields
+from contacts.scene.friction import Friction
 from contacts.scene.parts import MOREAU, Contact, Point
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
@@ -228,8 +229,10 @@ def _agrees(scene: SceneFields, contact: Contact, values: Mapping[str, float]) -
     """Return whether all laws agree: no friction, or a particle that moves along the push."""
     if contact.frictionless:
         return True
-    if contact.friction is not None:
-        friction = parse(contact.friction)
+    declared = contact.friction
+    largest = declared.static if isinstance(declared, Friction) else declared
+    if largest is not None:
+        friction = parse(largest)
         if set(friction.names) <= set(values) and friction.value(values) == 0.0:
             return True
     name = contact.point.body

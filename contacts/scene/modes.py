@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from statechart.automaton.regions import Hold, Loads, Margin, State
+from statechart.automaton.regions import Hold, Loads, Margin, MarginKind, State
 from statechart.documents.fields import Part
 
 if TYPE_CHECKING:
@@ -17,6 +19,16 @@ FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
 INSIDE, OUTSIDE = "inside", "outside"
 """Margins of a compliant contact that is free inside its surface: it presses again, or leaves."""
+
+
+class FrictionSymbols(NamedTuple):
+    """Friction of a contact by direction: 0 at rest, 1 and -1 in motion."""
+
+    # The cone's unit edges (1, mu) / hypot(1, mu): mu = 0 and mu = inf are ordinary values. Plain
+    # numbers where no coefficient is needed: (1, 0) frictionless, (0, 1) without slide
+    edges: Mapping[int, tuple[sp.Expr, sp.Expr]]
+    # The coefficient that a mode uses, and its values; empty where all are one
+    used: Mapping[int, Mapping[sp.Symbol, sp.Expr]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +49,7 @@ class ContactSymbols:
     # `V`, `H`: Normal and tangential force on the body
     V: sp.Symbol
     H: sp.Symbol
-    # `cone_n`, `cone_t`: The cone's unit edge (1, mu) / hypot(1, mu): mu = 0 and mu = inf are
-    # ordinary values. Plain numbers where no coefficient is needed: (1, 0) frictionless, (0, 1)
-    # without slide
-    cone_n: sp.Expr
-    cone_t: sp.Expr
+    friction: FrictionSymbols
     # (tuple of Expr, tuple of Expr): d(normal, tangential velocity)/d(rates): what the forces do to
     # each coordinate
     jacobian: tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
@@ -84,7 +92,8 @@ class Free(Part):
                 Margin(f"{contact.name}.{INSIDE}", -contact.compliance, "force", relation, whole),
                 Margin(f"{contact.name}.{OUTSIDE}", -contact.gap, "plain", relation, whole),
             ]
-        return State((contact.V, contact.H), tuple(margins))
+        values = contact.friction.used.get(0, {})
+        return State((contact.V, contact.H), tuple(margins), values=values)
 
 
 class Slide(Part):
@@ -98,13 +107,15 @@ class Slide(Part):
         The force is ``edge (cone_n n - direction cone_t t)``; the margin `V` is that edge, so
         that it still has a sign where V itself is zero (mu = inf, equation 13).
         """
-        name, n, t = contact.name, contact.cone_n, direction * contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[direction]
+        t = direction * t
         margins = [Margin(f"{name}.{_LOAD}", n * contact.V - t * contact.H, "force")]
         if direction:
             margins.append(Margin(f"{name}.slip", direction * contact.slip, "speed"))
         equations = (contact.normal_law, t * contact.V + n * contact.H)
         holds = () if contact.compliance is not None else (contact.closing,)
-        return State(equations, tuple(margins), holds=holds)
+        values = contact.friction.used.get(direction, {})
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 class Pin(Part):
@@ -114,19 +125,21 @@ class Pin(Part):
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
-        name, n, t = contact.name, contact.cone_n, contact.cone_t
+        name, (n, t) = contact.name, contact.friction.edges[0]
         margins = [Margin(f"{name}.{_LOAD}", contact.V, "force")]
         if n != 0:
-            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, "force"))
-            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, "force"))
+            kind: MarginKind = "hold" if contact.friction.used else "force"
+            margins.append(Margin(f"{name}.{_UPPER}", t * contact.V - n * contact.H, kind))
+            margins.append(Margin(f"{name}.{_LOWER}", t * contact.V + n * contact.H, kind))
         equations = (contact.normal_law, contact.tangential_acceleration)
         holds = () if contact.compliance is not None else (contact.sticking,)
-        return State(equations, tuple(margins), holds=holds)
+        values = contact.friction.used.get(0, {})
+        return State(equations, tuple(margins), values=values, holds=holds)
 
 
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come `back`."""
-    return State((contact.V, contact.H), back)
+    return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
 
 
 class Bearing(NamedTuple):
@@ -168,8 +181,8 @@ def share_of(
     kept = tuple(constraints[row] for row in bearing.rows)
     if zone == OWN:
         rest = (e for e in own.equations if e not in constraints.values())
-        return State((*kept, *rest), own.margins)
-    n, t = contact.cone_n, contact.cone_t
+        return State((*kept, *rest), own.margins, values=own.values)
+    n, t = contact.friction.edges[0 if pinned else direction]
     y = {place: sp.Symbol(f"y{place}", real=True) for place in places}
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     # Along the edge, where there is but one.
@@ -203,7 +216,7 @@ def share_of(
     loads = Loads(carried, tuple(carriers.values()), laws, balances)
     if contact.compliance is not None:
         kept = tuple(equation.xreplace(carried) for equation in kept)
-    return State(kept, margins, loads=loads)
+    return State(kept, margins, values=own.values, loads=loads)
 
 
 def _on_cone(

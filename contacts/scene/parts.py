@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
+from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
 from statechart.documents.fields import (
@@ -408,7 +409,14 @@ Relations = Annotated[
 class Contact(Part):
     """A point that may touch a surface, and the modes that this contact may take."""
 
-    OTHER_WORDS: ClassVar = {**LAW_WORDS, "r": "radius", "k": "stiffness", "d": "damping"}
+    OTHER_WORDS: ClassVar = {
+        **LAW_WORDS,
+        "r": "radius",
+        "k": "stiffness",
+        "d": "damping",
+        "spring": "stiffness, and damping",
+        "rolling_friction": "rolling_resistance: LENGTH",
+    }
 
     point: Point = Field(
         description="Point of a body that may touch the surface.",
@@ -440,9 +448,12 @@ class Contact(Part):
         ),
         examples=[["slide", "pin"]],
     )
-    friction: FormulaText | None = Field(
+    friction: DeclaredFriction | None = Field(
         default=None,
-        description="Coulomb's friction coefficient, 0 to inf; needed with slide.",
+        description=(
+            "Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one; needed with "
+            "slide."
+        ),
         examples=["mu"],
         json_schema_extra=unit("1"),
     )
@@ -562,7 +573,7 @@ class Contact(Part):
         """True if no force acts along the surface: friction is the number 0, or it only bounces."""
         if self.friction is None:
             return {mode.mode for mode in self.modes} == {"free"}
-        return _is_zero(self.friction)
+        return not isinstance(self.friction, Friction) and _is_zero(self.friction)
 
 
 def _is_zero(text: str | int | float) -> bool:

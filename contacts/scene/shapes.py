@@ -73,10 +73,7 @@ LAW_WORDS = {
     "mu": "friction",
     **dict.fromkeys(
         ("mu_s", "mu_k", "static_friction", "kinetic_friction", "friction_coefficient"),
-        (
-            "friction: a number for both, or a control that a region changes on CONTACT.slip and "
-            "CONTACT.stick"
-        ),
+        ("friction: a number for both, or friction: {static: 0.5, kinetic: 0.3}"),
     ),
     **dict.fromkeys(("e", "bounce", "bounciness", "elasticity", "cor"), "restitution"),
     "coefficientOfRestitution": "restitution",

@@ -58,6 +58,14 @@ def is_coupling(code: int) -> bool:
 
 
 @kernel
+def choose_edges(cones: Array, code: Ints, edges: Array) -> None:
+    """Write the unit edge (c, 2) of each contact's cone in its mode, of `cones` (c, 6)."""
+    for c in range(len(code)):
+        at = 2 if code[c] == SLIDE_PLUS else 4 if code[c] == SLIDE_MINUS else 0
+        edges[c, 0], edges[c, 1] = cones[c, at], cones[c, at + 1]
+
+
+@kernel
 def _worse(verdict: Array, amount: float, contact: int, which: int, number: float) -> None:
     if amount > verdict[0]:
         verdict[0], verdict[1], verdict[2], verdict[3] = amount, contact, which, number
@@ -173,9 +181,9 @@ def solve_modes(
     jacobians : (c, 2, n)
         Rows: normal, tangential.
     biases : (c, 2)
-    cones : (c, 2)
-        cone_n, cone_t; of a coupling its static and its kinetic limit. Its limit stands in the
-        place of its normal force.
+    cones : (c, 6)
+        Unit edges of the cones at rest, in slide+ and in slide-; of a coupling first its static
+        and its kinetic limit, which stand in the place of its normal force.
     carriers : (c,) of int
         The contact whose normal force the limits of a coupling are multiples of; below 0: none.
     codes : (k, c) of int
@@ -209,10 +217,11 @@ def solve_modes(
     rows, columns = np.empty((2 * contacts, n)), np.empty((2 * contacts, n))
     constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
     owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
-    size = n + 2 * contacts
+    size, edges = n + 2 * contacts, np.empty((contacts, 2))
     matrix, b, x, memory = np.empty((size, size)), np.empty(size), np.empty(size), room(size)
     for k in range(count):
         code, verdict, force = codes[k], verdicts[k], forces[k]
+        choose_edges(cones, code, edges)
         verdict[0], verdict[1], verdict[2], verdict[3] = -math.inf, 0.0, 0.0, 0.0
         for i in range(n):
             accelerations[k, i] = 0.0
@@ -230,15 +239,15 @@ def solve_modes(
                 if last_row == 2:
                     directions[m, 0], directions[m, 1] = 1 - d, d
                 else:
-                    directions[m, 0] = 1.0 if code[c] == SLIDE else cones[c, 0]
-                    directions[m, 1] = -_direction(code[c]) * cones[c, 1]
+                    directions[m, 0] = 1.0 if code[c] == SLIDE else edges[c, 0]
+                    directions[m, 1] = -_direction(code[c]) * edges[c, 1]
                 for i in range(n):
                     rows[m, i] = jacobians[c, d, i]
                     columns[m, i] = directions[m, 0] * jacobians[c, 0, i]
                     columns[m, i] += directions[m, 1] * jacobians[c, 1, i]
                 for r in range(contacts):
                     if carriers[r] == c and is_coupling(code[r]) and code[r] != LOCKED:
-                        by = -_direction(code[r]) * cones[r, 1] * directions[m, 0]
+                        by = -_direction(code[r]) * edges[r, 1] * directions[m, 0]
                         for i in range(n):
                             columns[m, i] += by * jacobians[r, 1, i]
                 m += 1
@@ -257,7 +266,7 @@ def solve_modes(
         for c in range(contacts):
             if is_coupling(code[c]) and code[c] != LOCKED and carriers[c] < 0:
                 for i in range(n):
-                    b[i] -= _direction(code[c]) * cones[c, 1] * jacobians[c, 1, i]
+                    b[i] -= _direction(code[c]) * edges[c, 1] * jacobians[c, 1, i]
         for i in range(rank):
             b[n + i] = constants[first[i]]
         status[k] = solve_in(memory, matrix, b, x, n + rank)
@@ -274,12 +283,12 @@ def solve_modes(
             place = bearing[i]
             force[owners[place], 0] += x[n + i] * directions[place, 0]
             force[owners[place], 1] += x[n + i] * directions[place, 1]
-        write_limits(force, cones, carriers, code)
+        write_limits(force, edges, carriers, code)
         _judge(
             verdict, accelerations[k], jacobians, biases, code, closed, still, acceleration_scale
         )
         if rank == m:
-            judge_forces(verdict, force, cones, code, force_scale)
+            judge_forces(verdict, force, edges, code, force_scale)
         else:
             status[k] = REDUNDANT
             redundant += 1

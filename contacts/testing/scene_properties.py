@@ -7,11 +7,12 @@ automaton that was run. See `statechart.testing` for how to use them.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import sympy as sp
 
+from contacts.dynamics.contact_law import edges
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.scene import Scene
@@ -83,14 +84,18 @@ def assert_cone(scene: Scene, subject: Subject, trace: Trace) -> None:
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    cones = cache(partial(cone_edges, scene, trace))
-    for arc, name, state, times, V, H in _sampled_forces(scene, subject, trace):
+    for arc, name, state, times, V, H, slips, used in _sampled_forces(scene, subject, trace):
         if state in OPEN:
             continue
         # A mode of steps that all hold an impulse has no force of its own.
         known = ~np.isnan(V) | (trace.step is None)
         V, H, times = V[known], H[known], times[known]
-        n, t = cones(arc.mode)[name]
+        law = scene.friction_of(name)
+        if trace.step is not None and law is not None and law.splits:
+            # A step knows the slip at its start alone.
+            n, t = edges(used[known])
+        else:
+            n, t = cone_edges(scene, trace, arc.mode, name, state, slips[known])
         allowed = trace.tolerances["force"] + ROUND_OFF * np.hypot(V, H)
         _no_less(V, -allowed, f"{name}.V", times, state)
         _no_less(t * V - n * np.abs(H), -allowed, f"{name}: mu V - |H|", times, state)
@@ -148,7 +153,7 @@ def assert_no_force_when_free(scene: Scene, subject: Subject, trace: Trace) -> N
     scene, subject, trace : Scene, Subject, Trace
         What was declared, the same compiled, and a run of it.
     """
-    for _, name, state, times, V, H in _sampled_forces(scene, subject, trace):
+    for _, name, state, times, V, H, *_ in _sampled_forces(scene, subject, trace):
         if state in OPEN and ((V != 0.0) | (H != 0.0)).any():
             raise AssertionError(f"{name} is {state} at t = {times[0]:.6g} and has a force")
 
@@ -163,9 +168,19 @@ def assert_impulses(scene: Scene, subject: Subject, trace: Trace) -> None:
     """
     largest = largest_of(jump.impulse for jump in trace.jumps)
     for jump in trace.jumps:
-        edges = cone_edges(scene, trace, jump.source)
         for name, impulse in jump.impulse.items():
-            assert_in_cone(impulse, edges[name], largest, f"of {name} at t = {jump.t:.6g}")
+            slip = subject.automaton.observables[f"{name}.slip"]
+            slips = subject.values(trace, [slip], jump.before[None], np.array([jump.t]))[0]
+            # A path may slip either way and stick.
+            n, t = max(
+                (
+                    cone_edges(scene, trace, jump.source, name, state, size * np.abs(slips))
+                    for state, size in (("pin", 0.0), ("slide+", 1.0), ("slide-", -1.0))
+                ),
+                key=lambda edge: edge[1],
+            )
+            edge = float(n[0]), float(t[0])
+            assert_in_cone(impulse, edge, largest, f"of {name} at t = {jump.t:.6g}")
 
 
 def assert_energy(mechanics: Mechanics, subject: Subject, trace: Trace) -> None:
@@ -340,15 +355,20 @@ def properties(declared: Scene) -> tuple[Property, ...]:
 
 def _sampled_forces(
     scene: Scene, subject: Subject, trace: Trace
-) -> Iterator[tuple[Arc, str, str, Array, Array, Array]]:
-    """Yield every contact in every arc: its name and mode, times, and V and H at them."""
+) -> Iterator[tuple[Arc, str, str, Array, Array, Array, Array, Array]]:
+    """Yield every contact in every arc: name, mode, times, and V, H, slip, friction at them."""
     known = subject.automaton.observables
-    expressions = [known[f"{name}.{force}"] for name in scene.contacts for force in ("V", "H")]
+    expressions = [
+        known.get(f"{name}.{one}", sp.S.Zero)
+        for name in scene.contacts
+        for one in ("V", "H", "slip", "friction")
+    ]
     for arc, tau in dense(trace):
         times = arc.start.high + (arc.start.low + tau)
         forces = iter(subject.solved(trace, arc, tau, expressions).T)
-        for (name, state), V, H in zip(_states(scene, arc), forces, forces, strict=True):
-            yield arc, name, state, times, V, H
+        for name, state in _states(scene, arc):
+            V, H, slips, used = (next(forces) for _ in range(4))
+            yield arc, name, state, times, V, H, slips, used
 
 
 def _states(scene: Scene, arc: Arc) -> Iterator[tuple[str, str]]:

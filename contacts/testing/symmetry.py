@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from contacts.scene.couplings import Coupling, StaticKinetic
+from contacts.scene.friction import SLIP
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, Part
@@ -175,6 +176,8 @@ class _Change:
         old, units = self.declared, self._units
         (tangential, normal, _), (slip, *_) = units["force"], units["length/time"]
         found = {TIME: self.time, "energy": tangential * self.x}
+        if SLIP not in old.parameters:
+            found[SLIP] = slip
         found |= {old.rate_name(name): 1.0 / self.time for name in old.coordinates}
         for name in (*old.single_bodies(), *old.bodies):
             found |= {f"{name}.{key}": self._start(key) for key in ("x", "y", "angle")}

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
-from contacts.dynamics.contact_law import edge
+from contacts.dynamics.contact_law import edges
 from contacts.dynamics.setup import SceneSetup
+from contacts.scene.friction import AT_REST
 from contacts.scene.scene import Scene
-from contacts.states import OFF
+from contacts.states import OFF, declared_state
+from statechart.arrays import Array
 from statechart.automaton.trace import Key, Trace
-from statechart.documents.fields import FormulaText
 from statechart.formulas.formula import Formula, parse
 from statechart.observation.observer import Observer
 
@@ -34,9 +35,11 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
             "inexact": trace.counts["inexact_steps"] / max(trace.counts["steps"], 1),
         }
     steps = sum(len(arc.coefficients) for arc in trace.arcs)
-    names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H")]
+    names = [f"{name}.{what}" for name in scene.contacts for what in ("gap", "V", "H", "slip")]
+    by_steps = trace.step is not None
+    split = {name for name in scene.contacts if (law := scene.friction_of(name)) and law.splits}
+    names += [f"{name}.friction" for name in split if by_steps]
     samples = observer.sample(trace, names, per_step=8 if steps < _MANY else 1)
-    cones = [cone_edges(scene, trace, mode) for mode in samples.modes]
     deepest = outside = 0.0
     for place, name in enumerate(scene.contacts):
         gap, normal, tangential = (samples.columns[f"{name}.{what}"] for what in ("gap", "V", "H"))
@@ -44,34 +47,48 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
         off = np.array([key[place] == OFF for key in samples.modes])[samples.mode]
         if scene.contacts[name].stiffness is None:
             deepest = max(deepest, _largest(-gap[~off]), _largest(np.abs(gap[closed])))
+        outside = max(outside, _largest(-normal[closed]))
         # Of every mode; what a controller sets may differ.
-        n, t = np.array([edges[name] for edges in cones])[samples.mode[closed]].T
-        V, H = normal[closed], tangential[closed]
-        outside = max(outside, _largest(n * np.abs(H) - t * V), _largest(-V))
+        for number, mode in enumerate(samples.modes):
+            here = closed & (samples.mode == number)
+            slips, V, H = samples.columns[f"{name}.slip"][here], normal[here], tangential[here]
+            n, t = cone_edges(scene, trace, mode, name, mode[place], slips)
+            if by_steps and name in split:
+                # A step knows the slip at its start alone.
+                n, t = edges(samples.columns[f"{name}.friction"][here])
+            outside = max(outside, _largest(n * np.abs(H) - t * V))
     return {
         "constraint": deepest / setup.scales.length,
         "cone": outside / setup.scales.force,
     }
 
 
-def cone_edges(scene: Scene, trace: Trace, mode: Key) -> dict[str, tuple[float, float]]:
-    """Return the cone's unit edge (1, mu) / hypot(1, mu) of every contact in a mode."""
-    values = {name: trace.parameters[name] for name in scene.parameters}
-    states = dict(zip(trace.regions, mode, strict=True))
-    controls = scene.controlled
+def cone_edges(
+    scene: Scene, trace: Trace, mode: Key, name: str, state: str, slips: Array
+) -> tuple[Array, Array]:
+    """Return the unit edges (1, mu) / hypot(1, mu) of a contact's cone in a state, at slips (k,).
 
-    def value(text: FormulaText) -> float:
-        now = states.get(controls.region_of(text) or "", "")
-        seen = dict(controls.seen_in_states(text, values, Formula.value))
-        return parse(text).value(seen[now])
-
-    result = {}
-    for name, contact in scene.contacts.items():
+    A controller in the mode may set mu.
+    """
+    contact, law = scene.contacts[name], scene.friction_of(name)
+    if law is None:
         # Where friction is not declared a pin does not slide, whatever that takes.
-        held = 0.0 if contact.frictionless else math.inf
-        mu = held if contact.friction is None else value(contact.friction)
-        result[name] = edge(mu)
-    return result
+        return edges(np.full(len(slips), 0.0 if contact.frictionless else math.inf))
+    values = {name: trace.parameters[name] for name in scene.parameters}
+    region = scene.controlled.region_of(law.both)
+    now = dict(zip(trace.regions, mode, strict=True)).get(region or "", "")
+    seen = dict(scene.controlled.seen_in_states(law.both, values, Formula.value))[now]
+    text = law.kinetic if declared_state(state) == "slide" else law.static
+    if state == "pin" or not law.varies:
+        at_rest = dict.fromkeys(law.slips, 0.0)
+        return edges(np.full(len(slips), parse(text).value({**seen, **at_rest})))
+    direction = math.copysign(AT_REST, -1.0 if state == "slide-" else 1.0)
+    return edges(
+        np.array([
+            parse(text).value({**seen, **dict.fromkeys(law.slips, slip + direction)})
+            for slip in slips.tolist()
+        ])
+    )  # fmt: skip
 
 
 def _largest(values: np.ndarray) -> float:

@@ -161,7 +161,8 @@ class StepControl:
             if STATES[code] not in OPEN
         ]
         if touching and len(snapshot.velocity):
-            edges, jacobians = cones(contacts)[touching], snapshot.jacobians[touching]
+            edges = cones(contacts, snapshot.contacts)[touching, :2].copy()
+            jacobians = snapshot.jacobians[touching]
             matrix, _ = delassus(snapshot.mass, jacobians, snapshot.forces)
             solution = solve_lcp(*contact_problem(matrix, jacobians @ snapshot.velocity, edges))
             impulses = np.einsum("ckn,ck->n", jacobians, contact_impulses(solution.z, edges))

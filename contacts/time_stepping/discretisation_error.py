@@ -175,8 +175,9 @@ class DiscretisationError:
                 continue
             # Where an impact's share is not known, half of the step is as good as any other.
             part, change = 0.5, 0.0
-            if math.isfinite(normal) and now.cones[i, 0] > 0.0:
-                friction = -math.copysign(now.cones[i, 1] / now.cones[i, 0] * normal, slip)
+            cone_n, cone_t = rows.cones(now.cones)[i]
+            if math.isfinite(normal) and cone_n > 0.0:
+                friction = -math.copysign(cone_t / cone_n * normal, slip)
                 change = friction - tangential
                 rate = push @ (chunk.states[k + 1] - chunk.states[k])[n : 2 * n] / h
                 rate += lightness * change
@@ -214,7 +215,8 @@ def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
 def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | None:
     """Return what impacts of these contacts add to the rates (n,) in a state."""
     source = now.source
-    n, (mass, contacts, joints) = source.size, source.rows(now.values, state, time)
+    n, rows = source.size, source.rows(now.values, state, time)
+    mass, contacts, joints = rows
     if not (np.isfinite(mass).all() and np.isfinite(contacts).all() and np.isfinite(joints).all()):
         return None
     pinned = [contacts[source.held > 0, :n], contacts[source.held > 1, n : 2 * n]]
@@ -222,7 +224,7 @@ def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | 
         mass,
         np.concatenate([joints[:, :n], *pinned]),
         contacts[struck, : 2 * n].reshape(-1, 2, n),
-        np.ascontiguousarray(contacts[struck, -3:-1]),
-        now.cones[struck],
+        np.ascontiguousarray(rows.velocities[struck]),
+        rows.cones(now.cones)[struck],
         now.restitution[struck],
     )

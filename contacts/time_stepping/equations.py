@@ -33,7 +33,9 @@ class StepConstants(NamedTuple):
     size: int  # Coordinates.
     damped: bool
     parameters: Array  # shape (p,)
-    cones: Array  # shape (c, 2)
+    cones: Array  # (c, 2): unit edges of friction cones at rest.
+    # (c,): place of the coefficient in use among what controllers give; -1 where there is but one.
+    used: Ints
     restitution: Array  # shape (c,)
     plastic: bool  # Whether contacts that are hit together do not rebound.
     # (c, 2): the body of each contact's point, and of its surface; -1 for none, and for all where
@@ -165,6 +167,8 @@ class ContactProblem(NamedTuple):
     columns: Array  # shape (2 m, s)
     delassus: Array  # shape (2 m, 2 m)
     groups: Ints  # (m,): equal for those that feel each other's impulses.
+    # (m,): direction (1, -1) of the slip whose friction is in `cones`; 0: that at rest.
+    directions: Ints
     # of shape (m, 2) each
     cones: Array
     before: Array
@@ -193,11 +197,10 @@ class ContactForces(NamedTuple):
     jammed: int
 
 
-CONTACT = 7
-"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition.
-
-The last is the condition without the ends of edges at which another edge makes a valley.
-"""
+CONTACT, EDGES = 11, 7
+"""Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
+the condition without the ends of edges at which another edge makes a valley; from `EDGES` on the
+unit edges of its friction cone in slide+ and slide-, at the size of its slip."""
 
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""

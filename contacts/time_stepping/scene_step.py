@@ -40,6 +40,7 @@ from contacts.time_stepping.equations import (
 )
 from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
+    change_friction,
     clear_contacts,
     close_opposed,
     contact_problem,
@@ -354,7 +355,7 @@ def keep_leaving(
     find_active(scene, memory, tape, change, k, met, chunk)
     close_opposed(scene, memory, tape, h, met)
     which = indices(met.active)
-    problem = contact_problem(scene, tape, equations, which, met, h)
+    problem = contact_problem(scene, memory, tape, equations, which, met, h)
     bears = np.zeros(len(which), np.bool_)
     there, ahead = middle.copy(), np.empty_like(tape.numbers)
     alone = np.empty_like(tape.numbers)
@@ -508,14 +509,18 @@ def step_scene(
         chunk.efforts[k, CONTACTS] = len(which)
         clear_contacts(memory.off, forces, k, chunk)
         if len(which) > 0:
-            problem = contact_problem(scene, tape, equations, which, met, h)
-            good, z, basis, pushes, least = solve_impacts(
-                problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
-                problem.cones, problem.rebounds, initial_guess(problem, memory.bases),
-                given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
-            )  # fmt: skip
-            if not good:
-                return k, HARD, problem.delassus, least, problem.cones
+            problem = contact_problem(scene, memory, tape, equations, which, met, h)
+            began, changes = np.zeros(len(which), np.bool_), True
+            while changes:
+                good, z, basis, pushes, least = solve_impacts(
+                    problem.delassus, problem.groups, problem.before, problem.free,
+                    problem.wanted, problem.cones, problem.rebounds,
+                    initial_guess(problem, memory.bases),
+                    given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
+                )  # fmt: skip
+                if not good:
+                    return k, HARD, problem.delassus, least, problem.cones
+                changes = change_friction(scene, tape, problem, least, pushes, began)
             answer = split_forces(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
             rates = state[n : 2 * n]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw, cones
+from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
@@ -124,7 +124,8 @@ class SteppedScene(SteppedSystem):
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
         self._source = source
-        self._cones = smoothed(cones(tuple(contacts)))
+        edges = [(law.cone_n, law.cone_t) for law in contacts]
+        self._cones = smoothed(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
         nowhere = np.zeros(source.soft.n_variables)
         self._soft = source.soft.at(nowhere, self._values, 0.0).reshape(-1, 2)
@@ -191,8 +192,9 @@ class SteppedScene(SteppedSystem):
         memory = self._memory.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
-            self._restitution, source.plastic, source.bodies, source.pairs, source.held,
-            source.slips, r, source.signs, self._near, self._still, ROUNDING * self._speed,
+            source.used, self._restitution, source.plastic, source.bodies, source.pairs,
+            source.held, source.slips, r, source.signs, self._near, self._still,
+            ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
@@ -210,7 +212,7 @@ class SteppedScene(SteppedSystem):
             return self.steps(start, h, state, followed)
         chunk = chunk.first(done)
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
-        self._note(chunk.gaps, forces, chunk.codes)
+        self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._look_between(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
@@ -329,7 +331,7 @@ class SteppedScene(SteppedSystem):
             "among its modes; add it, or end the run before"
         )
 
-    def _note(self, gaps: Array, forces: Array, codes: Ints) -> None:
+    def _note(self, gaps: Array, forces: Array, codes: Ints, given: Array) -> None:
         if not len(gaps):
             return
         memory = self._memory
@@ -337,7 +339,10 @@ class SteppedScene(SteppedSystem):
         normal, tangential = forces[..., 0], np.abs(forces[..., 1])
         cone_n, cone_t = self._cones.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            inside = np.where(cone_n > 0.0, cone_t / cone_n * normal - tangential, np.inf)
+            mu = np.tile(cone_t / cone_n, (len(gaps), 1))
+            split = self._source.used >= 0
+            mu[:, split] = given[:, self._source.used[split]]
+            inside = np.where(np.isfinite(mu), mu * normal - tangential, np.inf)
         for k, values in enumerate((normal, inside)):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)

@@ -31,12 +31,18 @@ class Rows(NamedTuple):
     @property
     def gaps(self) -> Array:
         """Gaps (c,)."""
-        return self.contacts[:, -5]
+        return self.contacts[:, 2 * len(self.mass) + 2]
 
     @property
     def velocities(self) -> Array:
         """Rates of gaps, and slips (c, 2)."""
-        return self.contacts[:, -4:-2]
+        return self.contacts[:, 2 * len(self.mass) + 3 : 2 * len(self.mass) + 5]
+
+    def cones(self, at_rest: Array) -> Array:
+        """Return unit edges (c, 2) of cones by the slips' directions; `at_rest` without slip."""
+        plus, minus = self.contacts[:, -4:-2], self.contacts[:, -2:]
+        slips = self.velocities[:, 1:]
+        return np.where(slips > 0.0, plus, np.where(slips < 0.0, minus, at_rest))
 
 
 class SteppedTape:
@@ -46,7 +52,7 @@ class SteppedTape:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
         set_in = [known[symbol] for symbol in given(mechanics)]
-        signs = _Signs([*forces, *set_in], mechanics)
+        signs = _Signs(forces, set_in, mechanics)
         forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         derivatives = [derivative(force, rate) for force in forces for rate in mechanics.v]
@@ -64,6 +70,7 @@ class SteppedTape:
             holds = sp.S.One if gate is None else gate.by_steps(known)
             valleys = mechanics.valleys(name)
             outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
+            outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
         rows = mechanics.joint_rows
         for row in rows:
             # The row of a joint that is off couples nothing.
@@ -84,6 +91,10 @@ class SteppedTape:
         )
         self.given, self.signs = len(set_in), len(signs.functions)
         outputs += [*set_in, *signs.rows(len(forces))]
+        used = mechanics.used_friction
+        self.used = np.array(
+            [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
+        )
         self.tape: Tape = mechanics.whole_tape(outputs)
         flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
@@ -131,20 +142,23 @@ class SteppedTape:
 
     def contacts(self, values: Array, state: Array) -> Array:
         """Return gap, gap rate, slip and condition (c, 4) at the start."""
-        return self.rows(values, state, 0.0).contacts[:, -5:-1]
+        first = 2 * self.size + 2
+        return self.rows(values, state, 0.0).contacts[:, first : first + 4]
 
 
 class _Signs:
-    """Signs in formulas of functions that velocities, or places, change.
+    """Signs in forces, of functions that velocities or places change, and in other formulas.
 
     Steps solve for them as for friction: see `contacts.time_stepping.scene_step.hold_signs`.
     Formulas are sums of them; those that multiply each other are those of the middle of a step.
     """
 
-    def __init__(self, formulas: Sequence[sp.Expr], mechanics: Mechanics) -> None:
-        self._mechanics = mechanics
+    def __init__(
+        self, forces: Sequence[sp.Expr], others: Sequence[sp.Expr], mechanics: Mechanics
+    ) -> None:
+        self._mechanics, formulas = mechanics, [*forces, *others]
         moving = {*mechanics.q, *mechanics.v}
-        atoms = set[sp.Expr]().union(*(f.atoms(sp.sign) for f in formulas))
+        atoms = set[sp.Expr]().union(*(f.atoms(sp.sign) for f in forces))
         nodes = sorted((a for a in atoms if a.free_symbols & moving), key=sp.default_sort_key)
         self._signs = {node: sp.Symbol(f"sign{i}", real=True) for i, node in enumerate(nodes)}
         while True:

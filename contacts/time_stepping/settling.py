@@ -33,7 +33,7 @@ from contacts.time_stepping.equations import (
     TapeValues,
     solve_factored,
 )
-from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses
+from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses, write_cone
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
@@ -220,10 +220,10 @@ def settle(
             i = which[a]
             put(free[i], alone[a])
             put(sizes[i], terms[a])
-            put(scene.cones[i], cones[a])
             slips[a] = tape.numbers[tape.first + tape.per * i + 2 * n + 4]
             if abs(slips[a]) > rounding:
                 slides[a] = 1.0 if slips[a] > 0.0 else -1.0
+            write_cone(scene, tape, i, int(slides[a]), cones[a])
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
@@ -233,6 +233,8 @@ def settle(
         problem = delassus, alone, cones
         solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
         if solved and end_slips(slips, forced, against, terms, h, slides):
+            for a in range(m):
+                write_cone(scene, tape, which[a], int(slides[a]), cones[a])
             solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
         for a in range(m):
             i = which[a]

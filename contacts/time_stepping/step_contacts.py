@@ -26,6 +26,7 @@ from contacts.time_stepping.chunk import (
     pressed_guess,
 )
 from contacts.time_stepping.equations import (
+    EDGES,
     HOLDING,
     JOINT,
     LANDED,
@@ -351,9 +352,43 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 
 
 @kernel
+def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
+    """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
+    put(scene.cones[i], cone)
+    if direction != 0 and scene.used[i] >= 0:
+        at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
+        cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
+        if cone[1] <= ROUNDING * cone[0]:
+            cone[1] = 0.0
+
+
+@kernel
+def change_friction(
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array,
+    began: Bools,
+) -> bool:  # fmt: skip
+    """Change the friction of contacts whose slip begins or turns; return whether there are.
+
+    A slip that would turn in the step is stopped, as long as static friction holds it. What that
+    does not hold slips under kinetic friction (`began`, in place): each changes twice at most.
+    """
+    changes = False
+    for a in range(len(problem.which)):
+        i, direction = problem.which[a], problem.directions[a]
+        slip = velocity_after(problem.delassus, least, pushes, a, 1)
+        if scene.used[i] < 0 or began[a] or slip == 0.0 or slip * direction > 0.0:
+            continue
+        began[a] = direction == 0
+        problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
+        write_cone(scene, tape, i, problem.directions[a], problem.cones[a])
+        changes = True
+    return changes
+
+
+@kernel
 def contact_problem(
-    scene: StepConstants, tape: TapeValues, equations: FactoredEquations, which: Ints,
-    met: ContactRoles, h: float,
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    which: Ints, met: ContactRoles, h: float,
 ) -> ContactProblem:  # fmt: skip
     """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
     m = len(which)
@@ -363,13 +398,17 @@ def contact_problem(
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
+    directions = np.zeros(m, np.int64)
     yields = np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
+        slip = met.before[i, 1]
+        if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
+            directions[a] = 1 if slip > 0.0 else -1
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
         if scene.plastic and rebounds[a] and not _is_alone(groups, a):
             rebounds[a], met.wanted[i, 0] = False, 0.0
-        put(scene.cones[i], cones[a])
+        write_cone(scene, tape, i, directions[a], cones[a])
         put(met.before[i], before[a])
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
@@ -381,7 +420,8 @@ def contact_problem(
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
     return ContactProblem(
-        which, columns, delassus, groups[:m], cones, before, free, wanted, rebounds, sudden, yields
+        which, columns, delassus, groups[:m], directions, cones, before, free, wanted, rebounds,
+        sudden, yields,
     )  # fmt: skip
 
 
@@ -482,6 +522,7 @@ def write_modes(
     m, sudden, cones = len(problem.which), problem.sudden, problem.cones
     pushes, steady = answer.pushes, answer.steady
     modes = np.full(m, FREE)
+    used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(m):
         i = problem.which[a]
         for u in range(UNKNOWNS):
@@ -493,6 +534,9 @@ def write_modes(
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
             put(into_cone(chunk.impulses[k, i], cones[a]), chunk.impulses[k, i])
         pressed, directed = pushes[a, 0] > 0.0, scene.slips[i] == 2
+        if scene.used[i] >= 0:
+            mu = cones[a, 1] / cones[a, 0] if cones[a, 0] > 0.0 else math.inf
+            chunk.solved[k, used_at + scene.used[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
         chunk.struck[k, i] = sudden[a] and pressed

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from statechart.formulas.condition import Active, Condition
     from statechart.formulas.linear import Definition
 
-MarginKind = Literal["plain", "gap", "speed", "force"]
+MarginKind = Literal["plain", "gap", "speed", "force", "hold"]
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Margin:
     name: str  # For example ``tip.gap`` or ``tip.mu V - H``.
     expression: sp.Expr  # In variables, parameters, time and unknowns.
     # The kind of its tolerance. A `force` margin is an event once it is below minus its tolerance
-    # (hysteresis, so that the mode just left is not entered again); the others are located at their
-    # zero.
+    # (hysteresis, so that the mode just left is not entered again), a `hold` margin too, whose
+    # force drops as the mode is left; the others are located at their zero.
     kind: MarginKind = "plain"
     # Name of the relation that it is one of several atoms of; "" where it stands alone.
     relation: str = ""

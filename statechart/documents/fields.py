@@ -235,11 +235,12 @@ def value_of(text: str | int | float, values: Mapping[str, float], *loc: str | i
         raise problem(error, *loc) from None
 
 
-_KINKED = ("abs", "sign", "min", "max", "sat")
+KINKED = ("abs", "sign", "min", "max", "sat")
+"""Functions without a derivative where they switch."""
 
 
 def switching(
-    text: str | int | float, variables: Collection[str], functions: Collection[str] = _KINKED
+    text: str | int | float, variables: Collection[str], functions: Collection[str] = KINKED
 ) -> bool:
     """Return whether one of these functions of any of `variables` stands in a formula."""
     calls = (node for node in nodes(parse(text).root) if isinstance(node, Call))
@@ -266,7 +267,7 @@ def check_smooth(
     """
     for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
         switched = {name.name for name in names_in(call)}.intersection(variables)
-        if call.function in _KINKED and switched:
+        if call.function in KINKED and switched:
             raise DeclarationProblem(
                 f"{call.function} of {', '.join(sorted(switched))} has no {lacks} where it "
                 "switches",

@@ -35,8 +35,8 @@ from statechart.kernels.search import (
 from statechart.kernels.search_memory import Memory, Ready, ready_along, room
 from statechart.kernels.tapes import TapeCode, off_by, tape_values
 
-PLAIN, GAP, SPEED, FORCE = range(4)
-KINDS = ("plain", "gap", "speed", "force")
+PLAIN, GAP, SPEED, FORCE, HOLD = range(5)
+KINDS = ("plain", "gap", "speed", "force", "hold")
 """Kinds of margins: their numbers, and their names in that order."""
 
 EVALUATED = 8.0 * float(np.finfo(float).eps)
@@ -419,7 +419,7 @@ def flow_to_event(
         far = verdict == CROSSING and first == guard and at <= latest
         if at_zero or jumps or not far:
             return IN_VAIN, -1, 0, boxes
-    cut = crossed if kind == FORCE else at
+    cut = crossed if kind in (FORCE, HOLD) else at
     count = cut_steps(times, coeffs, made, cut, initial)
     reconstruct_any(follows, initial, start + times[count])
     return AT_EVENT, guard, count, boxes

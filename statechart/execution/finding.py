@@ -145,11 +145,11 @@ def alone(compiled: CompiledMode, at: Instant, stops: int) -> bool:
 
 def from_here(compiled: CompiledMode, flow: Flow, setup: Setup, state: Array, time: float) -> Flow:
     """Return a flow in which forces that begin beyond their bounds fall from where they begin."""
-    usual, tolerances = setup.tolerances["force"], {**flow.tolerances}
+    tolerances = {**flow.tolerances}
     margins = compiled.guards.values(state, setup.values, time).tolist()
     for (name, kind), margin in zip(compiled.watched, margins, strict=True):
-        if kind == "force" and margin < 0.0 and name not in tolerances:
-            tolerances[name] = usual - margin
+        if kind in ("force", "hold") and margin < 0.0 and name not in tolerances:
+            tolerances[name] = setup.tolerances[kind] - margin
     return flow._replace(tolerances=tolerances)
 
 

@@ -260,7 +260,7 @@ class Advance:
                 self._cut(found.undecided.time, ended)
             raise
         self.graze = found.verdict is not Verdict.CROSSING
-        late = self.graze or self.compiled.kind(crossing.guard) == "force"
+        late = self.graze or self.compiled.kind(crossing.guard) in ("force", "hold")
         at = crossing.crossed if late else crossing.time
         if self.compiled.plain[crossing.guard] and self._above(crossing.guard, at):
             # A margin that jumps over zero (an angle at its branch cut) is above it until then.

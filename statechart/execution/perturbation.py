@@ -78,7 +78,7 @@ def _with_setup(
 def _perturbed(own: Setup, parts: Array, gap: float = 1.0) -> Setup:
     """Return numbers with the initial values moved by parts of their sizes, forces doubled."""
     tolerances = {**own.tolerances}
-    for kind, factor in (("force", 2.0), ("gap", gap)):
+    for kind, factor in (("force", 2.0), ("hold", 2.0), ("gap", gap)):
         if kind in tolerances:
             tolerances[kind] *= factor
     return replace(own, initial=own.initial + parts * _variable_sizes(own), tolerances=tolerances)

@@ -393,6 +393,8 @@ LINKED = SCENE.replace(
 OF_JOINTS = {
     "stiffness of a force": ("force: [1, 0]", "stiffness: 9",
         "write force: [-k*rod.x, 0]"),
+    "spring of a contact": ("friction: mu", "spring: 9", "write stiffness, and damping"),
+    "rolling friction": ("friction: mu", "rolling_friction: 9", "write rolling_resistance: LENGTH"),
     "rest length": ("force: [1, 0]", "rest_length: 1",
         "write it into the force: [-k*(rod.x - L)"),
     "friction of a joint": ("to: [0, 0]", "to: [0, 0], friction: 1",

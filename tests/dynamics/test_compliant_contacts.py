@@ -153,6 +153,23 @@ def test_steps_come_nearer_to_the_closed_form_of_a_compliant_contact(name: str) 
         assert off < (150 if name == "undamped" else 40) * step
 
 
+def test_a_rigid_contact_bounces_beside_a_compliant_one_on_a_rope() -> None:
+    text = _BALL.replace("bodies: {", "bodies: {stone: {mass: 2, start: {x: 3, y: 0.5}}, ")
+    text = (
+        text.replace(
+            "stop: {time: 0.9}",
+            "  tip: {point: {body: stone}, surface: mat, friction: 0.2, restitution: 0.5}\n"
+            "joints: {rope: {point: {body: stone}, to: {body: ball}, rope: 5}}\nstop: {time: 0.98}",
+        )
+        .replace("contacts: {foot: {", "contacts:\n  foot: {")
+        .replace("damping: d}}", "damping: d}")
+    )
+    found = statechart.run(interpret(read_text(text, "soft.yaml")))
+    for output, value in _bounce(1000, 20).items():
+        assert found.outputs[output] == pytest.approx(value, abs=1e-9), output
+    assert found.trace.final[1] == pytest.approx(0.0, abs=1e-6)
+
+
 @pytest.mark.parametrize("stiffness", [1e4, 1e7, 1e12])
 @pytest.mark.parametrize("damping", [0, 100])
 def test_steps_longer_than_a_contact_lasts_add_no_energy(stiffness: float, damping: float) -> None:

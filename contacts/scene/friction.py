@@ -1,0 +1,129 @@
+"""Coulomb's friction with a static and a kinetic coefficient, the latter maybe Stribeck's curve."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+from pydantic import Discriminator, Field, Tag
+
+from statechart.documents.fields import KINKED, FormulaText, Part, unit
+from statechart.errors import DeclarationProblem, Loc
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import Binary, Call, Name, Node, Unary, names_in, nodes
+
+SLIP = "slip"
+"""Name of the slip velocity of the contact in its own kinetic coefficient."""
+AT_REST = 1e-300
+"""Slip velocity (in the unit of the scene) that stands for the limit at zero from one side."""
+
+
+class Friction(Part):
+    """Coefficients of friction at rest and in motion."""
+
+    OTHER_WORDS: ClassVar = {
+        "mu_s": "static",
+        **dict.fromkeys(("mu_k", "dynamic", "sliding"), "kinetic"),
+    }
+
+    static: FormulaText = Field(
+        description="Coefficient at rest: a pin holds up to static times V.",
+        examples=["mu_s"],
+        json_schema_extra=unit("1"),
+    )
+    kinetic: FormulaText = Field(
+        description=(
+            "Coefficient in motion, at most static at rest; a formula of the contact's slip too, "
+            "smooth on each side of 0."
+        ),
+        examples=["0.2 + 0.2*exp(-abs(slip)/0.1)"],
+        json_schema_extra=unit("1"),
+    )
+
+
+def _form(value: Any) -> str:
+    return "law" if isinstance(value, dict | Friction) else "coefficient"
+
+
+DeclaredFriction = Annotated[
+    Annotated[FormulaText, Tag("coefficient")] | Annotated[Friction, Tag("law")],
+    Discriminator(_form),
+]
+"""One coefficient, or `Friction`."""
+
+
+class FrictionLaw(NamedTuple):
+    """Coefficients of a contact as formulas."""
+
+    static: FormulaText
+    kinetic: FormulaText
+    slips: frozenset[str]  # Names that stand for the slip in them
+
+    @property
+    def varies(self) -> bool:
+        """True if the kinetic coefficient depends on the slip."""
+        return bool(parse(self.kinetic).names & self.slips)
+
+    @property
+    def splits(self) -> bool:
+        """True if the coefficients at rest and in motion may differ."""
+        return self.static != self.kinetic or self.varies
+
+    @property
+    def both(self) -> FormulaText:
+        """A formula with the names of both; the coefficient itself where it is one."""
+        return f"({self.static}) + ({self.kinetic})" if self.splits else self.static
+
+
+def friction_law(
+    friction: FormulaText | Friction | None, contact: str, known: Collection[str]
+) -> FrictionLaw | None:
+    """Return the law of a contact; a coefficient that uses its slip is static at slip 0.
+
+    Names that are `known` otherwise, as a parameter named slip, keep their meaning.
+    """
+    if friction is None:
+        return None
+    slips = frozenset({SLIP, f"{contact}.{SLIP}"}.difference(known))
+    if isinstance(friction, Friction):
+        return FrictionLaw(friction.static, friction.kinetic, slips)
+    return FrictionLaw(friction, friction, slips)
+
+
+def friction_texts(
+    friction: FormulaText | Friction | None, loc: Loc
+) -> Iterator[tuple[Loc, FormulaText]]:
+    """Yield the formulas of a declared friction, and their places."""
+    if isinstance(friction, Friction):
+        yield (*loc, "static"), friction.static
+        yield (*loc, "kinetic"), friction.kinetic
+    elif friction is not None:
+        yield loc, friction
+
+
+def check_sides(text: FormulaText, slips: Collection[str], loc: Loc) -> None:
+    """Check that a kinetic coefficient has no kink but at slip 0, where the direction changes."""
+    for call in (node for node in nodes(parse(text).root) if isinstance(node, Call)):
+        used = {name.name for name in names_in(call)}.intersection(slips)
+        side = call.function in ("abs", "sign") and _is_multiple(call.arguments[0], slips)
+        if call.function in KINKED and used and not side:
+            raise DeclarationProblem(
+                f"{call.function} of {min(used)} has no derivative where it switches",
+                advice="write a smooth formula of abs(slip) and sign(slip)",
+                loc=loc,
+            )
+
+
+def _is_multiple(node: Node, slips: Collection[str]) -> bool:
+    """Return whether a formula is the slip times something else."""
+    match node:
+        case Name(name=name):
+            return name in slips
+        case Unary(operand=operand):
+            return _is_multiple(operand, slips)
+        case Binary(operator="*" | "/" as operator, left=left, right=right):
+            if any(name.name in slips for name in names_in(right)):
+                swapped = operator == "*" and not any(n.name in slips for n in names_in(left))
+                return swapped and _is_multiple(right, slips)
+            return _is_multiple(left, slips)
+    return False
