@@ -17,6 +17,7 @@ from contacts.dynamics.geometry import ContactGeometry, Geometry, Vector, surfac
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
+    HELD_FORCE,
     friction_cones,
     friction_symbols,
     kinetic_friction,
@@ -123,6 +124,12 @@ class Mechanics(Geometry):
         )
         self._contacts: dict[str, ContactGeometry] = {}
         self._gates: dict[str, Gate | None] = {}
+
+    @cached_property
+    def held_forces(self) -> list[int]:
+        """Places of the parameters of `contacts.dynamics.held_forces`; none without switches."""
+        found = enumerate(self.parameters.names)
+        return [place for place, name in found if name.startswith(HELD_FORCE)]
 
     def tape(
         self,

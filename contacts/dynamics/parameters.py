@@ -7,6 +7,7 @@ from functools import partial
 
 import sympy as sp
 
+from contacts.scene.checks import has_switches
 from contacts.scene.friction import FrictionLaw
 from contacts.scene.modes import FrictionSymbols
 from contacts.scene.parts import Point
@@ -26,6 +27,8 @@ KINETIC = ("kinetic", "kinetic_n", "kinetic_t")
 
 GAP_OFFSET = "gap_offset"
 """Parameter of a contact, ``tip.gap_offset``: see `contacts.scene.modes.ContactSymbols`."""
+HELD_FORCE = "scene.held_force"
+"""Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
 ORDINARY = 1e-40, 1e40
@@ -109,6 +112,8 @@ def scene_parameters(scene: Scene) -> Parameters:
     def derived(known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]:
         found = _derived(scene, known)
         found |= {f"{name}.{GAP_OFFSET}": sp.S.Zero for name in scene.contacts}
+        if has_switches(scene):
+            found |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
         if masses and not ORDINARY[0] <= min(masses) <= max(masses) <= ORDINARY[1]:

@@ -118,7 +118,10 @@ class SnapshotTape:
         self.states = states  # Of the controllers; those at the start where None
         self.size = len(mechanics.q)
         self.count = len(mechanics.scene.frictional)
-        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *mechanics.generalised_forces]
+        forces = list(mechanics.generalised_forces)
+        for i, place in enumerate(mechanics.held_forces):
+            forces[i] += mechanics.parameters.ordered[place]
+        outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         outputs.append(mechanics.energy)
         names = [*mechanics.scene.frictional]
         contacts = [mechanics.contact(name) for name in names]

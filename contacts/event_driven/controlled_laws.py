@@ -15,6 +15,7 @@ import numpy as np
 
 from contacts.dynamics.conditions import Conditions
 from contacts.dynamics.controllers import Controllers, ControllerState
+from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
@@ -53,6 +54,7 @@ class ControlledLaws:
         self._under: dict[Key, SceneLaws] = {}
         self._states = Controllers(mechanics)
         self._memory = ControllerState(mechanics)
+        self._held = HeldForces(mechanics)
         variables = (*mechanics.variables, *mechanics.memory.values())
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time
@@ -87,6 +89,8 @@ class ControlledLaws:
         assert isinstance(setup, SceneSetup)
         own = flow.mode[self._count :]
         laws = self._at(own)
+        setup = self._held.within(setup, flow, state, clock.high, laws.tape)
+        at = at._replace(setup=setup)
         inner = self._within(setup, own, state)
         motion = self._memory.parted(state)
         made = laws.jump(at._replace(setup=inner, flow=self._parted(flow), state=motion))

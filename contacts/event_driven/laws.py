@@ -10,6 +10,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from contacts.dynamics.conditions import Conditions, hidden
+from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
@@ -77,6 +78,7 @@ class SceneLaws:
         self.numbers = numbers
         self.conditions = self.numbers.conditions
         self._switching = Switching(self._names, self.conditions, self._paradox)
+        self._held = HeldForces(mechanics)
         self.compliance = Compliance(mechanics) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
@@ -117,6 +119,11 @@ class SceneLaws:
         laws._rules = rules._replace(tape=tape)
         laws.compiled_laws = None
         return laws
+
+    @property
+    def tape(self) -> SnapshotTape:
+        """The tape of its numbers at a state."""
+        return self._tape
 
     def snapshot(self, setup: Setup, state: Array, time: float) -> Snapshot:
         """Return the scene's numbers at a state."""
@@ -198,6 +205,10 @@ class SceneLaws:
 
     def jump(self, at: Instant) -> tuple[Jump | None, Flow] | None:
         """Classify every contact from the state; see `contacts.modes.classification`."""
+        if at.flow.signs and not self._mechanics.scene.regions:
+            assert isinstance(at.setup, SceneSetup)
+            within = self._held.within(at.setup, at.flow, at.state, at.clock.high, self._tape)
+            at = at._replace(setup=within)
         made = self._with_gap_offsets(at, self._jump(at))
         if self.conditions.present:
             made = self._conditional(at, made)

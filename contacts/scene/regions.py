@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from contacts.scene.friction import Friction
 from contacts.scene.modes import Bearing, ContactSymbols, Free, Pin, Slide, off, shared
 from contacts.scene.parts import Contact
 from contacts.states import OFF, OPEN, declared_state, superstates_of
@@ -108,6 +109,7 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
     present = states(contact, gate="")
     closed = [s for s in present if s not in OPEN]
     sliding = [s for s in closed if s != "pin"]
+    mu = "static" if isinstance(contact.friction, Friction) else "mu"
     result: list[Edge] = []
     if "free" in present:
         # A plastic impact ends in flight, too, where the surface recedes at once.
@@ -125,9 +127,9 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
         result += [Edge("liftoff", state, "free", "V < 0") for state in closed]
     if "pin" in present:
         for state in sliding:
-            away = {"slide+": "H < -mu V", "slide-": "H > mu V"}.get(state, "|H| > 0")
+            away = {"slide+": f"H < -{mu} V", "slide-": f"H > {mu} V"}.get(state, "|H| > 0")
             result.append(Edge("slip", "pin", state, away))
-            result.append(Edge("stick", state, "pin", "slip = 0, |H| <= mu V", "slip := 0"))
+            result.append(Edge("stick", state, "pin", f"slip = 0, |H| <= {mu} V", "slip := 0"))
     if jams:
         for state in sliding:
             for target in present:
@@ -135,8 +137,8 @@ def edges(contact: Contact, *, jams: bool, bounces: bool, gate: str) -> tuple[Ed
                     guard = "into the surface whatever V >= 0"
                     result.append(Edge("jam", state, target, guard, "impact without collision"))
     if len(sliding) == 2:
-        result.append(Edge("reverse", "slide+", "slide-", "slip = 0, H > mu V"))
-        result.append(Edge("reverse", "slide-", "slide+", "slip = 0, H < -mu V"))
+        result.append(Edge("reverse", "slide+", "slide-", f"slip = 0, H > {mu} V"))
+        result.append(Edge("reverse", "slide-", "slide+", f"slip = 0, H < -{mu} V"))
     if gate:
         gate = gate if len(gate) <= _LONGEST_GATE else "enabled"
         result += [Edge("disable", state, OFF, f"not ({gate})") for state in present]

@@ -27,7 +27,7 @@ class StepConstants(NamedTuple):
     # (see `statechart.formulas.tape.Tape.program`): mass (n, n), forces (n,), where `damped` also
     # their derivatives by the rates (n, n), then per contact Jacobian (2, n) and what `CONTACT`
     # lists, per component of a joint Jacobian (n,) and what `JOINT` lists, and what controllers
-    # give (u,).
+    # give (u,), and for `signs` what `hold_signs` reads.
     equations: tuple[Ints32, Array, Ints32]
     flows: tuple[Ints32, Array, Ints32]  # That of the rates of what controllers remember (w,).
     size: int  # Coordinates.
@@ -48,6 +48,7 @@ class StepConstants(NamedTuple):
     held: Ints
     slips: Ints  # (c,): whether a contact may slide: 0, 1, or 2 if its slides have a direction.
     joints: int  # Number of components of joints.
+    signs: int  # Number of signs of velocities in forces.
     # Tolerances of gaps and speeds. A contact touches up to this gap, and lasts up to this speed of
     # approach. A contact that was off comes back where it is no deeper than the gap tolerance below
     # those that last.
@@ -89,10 +90,11 @@ class ContactMemory(NamedTuple):
     missed: Array
     light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
     bases: Bools  # (c, 4): positive unknowns of the last problem.
+    pushed: Array  # (n,): what contacts that last changed the rates by in the last step.
 
     @classmethod
-    def of(cls, off: Bools) -> ContactMemory:
-        """Return that of contacts that have not touched yet."""
+    def of(cls, off: Bools, size: int) -> ContactMemory:
+        """Return that of contacts that have not touched yet, in so many coordinates."""
         count = len(off)
         return cls(
             np.zeros(count),
@@ -107,6 +109,7 @@ class ContactMemory(NamedTuple):
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
             np.zeros((count, UNKNOWNS), dtype=np.bool_),
+            np.zeros(size),
         )
 
     def copy(self) -> ContactMemory:

@@ -191,6 +191,71 @@ def _free_change(
     return regular, FactoredEquations(factors, order, change)
 
 
+# So many sweeps over the signs at most; they have settled where none changes by more than this.
+_SWEEPS, _SETTLED = 200, 1e-14
+
+
+@kernel
+def hold_signs(
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    state: Array, h: float, first: int,
+) -> Array:  # fmt: skip
+    """Solve for the signs in forces at the end of a step; add what they do to its change.
+
+    A sign is 1 or -1 where its function is above or below zero then, and between where it is zero
+    (backward Euler: Acary and Brogliato 2008, 1.4). Signs that push away from zero are those of
+    the middle of the step. Contacts that last count as they pushed in the last step.
+
+    Returns
+    -------
+    signs : (m,) array
+
+    Parameters
+    ----------
+    first : int
+        Where the rows of the signs begin among the numbers of the tape: forces (n,), derivatives
+        of the function by rates and places (2 n,), the function, what it does to what is given.
+    """
+    n, m, numbers, change = tape.size, scene.signs, tape.numbers, equations.change
+    signs, free, matrix = np.zeros(m), np.zeros(m), np.zeros((m, m))
+    responses, per = np.zeros((m, len(change))), 0
+    if m > 0:
+        per = (len(numbers) - first) // m
+    for i in range(m):
+        row, right = first + i * per, np.zeros(len(change))
+        for j in range(n):
+            right[j] = h * numbers[row + j]
+        responses[i] = solve_factored(equations.factors, equations.order, right)
+    for i in range(m):
+        row = first + i * per
+        free[i] = numbers[row + 3 * n]
+        signs[i] = (free[i] > 0.0) - (free[i] < 0.0)
+        for j in range(n):
+            slope = numbers[row + n + j] + 0.5 * h * numbers[row + 2 * n + j]
+            free[i] += slope * (change[j] + memory.pushed[j])
+            free[i] += 0.5 * h * numbers[row + 2 * n + j] * state[n + j]
+            for k in range(m):
+                matrix[i, k] += slope * responses[k, j]
+    for _ in range(_SWEEPS):
+        moved = 0.0
+        for i in range(m):
+            if not matrix[i, i] < 0.0:
+                continue
+            left = free[i]
+            for k in range(m):
+                if k != i:
+                    left += matrix[i, k] * signs[k]
+            found = min(max(-left / matrix[i, i], -1.0), 1.0)
+            moved = max(moved, abs(found - signs[i]))
+            signs[i] = found
+        if moved <= _SETTLED:
+            break
+    for i in range(m):
+        for j in range(len(change)):
+            change[j] += signs[i] * responses[i, j]
+    return signs
+
+
 @kernel
 def _write_forces(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, problem: ContactProblem,
@@ -407,6 +472,9 @@ def step_scene(
     numbers = np.empty(len(scene.equations[2]))
     tape = TapeValues(numbers, n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT)
     set_at, forces = tape.first + tape.per * c + (n + JOINT) * scene.joints, n + scene.joints
+    given_count = len(numbers) - set_at - scene.signs * (3 * n + 1)
+    given_count = given_count // (1 + scene.signs)
+    per = 3 * n + 1 + given_count
     for k in range(len(chunk.codes)):
         middle = state.copy()
         _flow_memory(scene, start + (done + k) * h, state, 0.5 * h, middle)
@@ -417,8 +485,12 @@ def step_scene(
         regular, equations = _free_change(scene, memory.light, numbers, n, h)
         if not regular:
             return k, BAD_INERTIA, nothing, none, none
-        for i in range(set_at, len(numbers)):
-            chunk.solved[k, forces + 2 * c + i - set_at] = numbers[i]
+        signs = hold_signs(scene, memory, tape, equations, state, h, set_at + given_count)
+        for i in range(given_count):
+            value = numbers[set_at + i]
+            for j in range(scene.signs):
+                value += signs[j] * numbers[set_at + given_count + (j + 1) * per - given_count + i]
+            chunk.solved[k, forces + 2 * c + i] = value
         chunk.approach[k] = chunk.closing[k] = chunk.gained[k] = 0.0
         met = ContactRoles(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
@@ -432,6 +504,7 @@ def step_scene(
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
         total, lasting = equations.change, equations.change.copy()
+        put(-lasting[:n], memory.pushed)
         which, blurred = indices(met.active), False
         chunk.efforts[k, CONTACTS] = len(which)
         clear_contacts(memory.off, forces, k, chunk)
@@ -460,6 +533,7 @@ def step_scene(
             chunk.efforts[k, AMBIGUOUS] = ambiguous
         _write_held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
+            memory.pushed[i] += lasting[i]
             chunk.solved[k, i] = lasting[i] / h
             # On average over the step.
             middle[n + i] += 0.5 * total[i]

@@ -99,7 +99,7 @@ class SteppedScene(SteppedSystem):
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self._use(tapes.at(tapes.initial), setup.contacts)
         self._memory = _Memory(
-            ContactMemory.of(off),
+            ContactMemory.of(off, self._source.size),
             np.full(count, FREE),
             np.full(count, np.inf),
             np.full((count, 2), np.inf),
@@ -214,7 +214,8 @@ class SteppedScene(SteppedSystem):
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
             source.used, self._restitution, source.plastic, source.bodies, source.pairs,
-            source.held, source.slips, r, self._near, self._still, ROUNDING * self._speed,
+            source.held, source.slips, r, source.signs, self._near, self._still,
+            ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,6 @@ from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
 from statechart.arrays import Array, Ints
 from statechart.automaton.margin_derivatives import derivative
-from statechart.errors import Unsupported
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 
@@ -52,11 +51,9 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
-        if any(force.has(sp.sign) for force in forces):
-            raise Unsupported(
-                "steps cannot hold what sign of a velocity brings to rest; use events "
-                "(--engine auto), or sat(v/e, -1, 1) with a small speed e"
-            )
+        set_in = [known[symbol] for symbol in given(mechanics)]
+        signs = _Signs(forces, set_in, mechanics)
+        forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
         derivatives = [derivative(force, rate) for force in forces for rate in mechanics.v]
         self.damped = any(derivative != 0 for derivative in derivatives)
@@ -94,8 +91,8 @@ class SteppedTape:
                 for name, gate in zip(self.names, map(mechanics.gate, self.names), strict=True)
             ]
         )
-        outputs += [known[symbol] for symbol in given(mechanics)]
-        self.given = len(given(mechanics))
+        self.given, self.signs = len(set_in), len(signs.functions)
+        outputs += [*set_in, *signs.rows(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
             [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
@@ -149,6 +146,49 @@ class SteppedTape:
         """Return gap, gap rate, slip and condition (c, 4) in a state, which may be the start."""
         first = 2 * self.size + 2
         return self.rows(values, state, time).contacts[:, first : first + 4]
+
+
+class _Signs:
+    """Signs in forces, of functions that velocities or places change, and in other formulas.
+
+    Steps solve for them as for friction: see `contacts.time_stepping.scene_step.hold_signs`.
+    Formulas are sums of them; those that multiply each other are those of the middle of a step.
+    """
+
+    def __init__(
+        self, forces: Sequence[sp.Expr], others: Sequence[sp.Expr], mechanics: Mechanics
+    ) -> None:
+        self._mechanics, formulas = mechanics, [*forces, *others]
+        moving = {*mechanics.q, *mechanics.v}
+        atoms = set[sp.Expr]().union(*(f.atoms(sp.sign) for f in forces))
+        nodes = sorted((a for a in atoms if a.free_symbols & moving), key=sp.default_sort_key)
+        self._signs = {node: sp.Symbol(f"sign{i}", real=True) for i, node in enumerate(nodes)}
+        while True:
+            forms = [formula.xreplace(self._signs) for formula in formulas]
+            acts = {s: [sp.diff(form, s) for form in forms] for s in self._signs.values()}
+            apart = {*self._signs.values()}
+            left = {
+                node: s
+                for node, s in self._signs.items()
+                if not any(act.free_symbols & apart for act in acts[s])
+            }
+            if len(left) == len(self._signs):
+                break
+            self._signs = left
+        self.functions = tuple(node.args[0] for node in self._signs)
+        self._acts = [acts[s] for s in self._signs.values()]
+        none = dict.fromkeys(self._signs.values(), sp.S.Zero)
+        # The formulas where all signs are zero.
+        self.middle = [form.xreplace(none) for form in forms]
+
+    def rows(self, count: int) -> list[sp.Expr]:
+        """Return for each sign what `hold_signs` reads; the first `count` formulas are forces."""
+        mechanics, found = self._mechanics, list[sp.Expr]()
+        for function, acts in zip(self.functions, self._acts, strict=True):
+            found += acts[:count]
+            found += [derivative(function, symbol) for symbol in (*mechanics.v, *mechanics.q)]
+            found += [function, *acts[count:]]
+        return found
 
 
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:

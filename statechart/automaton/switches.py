@@ -16,6 +16,7 @@ import sympy as sp
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.margin_derivatives import time_derivative
 from statechart.automaton.regions import Margin, Mode
+from statechart.automaton.trace import Role
 from statechart.formulas.linear import Definition, solve_linear
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -63,6 +64,7 @@ class Switches:
             if n != SLIDES
         }
         definitions, held = self._sliding(sliding, known)
+        known |= {self.signs[i]: share for i, share in zip(sliding, held, strict=True)}
         names = set[str]()
         margins = []
         for i, (function, sign) in enumerate(zip(self.functions, signs, strict=True)):
@@ -132,7 +134,21 @@ class Switches:
                 values.append(value)
             equations.append(blend(values))
         found += solve_linear(equations, shares)
-        found += [(s, blend([corner[s] for corner in named])) for s in blended]
+        held: dict[sp.Symbol, sp.Expr] = {}
+        for i in sliding:
+            # What the slide holds is held exactly, not by the difference of both sides.
+            last = self.derivatives[i][-1]
+            for symbol in blended:
+                factor = sp.diff(last, symbol)
+                rest = last - factor * symbol
+                used = set().union(*(e.free_symbols for e in held.values()))
+                if symbol in used or rest.free_symbols & {symbol, *held, *signs}:
+                    continue
+                if factor.is_number and factor != 0:
+                    held[symbol] = -rest.xreplace(known) / factor
+                    break
+        found += [(s, blend([corner[s] for corner in named])) for s in blended if s not in held]
+        found += held.items()
         rates = {r for r in self.rates if r.free_symbols & {*signs}}
         assert not rates  # Rates are variables and unknowns.
         return found, shares
@@ -157,6 +173,12 @@ def explicit_rates(mode: Mode) -> list[sp.Expr]:
     return [rate.xreplace(found) for rate in mode.rates]
 
 
+def slides(role: Role) -> bool:
+    """Return whether some of the signs of a flow are those of slides."""
+    signs: Any = role.share
+    return SLIDES in signs
+
+
 def is_of_switch(margin: str) -> bool:
     """Return whether a margin is that of a switch."""
     return margin.startswith((SIGN_OF, SLIDE_ON))
@@ -169,14 +191,13 @@ def switches_of(automaton: Automaton, mode: Mode) -> Switches | None:
     for symbol, e in reversed(mode.definitions):
         if symbol in needed:
             needed |= e.free_symbols
-    definitions = tuple(
-        # What does not move the state stays as it is.
-        (symbol, reader.read(e) if symbol in needed else e)
-        for symbol, e in mode.definitions
-    )
+    read = {symbol: reader.read(e) for symbol, e in mode.definitions if symbol in needed}
     rates = tuple(reader.read(rate) for rate in mode.rates)
     if not reader.signs:
         return None
+    # What moves nothing adds no switches: contact forces share those of the motion.
+    reader.adds = False
+    definitions = tuple((s, read[s] if s in read else reader.read(e)) for s, e in mode.definitions)
     chains, acts = reader.chains(dict(definitions), rates)
     functions = tuple(reader.functions)
     outputs, places = [*functions], []
@@ -210,6 +231,7 @@ class _Reader:
         self._places: dict[sp.Expr, int] = {}
         self.signs: list[sp.Symbol] = []
         self.functions: list[sp.Expr] = []
+        self.adds = True
 
     def read(self, node: sp.Expr) -> sp.Expr:
         """Return a formula with signs in the place of what switches."""
@@ -227,24 +249,33 @@ class _Reader:
             return node.func(*arguments)
         if isinstance(node, sp.Abs | sp.sign):
             sign = self._sign(arguments[0])
+            if sign is None:
+                return node.func(*arguments)
             return sign * arguments[0] if isinstance(node, sp.Abs) else sign
         # What does not change last: the functions are simpler.
         ordered = sorted(arguments, key=sp.default_sort_key)
         found, *others = sorted(ordered, key=self._moves, reverse=True)
         for other in others:
             sign = self._sign(found - other)
+            if sign is None:
+                return node.func(*arguments)
             if isinstance(node, sp.Min):
                 sign = -sign
             found = (1 + sign) / 2 * found + (1 - sign) / 2 * other
         return found
 
-    def _sign(self, function: sp.Expr) -> sp.Expr:
-        """Return the sign of a switching function; -1 times the function is the same surface."""
+    def _sign(self, function: sp.Expr) -> sp.Expr | None:
+        """Return the sign of a switching function; -1 times the function is the same surface.
+
+        None where it is new, and none is added.
+        """
         function = self._expanded(function)
         factor, rest = function.as_coeff_Mul()
         if rest.could_extract_minus_sign():
             factor, rest = -factor, -rest
         place = self._places.get(rest)
+        if place is None and not self.adds:
+            return None
         if place is None:
             place = self._places[rest] = len(self.signs)
             self.signs.append(sp.Symbol(f"sign{place}", real=True))

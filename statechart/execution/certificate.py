@@ -132,6 +132,11 @@ class Certificate:
             states = self._states or self._arrived(instant)
             self._states = [self._jumped(instant._replace(state=x), jump) for x in states]
 
+    def switch(self, instant: Instant) -> None:
+        """Take an instant at which only the rates jump."""
+        with np.errstate(all="ignore"):
+            self._states = self._states or self._arrived(instant)
+
     def _jumped(self, instant: Instant, jump: Jump) -> Array:
         """Return where a state next to that of a jump goes."""
         found = _made(self._laws, instant, jump)

@@ -174,7 +174,8 @@ class Execution:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
         self.started_mode, self.started_state = self.flow.mode, self.state
         self._warn()
-        return self._stands() if self.flow.settled else self.settle()
+        settled = self.flow.settled and self._filippov is None
+        return self._stands() if settled else self.settle()
 
     def advance(self) -> bool:
         """Flow to the next event and jump; whether the run ends there, or its time is over."""
@@ -299,6 +300,7 @@ class Execution:
         if not fired and known[:3] == now and known[4] is self.state:
             self.flow = flow._replace(signs=known[3])
             return
+        self._measure()
         before = known[3][0].share if known[:2] == now[:2] and known[3] else None
         self.flow = flow._replace(signs=())
         found = self._filippov.resolved(self._instant(*fired), self.zeros, before)
@@ -307,6 +309,18 @@ class Execution:
         self._switched = (*now, found.roles, self.state)
         for text in found.warnings:
             self.warnings.setdefault(f"t = {self.clock.high:.6g}: {text}", None)
+
+    def _measure(self) -> None:
+        """Let the engine measure variables by how large they were: slides begin at rest."""
+        if self.setup.sizes is not None:
+            return
+        seen = [
+            np.abs(self.state),
+            *(s for s in (self.flow.sizes, self.engine.sizes) if s is not None),
+        ]
+        largest = np.max(seen, axis=0)
+        if largest.any():
+            self.engine.sizes = np.where(largest > 0.0, largest, largest.max())
 
     def _enter(self, roles: Roles) -> CompiledMode:
         """Return the mode that a flow is in, compiled."""
@@ -425,6 +439,8 @@ class Execution:
         moved = False
         if fired and is_of_switch(fired[0]):
             self._livelock.rearranged(self.clock, fired)
+            if self.certificate is not None:
+                self.certificate.switch(self._instant(*fired))
             self._switch(fired)
             fired = ()
         for _ in range(JUMPS_AT_ONCE):
@@ -457,7 +473,8 @@ class Execution:
             fired = ()
             if self.counted():
                 return True
-            if self.flow.settled:
+            # Forces may switch with what has jumped.
+            if self.flow.settled and self._filippov is None:
                 break
         else:
             raise looping(self.record.jumps[-6:], self.clock, self.automaton.label)

@@ -18,7 +18,7 @@ import sympy as sp
 
 from statechart.arrays import ROUND_OFF, Array, Bools
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import HELD
+from statechart.automaton.laws import HELD, of_regions
 from statechart.automaton.regions import Claim, Invariant, Margin, active_in, whole_margins
 from statechart.automaton.trace import Arc, Jump, Key, Role, Trace, sizes
 from statechart.execution.finding import STATE_ROUND_OFF, STATE_TOLERANCES
@@ -271,7 +271,9 @@ def _assert_claims(
 
 
 def _claims(subject: Subject, arc: Arc) -> Iterator[Claim]:
-    for region, state, role in zip(subject.automaton.regions, arc.mode, arc.roles, strict=True):
+    for region, state, role in zip(
+        subject.automaton.regions, arc.mode, of_regions(arc.roles), strict=True
+    ):
         if role.state != HELD:
             yield from region.claims(state)
     for name, text in subject.model.stop.conditions.items():
