@@ -460,8 +460,14 @@ class Listening:
                     ]
                 if enabled:
                     taken = region.answer(state, [trigger.place for trigger in enabled])
-                    left = {**pending, name: queue[k + 1 :]}
-                    return Firing(place, taken, left, frozenset())
+                    # Events of one instant that a transition waits for as alternatives are one.
+                    heard = [e for trigger in enabled for e in trigger.events]
+                    later = tuple(
+                        other
+                        for other in queue[k + 1 :]
+                        if not any(other.answers(e, name, region.done) for e in heard)
+                    )
+                    return Firing(place, taken, {**pending, name: later}, frozenset())
             due = frozenset(one for one in guarded if one[0] == place)
             if due:
                 taken = region.answer(state, [trigger for _, trigger in due])
