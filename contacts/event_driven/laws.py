@@ -409,11 +409,13 @@ class SceneLaws:
         """
         if flow.sizes is None:
             return moving
+        # Of rates of coordinates; pads of compliant contacts stand behind them.
         rounding = EPS * flow.sizes[len(flow.sizes) // 2 :]
+        n = len(rounding)
         return tuple(
             ("locked" if state in SLIPPING else "pin")
             if f"{name}.slip" in fired
-            and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1]) @ rounding)
+            and still < abs(contact.slip) <= float(np.abs(contact.jacobian[1, :n]) @ rounding)
             else state
             for name, state, contact in zip(
                 self._names, moving, snapshot.whole.contacts, strict=True

@@ -124,7 +124,7 @@ def scene(**changes: object) -> Scene:
             "trace is that of a run, not of type Result; such as trace=run(model).trace",
         ),
         (lambda: Body(mas=1), "Body: unknown key 'mas'; did you mean 'mass'? known keys: angle, "),
-        (lambda: Body(inertia=1), "Body: 'mass' is missing; such as mass='m'"),
+        (lambda: Body(inertia=1), "Body: a body needs a mass; write mass: 1, or"),
         (
             lambda: Body(mass=None),
             "Body: mass: must be a number or a formula, not nothing; such as",

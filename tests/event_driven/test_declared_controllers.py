@@ -133,14 +133,14 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
                 f"friction: 0.3*exp(-{name})",
                 f"'{name}': it changes along a run",
             )
-            for name in ("base.slip", "base.V", "block.dx", "time")
+            for name in ("base.V", "block.dx", "time")
         ),
     ):
         assert old in ICE
         error = refused(ICE.replace(old, new))
         assert words in error, error
-    curve = refused(ICE.replace("friction: 2*grip", "friction: 2/(1 + abs(base.slip))"))
-    assert "friction: 'base.slip': it changes along a run" in curve, curve
+    curve = refused(ICE.replace("friction: 2*grip", "friction: 2/(1 + abs(base.V))"))
+    assert "friction: 'base.V': it changes along a run" in curve, curve
     assert "write a control, which states of a region set, with transitions where it" in curve
     two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
     assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)

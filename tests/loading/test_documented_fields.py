@@ -141,7 +141,8 @@ def test_help_reads_like_documentation(public: type) -> None:
 
 def test_help_shows_a_unit_and_an_example() -> None:
     said = " ".join((inspect.getdoc(contacts.Body) or "").split())
-    assert "mass : formula Above 0. Unit: mass. Example: ``m``." in said
+    assert "mass : formula, optional Above 0; bodies that are fixed" in said
+    assert "have none. Unit: mass. Example: ``m``." in said
     assert str(inspect.signature(contacts.Point)) == "(*, body, at=(0, 0))"
 
 
