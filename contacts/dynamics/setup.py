@@ -21,8 +21,6 @@ HOLD_PART = 0.1
 TIE = 0.5
 # Sequences of impacts are looked at from here on; how high the contacts still fly decides.
 SHORT = 0.1
-# Bounces are summed from so many times the speed that counts as none.
-_ABOVE_REST = 10.0
 # Positions and speeds carry rounding of this size relative to the scene.
 ROUNDING = 1e-13
 
@@ -36,8 +34,6 @@ class SceneSetup(Setup):
     capture: float  # Rebounds slower than this are summed instead of simulated
     # Stop condition -> how near zero its margin counts as met; from its value at the start
     bands: Mapping[str, float]
-    # Forces no nearer to a bound, in the scales, are on that side of it for sure
-    doubtful: float = 0.0
     start_depth: float = 0.0  # Initial penetration of bodies with shapes
     # Residual motion of resting bodies after steps, in parts of the size of each number: for points
     # round-off of impulses, 1e-16 of the speeds, times the ratio of masses; for bodies with shapes
@@ -49,22 +45,17 @@ class SceneSetup(Setup):
         """Up to this, in the scales, what breaks an inequality of a mode is a boundary case."""
         return TIE * self.tolerances["force"] / self.scales.force
 
+    @property
+    def doubtful(self) -> float:
+        """Forces no nearer to a bound, in the scales, are on that side of it for sure."""
+        return self.capture / self.scales.speed
+
 
 def tolerated(relative: float) -> tuple[float, float, float]:
     """Return the tolerances of gap, speed and force in the scene's scales."""
     return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), FORCE_BAND
 
 
-def magnified(relative: float) -> float:
+def doubtful(relative: float) -> float:
     """Return what errors that are magnified stay below, in the scales: the root of a tolerance."""
     return math.sqrt(max(relative, ROUNDING))
-
-
-def captured(relative: float) -> float:
-    """Return up to which speed, in the scales, rebounds are summed.
-
-    It does not depend on the tolerance while that is below 3e-9, so engines count equally many
-    bounces.
-    """
-    _, slow, _ = tolerated(relative)
-    return max(magnified(0.0), _ABOVE_REST * slow)

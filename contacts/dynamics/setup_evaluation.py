@@ -23,8 +23,7 @@ from contacts.dynamics.setup import (
     ROUNDING,
     SHORT,
     SceneSetup,
-    captured,
-    magnified,
+    doubtful,
     tolerated,
 )
 from contacts.scene.checks import check_finite, check_physical, limits
@@ -172,8 +171,7 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=captured(relative) * scales.speed,
-            doubtful=magnified(relative),
+            capture=doubtful(relative) * scales.speed,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)

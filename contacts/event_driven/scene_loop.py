@@ -17,8 +17,7 @@ from contacts.dynamics.setup import (
     SHORT,
     TIE,
     SceneSetup,
-    captured,
-    magnified,
+    doubtful,
     tolerated,
 )
 from contacts.dynamics.setup_evaluation import (
@@ -109,12 +108,10 @@ class SceneBatch(NamedTuple):
     # (b,): place of the own tolerance of each margin among the bands of `Numbers`; -1 for none.
     sources: Ints
     starts: Bools  # (c, 6): whether a contact may start in the state of that code.
-    # Tolerances of gaps and speeds, what is near a bound, and up to which speed rebounds are
-    # summed, in the scene's scales.
+    # Tolerances of gaps and speeds, and what is near a bound, in the scene's scales.
     gap: float
     speed: float
     doubtful: float
-    capture: float
     numbers: Numbers  # Buffer: the numbers of a run.
     series: Array  # (7 c, ..): of its jumps, for every contact and cause.
 
@@ -156,7 +153,7 @@ def _watches(
         instants.cones, instants.restitution, instants.meanings, instants.offsets,
         DRIFT * gap, CREEP * slow, gap, slow, TIE * weak / force, scene.doubtful, force,
         acceleration, SHORT,
-        scene.capture * speed,
+        scene.doubtful * speed,
     )  # fmt: skip
 
 
@@ -579,9 +576,7 @@ class SceneLoop:
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        return self._scene._replace(
-            gap=setup.precision, doubtful=setup.doubtful, capture=setup.capture / scales.speed
-        )
+        return self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
 
     def _call(
         self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
@@ -642,8 +637,7 @@ def _declared(
         _starts([law.name for law in laws], numbers.scene.initial_modes),
         gap,
         speed,
-        magnified(relative),
-        captured(relative),
+        doubtful(relative),
         run_buffer(len(numbers.parameters.names), len(loop.memory.state), rules),
         np.empty((max(len(CAUSES) * count, 4), WIDTH)),
     )
