@@ -117,11 +117,11 @@ class Switching:
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
-            # A contact that has gone off here stays off: it would go off again at once.
+            # A contact that has gone off here stays off unless it is struck: it would go off again.
             leaves = [
                 i
                 for i in places
-                if doubtful[i] and contacts[i].gap_rate <= slow and (not on or on[i])
+                if doubtful[i] and contacts[i].gap_rate <= (slow if not on or on[i] else -slow)
             ]
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
                 kept.update(leaves)
