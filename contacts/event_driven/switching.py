@@ -117,12 +117,7 @@ class Switching:
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
                 continue
-            # A contact that has gone off here stays off unless it is struck: it would go off again.
-            leaves = [
-                i
-                for i in places
-                if doubtful[i] and contacts[i].gap_rate <= (slow if not on or on[i] else -slow)
-            ]
+            leaves = [i for i in places if doubtful[i] and contacts[i].gap_rate <= slow]
             if len(leaves) > 1 and any(contacts[i].gap_rate < -slow for i in leaves):
                 kept.update(leaves)
             kept.update(i for i in places if doubtful[i] and on and on[i])

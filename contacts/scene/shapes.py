@@ -84,7 +84,13 @@ LAW_WORDS = {
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
 
-    OTHER_WORDS: ClassVar = LAW_WORDS
+    OTHER_WORDS: ClassVar = {
+        **LAW_WORDS,
+        **dict.fromkeys(
+            ("mu_s", "mu_k", "static_friction", "kinetic_friction"),
+            "friction: a number for both; contacts of points have {static, kinetic}",
+        ),
+    }
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description=(

@@ -52,14 +52,3 @@ def test_a_point_that_starts_in_a_corner_stays_there(
     assert trace.outcome is Outcome.HORIZON
     assert trace.final.tolist() == pytest.approx([*at, 0.0, 0.0], abs=1e-12)
     assert "free" not in trace.final_mode
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_elastic_bounces_next_to_a_corner_are_no_loop(engine: str) -> None:
-    gravity = [1.9489461350995507, -9.61445312862258]
-    text = _corner("edge", 0.5, 0.5, (0.10236881766010497, -0.7202366320400091), e=1)
-    text = text.replace("gravity: 9.81", f"gravity: {gravity}")
-    text = text.replace("x: 0.10236881766010497, y: -0.7202366320400091",
-                        "x: 0.10236881765910497, y: -0.7202366320390091")  # fmt: skip
-    trace = run(read_text(text), engine=engine, throw=False).trace
-    assert trace.outcome is Outcome.HORIZON

@@ -30,8 +30,10 @@ SCENES = [
     ("raibert_hopper", {}, 1.0, 1e-4, 100.0),
     ("rimless_wheel", {}, 3.0, 1e-4, 20.0),
     ("rocking_block", {}, 3.0, 1e-4, 30.0),
+    ("rope_swing", {}, None, 1e-3, 20.0),
     ("sampled_balance", {}, None, 1e-3, 1e-3),
     ("sliding_ladder", {}, None, 1e-3, 0.01),
+    ("soft_landing", {}, None, 1e-3, 10.0),
     ("stick_slip_block", {}, None, 1e-3, 1.0),
     ("toppling_stick", {}, None, 1e-3, 1.0),
     ("toppling_stick", {"mu": 0.0}, None, 1e-3, 1.0),
@@ -40,6 +42,8 @@ SCENES = [
 CHARTS = ("bouncing_ball_chart", "simplest_walker")
 # Asks that contacts strike one after another, which no time step does.
 SEQUENTIAL = "newtons_cradle"
+# Has couplings, which steps refuse.
+COUPLED = "braking_car"
 # Modes differ where a few steps slide before they stick, or what slides lifts off within a step.
 SLIDES_ON = ("double_contact_bar", "raibert_hopper")
 
@@ -61,7 +65,7 @@ def test_no_shipped_model_is_left_out():
     folder = Path(models.__file__).parent
     shipped = {path.stem for path in folder.glob("*.yaml")}
     stepped = {name for name in shipped if Runner(name).setting.step is not None}
-    assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL} | stepped
+    assert shipped == {name for name, *_ in SCENES} | {*CHARTS, SEQUENTIAL, COUPLED} | stepped
 
 
 def test_blows_resolved_together_give_a_warning():
