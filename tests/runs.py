@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import models
+import statechart
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.setting import Setting
@@ -20,6 +21,7 @@ from statechart.loading.kind import kind
 from statechart.loading.load import load
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import Outputs
+from statechart.running.result import Result
 
 # What these show is a run that cannot go on.
 PARADOXICAL = ("no_slip_pencil",)
@@ -29,6 +31,13 @@ EVENT_BASED = tuple(name for name, model in MODELS.items() if model.settings.eng
 SOUND = tuple(name for name in EVENT_BASED if name not in PARADOXICAL)
 ENGINES = ("taylor", "scipy")
 _GOLDEN = Path(__file__).parent / "golden"
+
+
+def run_chart(tmp_path: Path, text: str, engine: str = "taylor") -> Result:
+    """Run a chart given as text, in a file of a folder."""
+    file = tmp_path / "chart.yaml"
+    file.write_text("kind: chart\nname: c\n" + text, encoding="utf-8")
+    return statechart.run(file, engine=engine, tolerance=1e-12)
 
 
 def golden(name: str) -> Any:

@@ -253,7 +253,10 @@ def _remember(memory: Memory, kept: Memory) -> None:
 
 @kernel
 def _hurry(numbers: BodyNumbers, state: Array, poses: Array, h: float) -> bool:
-    """Whether a body goes far in a step, beside the smallest; led ones between `poses`."""
+    """Return whether a body moves in a step by more than `_FAR` sizes of the smallest body.
+
+    Led bodies move between `poses`.
+    """
     count, least, most = len(numbers.inverse), math.inf, 0.0
     for b in range(len(numbers.sizes)):
         size, at, led = numbers.sizes[b], 3 * (count + b), b - count

@@ -39,15 +39,6 @@ ENABLE, DISABLE = "enable", "disable"
 BROKEN = "broken"
 """State of a joint that its own forces have opened, where another part of `enabled` closes it."""
 
-_ORDER = {
-    "<": float.__lt__,
-    "<=": float.__le__,
-    ">": float.__gt__,
-    ">=": float.__ge__,
-    "==": float.__eq__,
-    "!=": float.__ne__,
-}
-
 
 def switched(joint: Joint) -> bool:
     """Return whether a joint is a region of its own, with the states closed and off."""
@@ -219,7 +210,7 @@ def holds_at_start(scene: SceneFields, term: Term) -> bool | None:
     known = _start(scene)
     if not term.left.names | term.right.names <= known.keys():
         return None
-    return _ORDER[term.operator](float(term.left.value(known)), float(term.right.value(known)))
+    return bool(term.holds(term.left.value(known), term.right.value(known)))
 
 
 def _start(scene: SceneFields) -> dict[str, float]:

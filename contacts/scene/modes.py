@@ -64,7 +64,7 @@ class ContactSymbols:
 
     @property
     def normal_law(self) -> sp.Expr:
-        """What is zero along the normal while the contact is closed."""
+        """Equation along the normal of a closed contact: this expression is zero."""
         if self.compliance is None:
             return self.normal_acceleration
         return self.V - self.compliance

@@ -168,7 +168,7 @@ class Body(Part):
 
     @property
     def prescribed(self) -> bool:
-        """Whether it is fixed, or led along a path: nothing that touches it moves it."""
+        """True if the body is fixed or led along a path, so that contacts do not move it."""
         return self.fixed or (self.position is not None and "mass" not in self.model_fields_set)
 
     @property

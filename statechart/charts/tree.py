@@ -8,7 +8,7 @@ numbered in document order, so that outer ones come before inner ones.
 from __future__ import annotations
 
 import enum
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -198,29 +198,30 @@ def _sort(holder: Holder) -> Sort:
     return Sort.COMPOUND
 
 
+def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
+    """Refuse the first of the keys that a state has and may not have."""
+    if keys:
+        raise DeclarationProblem(
+            f"{reason}: it has no {keys[0]!r}", advice=advice, loc=(*at, keys[0]), key=True
+        )
+
+
 def _check_state(name: str, state: BaseState, at: Loc) -> None:
     """Check that what a state says of the states in it makes sense by itself."""
     if state.history is not None:
-        said = sorted(state.model_fields_set - {"history", "initial"})
-        if said:
-            raise DeclarationProblem(
-                f"the history {name!r} is a target, and no state: it has no {said[0]!r}",
-                advice="leave it history, and initial where nothing is remembered",
-                loc=(*at, said[0]),
-                key=True,
-            )
+        _check_none(
+            sorted(state.model_fields_set - {"history", "initial"}), at,
+            f"the history {name!r} is a target, and no state",
+            "leave it history, and initial where nothing is remembered",
+        )  # fmt: skip
         return
     if state.final:
-        said = sorted(
-            key for key in ("states", "regions", "transitions", "initial") if getattr(state, key)
-        )
-        if said:
-            raise DeclarationProblem(
-                f"{name!r} is final, and holds no states: it has no {said[0]!r}",
-                advice="leave final out, or give it a final state among others",
-                loc=(*at, said[0]),
-                key=True,
-            )
+        keys = ("initial", "regions", "states", "transitions")
+        _check_none(
+            [key for key in keys if getattr(state, key)], at,
+            f"{name!r} is final, and holds no states",
+            "leave final out, or give it a final state among others",
+        )  # fmt: skip
         return
     if state.regions and any(inner.history is None for inner in state.states.values()):
         raise DeclarationProblem(

@@ -33,7 +33,7 @@ from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
 
 # Surfaces that a state may lie on together where signs act on them.
-_MOST = 6
+_MAX_SURFACES = 6
 # A combination this near to one side is on its boundary.
 _EDGE = 1e-9
 
@@ -232,7 +232,7 @@ class _Surface:
     def _corners(self) -> Callable[[Sequence[int]], Array]:
         """Return what changes each function, by the signs at a corner; round-off is zero."""
         switches, known = self.switches, dict[tuple[int, ...], Array]()
-        if len(self.on) > _MOST:
+        if len(self.on) > _MAX_SURFACES:
             raise AmbiguousMode(f"the state lies on {len(self.on)} switching surfaces at once")
 
         def at(signs: Sequence[int]) -> Array:

@@ -6,6 +6,7 @@ an *or* of negations. ``a == b`` is ``a <= b and a >= b``, ``a != b`` is ``a < b
 
 from __future__ import annotations
 
+import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +38,10 @@ _MAX_CACHED = 4096
 _ORDERED = {"==": ("<=", ">="), "!=": ("<", ">")}
 _EQUALITIES = tuple(_ORDERED)
 _COMPARISONS = (*RELATIONS, *_EQUALITIES)
+_HOLDS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+    "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
 _OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 _TOKENS = re.compile(r"[()]|[<>=!]=?|[A-Za-z_][A-Za-z0-9_.]*|.", re.DOTALL | re.ASCII)
 _AND = " and "
@@ -62,6 +67,10 @@ class Comparison:
     def negated(self) -> Comparison:
         """Return the comparison that holds where this one does not."""
         return replace(self, operator=_OPPOSITE[self.operator])
+
+    def holds(self, left: Any, right: Any) -> Any:
+        """Return whether it holds for values of the sides: numbers, or arrays of one shape."""
+        return _HOLDS[self.operator](left, right)
 
     def ordered(self) -> Iterator[Comparison]:
         """Yield the two comparisons that an equality stands for."""

@@ -9,7 +9,6 @@ explains that.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
@@ -205,10 +204,6 @@ def _variation(trace: Trace) -> Array:
     return ROUND_OFF * sizes + steps
 
 
-_COMPARISONS = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-    "==": operator.eq, "!=": operator.ne,
-}  # fmt: skip
 # Places between the ends of an arc, the fewest of them in runs of many arcs, and all of a run.
 _UNIFORM, _FEWEST, _ALL = 256, 16, 100_000
 # Distances to an end, each half of the one before, and as many places about every event.
@@ -223,7 +218,7 @@ def truth(term: Term, sides: Iterator[tuple[Array, Array]], active: Active, coun
     """Return where a relation is true, in `count` states."""
     match term:
         case Comparison():
-            return np.asarray(_COMPARISONS[term.operator](*next(sides)))
+            return np.asarray(term.holds(*next(sides)))
         case Member():
             return np.full(count, active(term.region, term.state))
         case Negation():

@@ -5,21 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from runs import run_chart as run
 
-import statechart
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
-from statechart.running.result import Result
 
 ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy"])
-
-
-def run(tmp_path: Path, text: str, engine: str = "taylor") -> Result:
-    """Run a chart given as text."""
-    file = tmp_path / "chart.yaml"
-    file.write_text("kind: chart\nname: c\n" + text, encoding="utf-8")
-    return statechart.run(file, engine=engine, tolerance=1e-12)
 
 
 GATE = """
