@@ -44,20 +44,9 @@ def build(
 
     One region is drawn as its own chart, two as the grid of their product, without the directions
     of sliding; two with regions or histories in them as their charts. Of more, what a run visited
-    is drawn, and the chart of every region.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        The automaton to draw.
-    start : Key
-        The mode that it starts in.
-    trace : Trace, optional
-        A run, needed where `needs_run`; else the modes that it visited are drawn instead.
-    found : Feasibility, optional
-        Which modes are possible where the run starts; the others are marked, with the reason.
-    visited : bool
-        Whether the run is shown without the chart of every region.
+    is drawn, and the chart of every region. `start` is the mode that it starts in. Without a run
+    the modes that it would visit are not drawn. Modes that `found` calls infeasible are marked,
+    with the reason. If `visited`, a run is shown without the chart of every region.
     """
     moving = _moving(automaton)
     if trace is not None:

@@ -25,12 +25,7 @@ class Allowance:
         self._until = math.inf
 
     def check_for(self, seconds: float) -> None:
-        """Raise where there is no time for what takes so many `seconds`.
-
-        Raises
-        ------
-        OutOfBudget
-        """
+        """Raise where there is no time for what takes so many `seconds`."""
         if self.clock() + seconds > self._until:
             raise OutOfBudget(
                 f"{self.seconds:g} s are too few to compile the mode's integrator; allow more "
@@ -38,12 +33,7 @@ class Allowance:
             )
 
     def check(self, now: float) -> None:
-        """Raise where the time is over; `now` is how far the run came.
-
-        Raises
-        ------
-        OutOfBudget
-        """
+        """Raise where the time is over; `now` is how far the run came."""
         if self.clock() > self._until:
             raise OutOfBudget(
                 f"the {self.seconds:g} s were used up at t = {now:.6g}; allow more time, "

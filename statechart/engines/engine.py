@@ -25,14 +25,8 @@ _ROOM = 64
 class Path:
     """The steps of the flow under way, in arrays that grow and are used again.
 
-    Attributes
-    ----------
-    times : (capacity + 1,) array
-        When every step ends, counted from where the flow starts; the first is 0.
-    coefficients : (capacity, n, d + 1) array
-        As in `Arc`.
-    count : int
-        Number of steps made; what lies behind them is void.
+    `times` (capacity + 1,) are the ends of steps, counted from where the flow starts;
+    `coefficients` (capacity, n, d + 1) are as in `Arc`. Beyond `count` steps both are void.
     """
 
     def __init__(self) -> None:
@@ -43,12 +37,7 @@ class Path:
     def room(self, steps: int, variables: int, terms: int) -> None:
         """Make room for so many steps more, of at least so many terms.
 
-        Raises
-        ------
-        TooLong
-            If the steps made fill what memory a trace may take.
-        StepFailure
-            If there is no memory for them.
+        Raise `TooLong` if a trace may not take as much memory, `StepFailure` if there is none.
         """
         capacity, _, width = self.coefficients.shape
         needed = self.count + steps
@@ -197,27 +186,7 @@ class Engine(ABC):
     ) -> bool:
         """Take up to `count` steps, and append them to `path`; whether the last ends at `until`.
 
-        Parameters
-        ----------
-        stepper : object
-            What `compile` returned.
-        path : Path
-            The steps of this flow so far.
-        watch : FlowWatch
-            The flow, and what it is watched for.
-        state : (n,) array
-            Where to start; not modified.
-        until : float
-            Do not step beyond this time of the flow; the last step ends there exactly.
-        count : int
-            At most so many steps.
-        begin : Begin
-            How `state` follows from the last call with this stepper.
-        end : (n,) array
-            Takes the state at the end of the last step.
-
-        Raises
-        ------
-        StepFailure, NonFinite
-            When not a single step can be made.
+        The flow stops at `until` exactly. `begin` says how `state` (n,), which is not modified,
+        follows from the last call with this stepper (see `compile`); `end` (n,) takes the last
+        state. An error means that not a single step can be made.
         """

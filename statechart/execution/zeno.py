@@ -54,11 +54,6 @@ class Accumulation:
     skipped only when it is too short to matter, against the longest interval seen. A ratio so
     small that the intervals vanish before it is known needs no sum: the jumps have accumulated
     where the time no longer tells them apart.
-
-    Attributes
-    ----------
-    series : (s, `WIDTH`) array
-        See `statechart.kernels.accumulation`.
     """
 
     def __init__(self, known: Sequence[tuple[str, str]] = ()) -> None:

@@ -59,13 +59,7 @@ class _Interpreter:
 
 
 class Kernel:
-    """A kernel: called by Python interpreted or compiled, by other kernels as they are.
-
-    Attributes
-    ----------
-    py_func : callable
-        The function.
-    """
+    """A kernel: called by Python interpreted or compiled, by other kernels as they are."""
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
         self.py_func = function

@@ -38,15 +38,7 @@ def html(shown: Mapping[str, Any]) -> str:
 
 
 def write(shown: Mapping[str, Any], path: Path) -> None:
-    """Write the page, whole or not at all.
-
-    Raises
-    ------
-    DeclarationError
-        If the suffix is not .html.
-    StatechartError
-        If the file cannot be written.
-    """
+    """Write the page, whole or not at all."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
     try:

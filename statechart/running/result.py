@@ -377,13 +377,7 @@ def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Resul
 
 
 def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
-    """Return the content of the page of a run.
-
-    Raises
-    ------
-    StatechartError
-        If the study is of another model, or the run has kept nothing to show.
-    """
+    """Return the content of the page of a run."""
     from statechart.pages.content import MOST_EVENTS, content
 
     trace, model = result.trace, result.observer.automaton.declaration

@@ -13,13 +13,7 @@ _CONTINUOUS = 100.0
 
 
 def assert_ordered(trace: Trace) -> None:
-    """Check that arcs and jumps follow one another on hybrid time (t, j).
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-    """
+    """Check that arcs and jumps follow one another on hybrid time (t, j)."""
     t, j = 0.0, 0
     # Steps of one length add up to it with their roundings.
     allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
@@ -41,15 +35,7 @@ def assert_ordered(trace: Trace) -> None:
 
 
 def assert_edges(automaton: Automaton, trace: Trace) -> None:
-    """Check that every jump is an edge of the automaton, region by region.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        That of the model.
-    trace : Trace
-        A run of it.
-    """
+    """Check that every jump is an edge of the automaton, region by region."""
     mode = trace.start_mode
     for jump in trace.jumps:
         place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
@@ -71,13 +57,7 @@ def assert_edges(automaton: Automaton, trace: Trace) -> None:
 
 
 def assert_continuous(trace: Trace) -> None:
-    """Check that states change only by jumps, and that steps of an arc join.
-
-    Parameters
-    ----------
-    trace : Trace
-        A run.
-    """
+    """Check that states change only by jumps, and that steps of an arc join."""
     visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
     sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
     error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)

@@ -42,15 +42,8 @@ _START = 1e-8
 class Property:
     """Something that must hold for every choice of the parameters.
 
-    Attributes
-    ----------
-    name : str
-        What holds, in words.
-    holds : callable
-        Case -> None; raises AssertionError where it does not hold, `Undecidable` where that
-        cannot be told.
-    skipped : str
-        Why the model has nothing that it could be tested on; empty where it has.
+    `holds` raises AssertionError where it does not hold, `Undecidable` where that cannot be told.
+    `skipped` is why the model has nothing that it could be tested on, else empty.
     """
 
     name: str
@@ -59,13 +52,7 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that every run comes to an end that the model declares."""
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -74,13 +61,7 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that runs start in the declared state, but for rounding on constraints."""
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         moved = projected(trace)
@@ -95,13 +76,7 @@ def assert_start(case: Case) -> None:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that all engines take the same modes at the same times through the same states."""
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -109,13 +84,7 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that a shorter run is the beginning of the run: the future changes nothing."""
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -157,13 +126,7 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton.
-
-    Parameters
-    ----------
-    subject : Subject
-        The model.
-    """
+    """Return what holds for every automaton."""
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)
