@@ -59,7 +59,13 @@ class _Interpreter:
 
 
 class Kernel:
-    """A kernel: called by Python interpreted or compiled, by other kernels as they are."""
+    """A kernel: called by Python interpreted or compiled, by other kernels as they are.
+
+    Attributes
+    ----------
+    py_func : callable
+        The function.
+    """
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
         self.py_func = function

@@ -20,7 +20,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.engines.budget import Allowance
+from statechart.engines.engine import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
 from statechart.execution.flow import STIFF

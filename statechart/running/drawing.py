@@ -100,7 +100,7 @@ def notebook(model: Declaration) -> str:
 
 
 def _scene(runner: Runner) -> Figure:
-    from statechart.pictures.snapshots import picture
+    from statechart.pictures.drawing import picture
     from statechart.reporting.film import filmed, stage_of
 
     stage = stage_of(runner.automaton)

@@ -378,7 +378,7 @@ def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Resul
 
 def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
     """Return the content of the page of a run."""
-    from statechart.pages.content import MOST_EVENTS, content
+    from statechart.pages.page import MOST_EVENTS, content
 
     trace, model = result.trace, result.observer.automaton.declaration
     if study is None:
