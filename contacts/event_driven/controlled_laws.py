@@ -41,10 +41,7 @@ class ControlledLaws:
     compiled_laws = None
 
     def __init__(
-        self,
-        contacts: SceneLaws,
-        mechanics: Mechanics,
-        regions: Sequence[Region],
+        self, contacts: SceneLaws, mechanics: Mechanics, regions: Sequence[Region]
     ) -> None:
         self._contacts = contacts
         self._mechanics = mechanics
@@ -171,11 +168,7 @@ class ControlledLaws:
         jump, flow = self._at(states).close(parted, joint, cause)
         after = self._memory.joined(jump.after, state)
         jump = replace(
-            jump,
-            source=at.flow.mode,
-            target=(*jump.target, *states),
-            before=at.state,
-            after=after,
+            jump, source=at.flow.mode, target=(*jump.target, *states), before=at.state, after=after
         )
         pending = self._listening.heard(at.flow.pending, jump)
         before = at.flow._replace(pending=pending)
@@ -229,8 +222,7 @@ class ControlledLaws:
         if states not in self._under:
             named = self._states.named(states)
             self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, named),
-                Conditions(self._mechanics, named),
+                SnapshotTape(self._mechanics, named), Conditions(self._mechanics, named)
             )
         return self._under[states]
 

@@ -29,13 +29,7 @@ from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import (
-    Landing,
-    Rules,
-    flow_in,
-    impact_jump,
-    shown_roles,
-)
+from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
 from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, off_state, unbounded

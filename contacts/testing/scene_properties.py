@@ -97,11 +97,7 @@ def assert_couples(mechanics: Mechanics, subject: Subject, trace: Trace) -> None
     expressions = [
         expression
         for name in scene.couplings
-        for expression in (
-            known[f"{name}.M"],
-            known[f"{name}.slip"],
-            *mechanics.coupling(name)[1:],
-        )
+        for expression in (known[f"{name}.M"], known[f"{name}.slip"], *mechanics.coupling(name)[1:])
     ]
     first = len(scene.contacts)
     for arc, tau in dense(trace):
@@ -307,10 +303,7 @@ def properties(declared: Scene) -> tuple[Property, ...]:
             each(partial(assert_impulses, scene)),
             none or ("" if free else "no contact can be free"),
         ),
-        Property(
-            "energy never grows",
-            each(partial(assert_energy, mechanics)),
-        ),
+        Property("energy never grows", each(partial(assert_energy, mechanics))),
         *image_properties(declared),
     )
 

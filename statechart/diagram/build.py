@@ -400,9 +400,7 @@ def group_alike(regions: Iterable[Region]) -> Iterable[list[Region]]:
     return found.values()
 
 
-def mode_label(
-    states: Sequence[tuple[Region, str]],
-) -> tuple[str, tuple[tuple[Region, str], ...]]:
+def mode_label(states: Sequence[tuple[Region, str]]) -> tuple[str, tuple[tuple[Region, str], ...]]:
     """Return the name of a mode, its states that are no default, and the state of every line."""
     shown = [(region, state) for region, state in states if state != region.default]
     if not shown:

@@ -39,11 +39,7 @@ class Verdict(Enum):
     NON_FINITE = "A polynomial or a margin is infinite or undefined."
 
 
-_VERDICTS = {
-    GRAZE: Verdict.GRAZE,
-    BUDGET: Verdict.BUDGET,
-    NON_FINITE: Verdict.NON_FINITE,
-}
+_VERDICTS = {GRAZE: Verdict.GRAZE, BUDGET: Verdict.BUDGET, NON_FINITE: Verdict.NON_FINITE}
 
 
 class Crossing(NamedTuple):

@@ -268,11 +268,7 @@ class Simulator:
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
     def _execution(
-        self,
-        setup: Setup,
-        until: float,
-        max_jumps: int,
-        batch: Batch | None = None,
+        self, setup: Setup, until: float, max_jumps: int, batch: Batch | None = None
     ) -> Execution:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes

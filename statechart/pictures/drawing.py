@@ -40,12 +40,7 @@ class Drawing:
     """
 
     def __init__(
-        self,
-        ax: Axes,
-        film: Film,
-        *,
-        trail: float | None = None,
-        names: bool = False,
+        self, ax: Axes, film: Film, *, trail: float | None = None, names: bool = False
     ) -> None:
         self._ax, self._film, self._trail = ax, film, trail
         ax.set_aspect("equal", adjustable="box")

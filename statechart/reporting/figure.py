@@ -86,11 +86,7 @@ STYLE = {
 
 
 def figure(
-    observer: Observer,
-    trace: Trace,
-    path: Path | str | None = None,
-    *,
-    strip: Film | None = None,
+    observer: Observer, trace: Trace, path: Path | str | None = None, *, strip: Film | None = None
 ) -> Figure:
     """Draw a run.
 

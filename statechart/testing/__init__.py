@@ -18,12 +18,7 @@ from statechart.testing.properties import (
     assert_start,
     generic,
 )
-from statechart.testing.subject import (
-    Case,
-    Subject,
-    parameters,
-    ranges,
-)
+from statechart.testing.subject import Case, Subject, parameters, ranges
 
 __all__ = [
     "Case",

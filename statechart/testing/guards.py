@@ -130,12 +130,7 @@ def _assert_at(
 
 
 def _assert_margins(
-    subject: Subject,
-    trace: Trace,
-    arc: Arc,
-    tau: Array,
-    margins: Sequence[Margin],
-    by: Array,
+    subject: Subject, trace: Trace, arc: Arc, tau: Array, margins: Sequence[Margin], by: Array
 ) -> Array:
     """Check margins at local times of an arc; return what each may be below zero there.
 
