@@ -41,7 +41,7 @@ from statechart.engines.compiled_flow import (
     tape_of,
 )
 from statechart.execution import compiled_loop as runs
-from statechart.execution.zeno import STEADY
+from statechart.execution.livelock import STEADY
 from statechart.kernels.accumulation import follow
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel

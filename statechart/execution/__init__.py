@@ -5,7 +5,7 @@ independent `components` run one by one, and their runs are merged. `execution` 
 to the first event (`finding` judges what was found, `filippov` chooses the piece of functions that
 switch), ask the laws, jump; the `compiled_loop` does so over modes as arrays as long as instants
 are unambiguous, for one run or for many. `standing` ends what stands still on a stop. `zeno`
-watches for jumps that accumulate, and for those that lead nowhere. `certificate` proves how far a
-run is off. `time_stepping` runs models by fixed steps instead; `perturbation` changes a run
+watches for jumps that accumulate, `livelock` for those that lead nowhere. `certificate` proves how
+far a run is off. `time_stepping` runs models by fixed steps instead; `perturbation` changes a run
 slightly, `outcome` makes an error of an end.
 """

@@ -26,8 +26,9 @@ from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.filippov import Filippov
 from statechart.execution.finding import alone, closing, from_here
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
+from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress, error_of
-from statechart.execution.zeno import JUMPS_AT_ONCE, Accumulation, Livelock, check_pace, looping
+from statechart.execution.zeno import Accumulation
 from statechart.kernels.polynomials import summands
 from statechart.tabular import several
 

@@ -9,7 +9,7 @@ import pytest
 
 from statechart.automaton.clock import Clock
 from statechart.errors import EventLoop
-from statechart.execution.zeno import JUMPS_AT_ONCE, JUMPS_NEAR, Livelock
+from statechart.execution.livelock import JUMPS_AT_ONCE, JUMPS_NEAR, Livelock
 
 
 def _jumps(start: float, interval: float, count: int = JUMPS_NEAR) -> list[Any]:

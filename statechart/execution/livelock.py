@@ -1,0 +1,103 @@
+"""Livelock: runs that take jump after jump and get no further in time, or not far enough."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from statechart.automaton.clock import Clock, between
+from statechart.automaton.trace import FAR_TOO_MANY, Jump, Key
+from statechart.errors import EventLoop, TooLong
+from statechart.tabular import several
+
+JUMPS_AT_ONCE = 64
+"""More jumps than this at one instant are a loop; products of a few contacts settle in a handful.
+"""
+
+JUMPS_NEAR = 1024
+"""More jumps than this within the round-off of an instant are a loop, flows between them or not."""
+_ROUND_OFF = 4.0 * float(np.finfo(float).eps)
+
+STEADY = 4096
+"""Jumps whose pace was steady while their number doubled thrice go on like that, from so many on,
+where no condition ends them."""
+
+
+class Livelock:
+    """Counts what happens at one instant without end, or within the round-off of its time."""
+
+    def __init__(self, scale: float) -> None:
+        self._scale = scale if scale < math.inf else 0.0
+        self._since, self._changes = Clock(), 0
+        self._stalled: tuple[Clock, tuple[str, ...]] | None = None
+        self._stalls = 0
+
+    def _stays(self, before: Clock, clock: Clock) -> bool:
+        """Return whether a clock has not passed another by more than round-off."""
+        return between(before, clock) <= _ROUND_OFF * max(abs(clock.high), self._scale)
+
+    def stalled(self, clock: Clock, fired: tuple[str, ...]) -> bool:
+        """Note a fall that changes no mode: once a graze, at the same instant again a loop."""
+        now, before = (clock, fired), self._stalled
+        near = before is not None and self._stays(before[0], clock)
+        # Time may creep on by less than its round-off, and several margins fall in turn.
+        self._stalls = self._stalls + 1 if near else 0
+        self._stalled = now
+        return before == now or self._stalls > JUMPS_AT_ONCE
+
+    def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
+        """Note that a mode goes on by other equations.
+
+        Raises
+        ------
+        EventLoop
+            Where it does so again and again at one instant.
+        """
+        if not self._stays(self._since, clock):
+            self._since, self._changes = clock, 0
+        self._changes += 1
+        if self._changes > JUMPS_AT_ONCE:
+            fell = f"{', '.join(fired)} falls" if fired else "nothing falls"
+            raise EventLoop(
+                f"{fell} at t = {clock.high:.6g}, and equations of the mode follow one another "
+                "for ever"
+            )
+
+    def check(self, jumps: Sequence[Jump], clock: Clock, label: Callable[[Key], str]) -> None:
+        """Raise `EventLoop` where the last `JUMPS_NEAR` jumps took no more than round-off.
+
+        Looks whenever so many more have been made.
+        """
+        count = len(jumps)
+        if count and count % JUMPS_NEAR == 0:
+            first = jumps[count - JUMPS_NEAR].t
+            if self._stays(Clock(first), clock):
+                raise looping(jumps[-6:], clock, label, JUMPS_NEAR)
+
+
+def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
+    """Raise `TooLong` where steady jumps are so many that a run cannot reach its end."""
+    count = len(jumps)
+    if count < STEADY or count & (count - 1):
+        return
+    times = [jumps[(count >> k) - 1].t for k in range(4)]
+    paces = [
+        (after - before) / (count >> k) for k, (after, before) in enumerate(pairwise(times), 1)
+    ]
+    left = clock.until(until)
+    if max(paces) <= 2.0 * min(paces) and left > FAR_TOO_MANY * max_jumps * max(paces):
+        raise TooLong(
+            f"{count} jumps took {clock.high:.3g}, and {left:.3g} is left, too much for "
+            f"{several(max_jumps, 'jump')}; end the run earlier"
+        )
+
+
+def looping(
+    last: Sequence[Jump], clock: Clock, label: Callable[[Key], str], count: int = JUMPS_AT_ONCE
+) -> EventLoop:
+    """Return the error of too many jumps at one instant, with the last ones."""
+    recent = ", ".join(f"{jump.cause} -> {label(jump.target)}" for jump in last)
+    return EventLoop(f"{count} jumps at t = {clock.high:.6g}: {recent}")
