@@ -113,10 +113,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             partial(gates, name),
             partial(back, name),
             edges(
-                contact,
-                jams=scene.jams(name),
-                bounces=scene.bounces(name),
-                gate=scene.gate(name),
+                contact, jams=scene.jams(name), bounces=scene.bounces(name), gate=scene.gate(name)
             ),
             scene.gate(name),
             mechanics.forces[name],

@@ -171,10 +171,7 @@ def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
     found = dict(elimination.positions)
     found |= {rates[q]: coordinates.rate(e) for q, e in elimination.positions.items()}
     places = {v: i for i, v in enumerate(automaton.variables)}
-    return {
-        "eliminated": {places[v]: e for v, e in found.items()},
-        "anchors": elimination.anchors,
-    }
+    return {"eliminated": {places[v]: e for v, e in found.items()}, "anchors": elimination.anchors}
 
 
 def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:
