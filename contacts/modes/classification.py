@@ -176,13 +176,12 @@ def _solved_combinations(
         tie,
     )
     found: list[Candidate] = []
-    for k, (states, outcome) in enumerate(zip(combinations, status.tolist(), strict=True)):
-        violation, contact, which, number = verdicts[k].tolist()
+    judged = zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
+    for k, (states, outcome, (violation, contact, which, number)) in enumerate(judged):
+        why = "" if outcome in _DETERMINED else _UNSOLVED.get(outcome, SINGULAR)
         broken = (laws[int(contact)].name if laws else "", int(which), number)
-        one = Candidate(states, accelerations[k], forces[k], violation, broken)
-        if outcome not in _DETERMINED:
-            one = _refused(one, _UNSOLVED.get(outcome, SINGULAR))
-        found.append(one)
+        violation = math.inf if why else violation
+        found.append(Candidate(states, accelerations[k], forces[k], violation, broken, None, why))
     if several:
         _explain(case, edges, codes, found, np.flatnonzero(status == REDUNDANT).tolist())
     return found
@@ -202,25 +201,28 @@ def _explain(
     """Replace candidates judged by their motion alone, by whether forces explain it."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
     inward = 0.25 * max(tie, _EXACT) * scales.force
-    moving = [(k, found[k]) for k in redundant if found[k].violation <= max(tie, _SAME_MOTION)]
-    taken: list[Candidate] = []
-    failed: list[tuple[Candidate, Ints]] = []
-    for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
-        if any(same_motion(one, candidate, scales) for one in taken):
+    bound = max(tie, _SAME_MOTION)
+    moving = [(k, found[k]) for k in redundant if found[k].violation <= bound]
+    moving.sort(key=lambda item: openness(item[1]))
+    motions = np.array([one.accelerations for _, one in moving]).reshape(len(moving), -1)
+    sizes = np.maximum(scales.acceleration, np.abs(motions).max(axis=1, initial=0.0))
+    apart = np.abs(motions[:, None] - motions).max(axis=2, initial=0.0)
+    same, exact = apart <= _SAME_MOTION * sizes, apart <= _EXACT * sizes
+    known = np.zeros(len(moving), np.bool_)
+    failed: list[int] = []
+    for place, (k, candidate) in enumerate(moving):
+        if known[place]:
             found[k] = _refused(candidate, _LESS)
             continue
         given = None
-        if not any(
-            _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
-            for one, code in failed
-        ):
+        if not any(exact[i, place] and _within(codes[k], codes[moving[i][0]]) for i in failed):
             chosen = np.empty((len(codes[k]), 2))
             choose_edges(edges, codes[k], chosen)
             given = share(
                 codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
             )
         if given is None or given.violation > tie * scales.force:
-            failed.append((candidate, codes[k]))
+            failed.append(place)
             found[k] = _refused(candidate, _UNEXPLAINED)
             continue
         outside = given.violation / scales.force
@@ -228,7 +230,7 @@ def _explain(
         if outside > shared.violation:
             shared = shared._replace(violation=outside, broken=("", _NOWHERE, outside))
         found[k] = shared
-        taken.append(shared)
+        known |= same[place]
 
 
 def _within(code: Ints, other: Ints) -> bool:
