@@ -205,24 +205,25 @@ def _explain(
     moving = [(k, found[k]) for k in redundant if found[k].violation <= bound]
     moving.sort(key=lambda item: openness(item[1]))
     motions = np.array([one.accelerations for _, one in moving]).reshape(len(moving), -1)
-    sizes = np.maximum(scales.acceleration, np.abs(motions).max(axis=1, initial=0.0))
-    apart = np.abs(motions[:, None] - motions).max(axis=2, initial=0.0)
-    same, exact = apart <= _SAME_MOTION * sizes, apart <= _EXACT * sizes
+    largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
     known = np.zeros(len(moving), np.bool_)
-    failed: list[int] = []
+    failed: list[tuple[Candidate, Ints]] = []
     for place, (k, candidate) in enumerate(moving):
         if known[place]:
             found[k] = _refused(candidate, _LESS)
             continue
         given = None
-        if not any(exact[i, place] and _within(codes[k], codes[moving[i][0]]) for i in failed):
+        if not any(
+            _within(codes[k], code) and same_motion(one, candidate, scales, _EXACT)
+            for one, code in failed
+        ):
             chosen = np.empty((len(codes[k]), 2))
             choose_edges(edges, codes[k], chosen)
             given = share(
                 codes[k], snapshot, chosen, carriers(tuple(case.laws)), candidate.forces, inward
             )
         if given is None or given.violation > tie * scales.force:
-            failed.append(place)
+            failed.append((candidate, codes[k]))
             found[k] = _refused(candidate, _UNEXPLAINED)
             continue
         outside = given.violation / scales.force
@@ -230,7 +231,7 @@ def _explain(
         if outside > shared.violation:
             shared = shared._replace(violation=outside, broken=("", _NOWHERE, outside))
         found[k] = shared
-        known |= same[place]
+        known |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
 
 
 def _within(code: Ints, other: Ints) -> bool:
