@@ -44,20 +44,25 @@ def expand(
     places = tuple(range(len(tape.outputs))) if places is None else places
     clock = _constant(time, terms)
     clock.values[1:2] = [1.0][: terms - 1]
-    given = [*variables, clock]
-    given += [_constant(p, terms) for p in (*parameters, *tape.constants.tolist())]
-    registers = dict(enumerate(given))
+    registers = dict(enumerate((*variables, clock)))
+    numbers = (*parameters, *tape.constants.tolist())
+
+    def register(place: int) -> Series:
+        if place not in registers:
+            registers[place] = _constant(numbers[place - len(variables) - 1], terms)
+        return registers[place]
+
     for place, op, left, right in tape.needed(places):
-        a, name = registers[left], _NAMES[op]
+        a, name = register(left), _NAMES[op]
         try:
             if name in _BINARY:
-                found = _BINARY[name](a, registers[right])
+                found = _BINARY[name](a, register(right))
             else:
                 found = _power(a, right) if name == "powi" else _UNARY[name](a)
         except (ValueError, ZeroDivisionError, OverflowError):
             found = Series([math.nan] * terms, [math.nan] * terms)
         registers[place] = found
-    return [registers[tape.outputs.item(place)] for place in places]
+    return [register(tape.outputs.item(place)) for place in places]
 
 
 def sizes_at(
