@@ -108,9 +108,7 @@ def looping(
         return EventLoop(found)
     held = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
     if len(held) == 1:
-        return EventLoop(
-            f"{found}; the guard of {held[0]} holds after its updates; let them end it"
-        )
+        return EventLoop(f"{found}; the guard of {held[0]} holds after it too; let updates end it")
     return EventLoop(
         f"{found}; the guards of {' and '.join(held)} hold at once; add to one what is false where "
         "the other holds, as in guard: [..., ...]"
