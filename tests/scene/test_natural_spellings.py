@@ -61,7 +61,7 @@ stop: {time: 1}
 
 
 def test_forces_that_need_those_of_a_contact_are_told_the_law_that_has_them() -> None:
-    rim = "contacts: {rim: {point: {body: ball}, radius: 0.1, surface: floor, friction: 0}}"
+    rim = "contacts: {rim: {point: {body: ball}, radius: 0.1, surface: floor, modes: [pin]}}"
     force = "forces: {f: {body: ball, force: [0, 0], moment: -0.01*%s*sign(ball.dangle)}}"
     for quantity, advice in (("V", "rolling_resistance: LENGTH"), ("gap", "stiffness and damping")):
         text = f"{BALL.replace('Y', '0.1')}{rim}\n{force % f'rim.{quantity}'}\n"
