@@ -232,7 +232,7 @@ def _explain(
 
 
 def _within(code: Ints, other: Ints) -> bool:
-    """Whether what every contact may bear in one mode it may bear in the other."""
+    """Return whether the forces of every contact in one mode are allowed in the other."""
     return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 
@@ -265,7 +265,7 @@ def _combinations(
 def same_motion(
     one: Candidate, other: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
 ) -> bool:
-    """Whether two candidates move the bodies alike."""
+    """Return whether two candidate modes give the same accelerations."""
     size = max(scales.acceleration, float(np.abs(other.accelerations).max()))
     difference = np.abs(one.accelerations - other.accelerations).max()
     return bool(difference <= tolerance * size)
@@ -392,7 +392,7 @@ _MAX_COMBINATIONS = 64
 def _doubted(
     codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
 ) -> bool:
-    """Whether a mode in which a contact comes to rest is close to the bounds of its forces."""
+    """Return whether a mode in which a contact comes to rest is close to a bound of its forces."""
     for k in range(codes.shape[0]):
         if abs(verdicts[k, 0]) <= doubtful:
             for c in range(codes.shape[1]):
@@ -557,7 +557,7 @@ class ForceUncertainty(NamedTuple):
         return None
 
     def _passed(self, case: Case, one: Candidate) -> bool:
-        """Whether a mode is broken by a force that has just passed its bound."""
+        """Return whether a mode is broken by a force that has just passed its bound."""
         fell = [*self.fell]
         if not fell:
             return False
@@ -882,7 +882,7 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
 
 
 def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
-    """Whether the mode taken is one of several that leave out contacts of a mode left open."""
+    """Return whether the chosen mode opens contacts that a rejected mode would keep closed."""
     if other.undetermined != OPEN_LOAD:
         return False
     pairs = zip(taken.states, other.states, closed, strict=True)

@@ -151,7 +151,7 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
 
 @kernel
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
-    """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
+    """Return whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
     return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0
 
@@ -296,7 +296,7 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 @kernel
 def _is_alone(groups: Ints, a: int) -> bool:
-    """Whether a contact is the only one of its group."""
+    """Return whether a contact is the only one of its group."""
     alone = True
     for b in range(len(groups)):
         alone = alone and (b == a or groups[b] != groups[a])

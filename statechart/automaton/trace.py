@@ -29,7 +29,7 @@ Key = tuple[str, ...]
 
 
 class Outcome(Enum):
-    """Why a run ended, as a sentence that a user can act on."""
+    """Reason for the end of a run, as a sentence that a user can act on."""
 
     HORIZON = "The run reached its end time."
     STOPPED = "A stop condition became true."

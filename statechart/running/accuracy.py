@@ -131,7 +131,7 @@ class AccuracyRequest:
     decides: str = ""
 
     def reached(self, estimate: float | None) -> bool:
-        """Whether an error estimate satisfies the request; a budget takes any estimate."""
+        """Return whether an error estimate satisfies the request; a budget takes any estimate."""
         return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
 
     def to_dict(self, estimate: float | None) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class EvaluatedRun:
 
     @property
     def counts_events(self) -> bool:
-        """Whether it has outputs that count or list events, of which there is an end."""
+        """True if outputs count or list events that are not endless."""
         counted = {name for name, value in self.outputs.items() if isinstance(value, int | list)}
         return not counted <= self.endless
 
@@ -538,7 +538,7 @@ class _Refined(_Series):
 
     @property
     def stuck(self) -> bool:
-        """Whether the estimate no longer falls with the step."""
+        """True if the estimate no longer falls with the step."""
         known = self._estimates[_COMPARED:]
         return len(known) > _PATIENCE and not known[-1] < 0.5 * known[-1 - _PATIENCE]
 

@@ -83,7 +83,7 @@ class CheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether no property was found not to hold."""
+        """True if no property was violated."""
         return all(result.failure is None for result in self.properties)
 
     @property

@@ -1,4 +1,4 @@
-"""What people meet at a terminal: version, completion, tables, bars, pages, quiet."""
+"""The terminal: version, completion, tables, progress bars, pages, quiet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a wrong scene gets: one message with its place and what to do, before anything is run."""
+"""Wrong scenes: one message with place and remedy, before anything is run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people write by mistake, and what they are told to write, in files."""
+"""Mistakes in files, and the messages that name the remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is proved of the motion: bounds of every step, and an estimate of what they amount to."""
+"""Certificates: bounds of every step, and the estimate of the global error."""
 
 from __future__ import annotations
 

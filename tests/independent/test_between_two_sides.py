@@ -1,4 +1,4 @@
-"""What is led between two sides: friction holds by what presses it, not by forces without cause.
+"""Guided bodies: friction is limited by the pressing load, without self-equilibrated forces.
 
 A point that touches both sides of a slot could be held against any load, were it wedged between
 them. Nothing wedges it: a slot whose sides are elastic, however stiff, presses with one of them.

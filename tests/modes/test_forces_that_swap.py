@@ -1,4 +1,4 @@
-"""Where one shared force vanishes, another leaves its edge: displacements jump, forces do not."""
+"""Shared forces that trade places: one vanishes as another leaves its cone's edge."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of scenes of many bodies that cannot be, or cease to be, run."""
+"""Messages of many-body scenes that cannot be run, or stop."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_discs_that_start_slightly_in_each_other_stay_where_nothing_moves_them(d
 @pytest.mark.parametrize("beside", [0.0072, 0.0144])
 @pytest.mark.parametrize("law", ["capped", "sequential"])
 def test_a_rack_that_loses_nothing_keeps_its_energy_whatever_the_tolerance(beside, tolerance, law):
-    """Of the discs some are pushed apart by rounding in the step in which others rebound."""
+    """Round-off separates some discs in the step in which others rebound."""
     rows = [(row, 2 * j - row) for row in range(5) for j in range(row + 1)]
     rack = [(row * R * math.sqrt(3), side * R) for row, side in rows]
     speeds, warnings = struck(rack, -0.12, 1, beside, tolerance, law)

@@ -1,4 +1,4 @@
-"""What runs by steps keep: outputs are the same to the bit, and what needs more says so."""
+"""Recording policies by steps: outputs equal to the bit, and refusals name what is missing."""
 
 from __future__ import annotations
 

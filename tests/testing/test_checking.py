@@ -1,4 +1,4 @@
-"""Whether properties fail where they must: broken laws and automata are caught and shrunk."""
+"""Property tests: broken laws and automata are caught and shrunk."""
 
 import dataclasses
 import json
