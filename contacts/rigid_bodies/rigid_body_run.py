@@ -196,7 +196,7 @@ class DetectedContacts(NamedTuple):
         return f"body {names[other if one == body else one]!r}"
 
     def is_covered(self, body: int) -> bool:
-        """Return whether a body is deeper than its clearance in every shape that it touches."""
+        """Return whether a body is deeper than any of its contacts, amid the pieces of others."""
         mine = (self.normal.bodies == body).any(axis=1)
         return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
 
