@@ -62,10 +62,10 @@ def _check_jumps(*formulas: Formula) -> None:
         for node in nodes(formula.root):
             if isinstance(node, Call) and node.function in JUMPS:
                 raise DeclarationProblem(
-                    f"formula {formula.text!r}: {node.function} jumps, and is for what is "
-                    "computed once",
-                    advice="where it is of numbers, let a parameter be it: it stands in "
-                    "parameters, starts and copies; along a run, write a state for each piece",
+                    f"formula {formula.text!r}: {node.function} jumps, and may stand only in "
+                    "parameters, starts and copies",
+                    advice="write a parameter if its arguments are constant, else a state for each "
+                    "piece",
                     offset=node.offset,
                 )
 
@@ -76,7 +76,7 @@ def check_named_infinity(text: str | int | float, *loc: str | int) -> None:
     if formula.names_infinity:
         raise DeclarationProblem(
             f"formula {formula.text!r}: must be finite",
-            advice="infinite can be friction, and parameters that stand for it",
+            advice="only a friction may be inf",
             loc=loc,
         )
 

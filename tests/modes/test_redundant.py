@@ -217,7 +217,7 @@ def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) ->
     snapshot, setup = numbers(scene)
     closed = [True] * count
     choice = choose(snapshot, setup.contacts, closed, setup.scales, 5e-13, 1e-12)
-    assert any("uniqueness not checked" in note for note in choice.notes)
+    assert any("does not check that it is the only one" in note for note in choice.notes)
     still = [abs(contact.slip) < 1e-12 for contact in snapshot.contacts]
     options = [
         ALL if rest else ("free", "slide+" if contact.slip > 0 else "slide-")

@@ -148,10 +148,10 @@ def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
     [
         (
             'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
-            "at least 118 of 120 bodies start in others of their kind; let where they start depend "
+            "at least 118 of 120 copies overlap; write a start that depends "
             'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
         ),
-        ("y: 1", "and 'grain1' start in one place; let where they start depend on index, such as"),
+        ("y: 1", "and 'grain1' start at the same place; write a start that depends on index,"),
         ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start in one place"),
         ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
     ],

@@ -326,7 +326,7 @@ stop: {time: 2}
 def test_modes_that_depend_on_a_tolerance_are_no_accurate_answer() -> None:
     result = run(read_text(RATTLING), accuracy=1e-6, throw=False)
     assert result.error_estimate == math.inf
-    assert "there is no accuracy from t = 0.444059" in result.warnings[-1]
+    assert "take different modes from t = 0.444059 on" in result.warnings[-1]
 
 
 @pytest.mark.parametrize("asked", [["--accuracy", "1e-3"], ["--budget", "2"]])

@@ -224,7 +224,7 @@ def test_missing_recordings_are_refused_with_the_option_to_set(tmp_path):
     ("asked", "words"),
     [
         ({"record": "pose"}, "poses"),
-        ({"record": "poses", "accuracy": 1e-2}, "an accuracy compares the events"),
+        ({"record": "poses", "accuracy": 1e-2}, "an accuracy needs the events"),
         ({"record": "poses", "engine": "scipy"}, "the engine scipy records modes"),
     ],
 )
