@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
-from statechart.errors import Unsupported
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
@@ -44,11 +43,6 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        if mechanics.scene.couplings:
-            raise Unsupported(
-                f"coupling {next(iter(mechanics.scene.couplings))!r}: steps have no couplings yet; "
-                "run with --engine taylor or scipy"
-            )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)
@@ -119,10 +113,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             partial(gates, name),
             partial(back, name),
             edges(
-                contact,
-                jams=scene.jams(name),
-                bounces=scene.bounces(name),
-                gate=scene.gate(name),
+                contact, jams=scene.jams(name), bounces=scene.bounces(name), gate=scene.gate(name)
             ),
             scene.gate(name),
             mechanics.forces[name],

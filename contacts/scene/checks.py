@@ -12,13 +12,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import (
-    AT_REST,
-    Friction,
-    check_sides,
-    friction_law,
-    friction_texts,
-)
+from contacts.scene.friction import AT_REST, Friction, check_sides, friction_law, friction_texts
 from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX

@@ -11,12 +11,7 @@ from typing import TypeVar
 from pydantic import Field
 
 from statechart.charts.flatten import FlatRegion, flatten
-from statechart.charts.transitions import (
-    BaseRegion,
-    BaseState,
-    check_changes,
-    nested,
-)
+from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
 from statechart.documents.fields import (
     FiniteText,
     FormulaText,

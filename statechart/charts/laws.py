@@ -158,9 +158,7 @@ class ChartLaws:
         self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
-            tuple(symbols.variables.values()),
-            symbols.parameters.ordered,
-            symbols.time,
+            tuple(symbols.variables.values()), symbols.parameters.ordered, symbols.time
         )
         self._considered = tuple(map(considered, regions))
         self._listening = Listening(regions, chart.flat)

@@ -116,13 +116,7 @@ class Execution:
         self.outcome, self.message = outcome, message
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps as they come; parameters may be set between samples.
-
-        Raises
-        ------
-        SimulationError
-            Where the run cannot go on, after all that it made.
-        """
+        """Yield arcs and jumps as they come; parameters may be set between samples."""
         values, end, count, seen = dict(parameters), self.until, 0, [0, 0]
 
         def fresh() -> Iterator[Arc | Jump]:
@@ -505,10 +499,8 @@ class Execution:
     def counted(self) -> bool:
         """Return whether the run ends here, at the greatest number of jumps.
 
-        Raises
-        ------
-        TooLong, EventLoop
-            Where it is plain that they will be too many, or take no time.
+        Raise `TooLong` or `EventLoop` where it is plain that they will be too many, or take no
+        time.
         """
         self._livelock.check(self.record.jumps, self.clock, self.automaton.label)
         if not self.automaton.stops:
