@@ -76,7 +76,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         laws=laws,
         controls=given(mechanics),
         # Rates of what is eliminated would follow from the memory as well.
-        coordinates=None if scene.leading else coordinates(mechanics),
+        coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,
         switching=switching,
         components=tuple if switching else cache(partial(components, scene, _composed)),

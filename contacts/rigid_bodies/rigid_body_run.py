@@ -99,7 +99,7 @@ class MissingGround:
                 self._unseen.remove(s)
                 self.remarks += (
                     f"the height of surface {self._surfaces[s]!r} has no value at x = {x:.6g}, "
-                    f"below body {self._names[body]!r} at t = {start + step * h:.6g}: there is "
+                    f"where body {self._names[body]!r} is at t = {start + step * h:.6g}: there is "
                     "no ground",
                 )
 
@@ -407,9 +407,9 @@ class RigidBodyRun(SteppedSystem):
         if deep[b] < 0.0:
             other = met.deepest_of(b, self.numbers.pieces.bodies, self._names, self.surfaces)
             raise NoConsistentMode(
-                f"the path of {jumped[0]} jumps as a controller changes, and body "
-                f"{self._names[b]!r} is {-met.gaps[b]:.3g} deep in {other}; write the path by a "
-                "variable that has a flow, not by a control"
+                f"the path of {jumped[0]} jumps, and body {self._names[b]!r} is "
+                f"{-met.gaps[b]:.3g} deep in {other}; write a path that moves there in a time, or "
+                "by a variable that has a flow"
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:

@@ -32,9 +32,7 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_copies_at_one_place_are_advised_to_use_index():
     text = SCENE.replace("x: 0.3*index, ", "")
-    told = (
-        r"11:12: .*'grain0' and 'grain1' start in one place; .* on index, such as x: 0\.21\*index"
-    )
+    told = r"11:12: .*'grain0' and 'grain1' start at the same place; .* on index, such as x: 0\.21\*index"
     with pytest.raises(DeclarationError, match=told):
         Runner(read_text(text)).run()
     Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
