@@ -32,7 +32,7 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_copies_at_one_place_are_advised_to_use_index():
     text = SCENE.replace("x: 0.3*index, ", "")
-    told = r"11:12: .*'grain0' and 'grain1' start at the same place; .* on index, such as x: 0\.21\*index"
+    told = r"11:12: .*'grain0' and 'grain1' start at the same place; .* such as x: 0\.21\*index"
     with pytest.raises(DeclarationError, match=told):
         Runner(read_text(text)).run()
     Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
@@ -150,7 +150,7 @@ def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
             'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
         ),
         ("y: 1", "and 'grain1' start at the same place; write a start that depends on index,"),
-        ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start in one place"),
+        ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start at the same place"),
         ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
     ],
 )

@@ -225,7 +225,7 @@ def test_missing_recordings_are_refused_with_the_option_to_set(tmp_path):
     [
         ({"record": "pose"}, "poses"),
         ({"record": "poses", "accuracy": 1e-2}, "an accuracy needs the events"),
-        ({"record": "poses", "engine": "scipy"}, "the engine scipy records modes"),
+        ({"record": "poses", "engine": "scipy"}, "the engine scipy always records modes"),
     ],
 )
 def test_unsupported_recording_is_refused_with_the_reason(asked, words):
