@@ -147,5 +147,5 @@ def test_wrong_tolerances_of_impulses_are_refused(asked, words):
 )
 def test_extreme_mass_ratios_are_advised_an_allowed_tolerance(ratio, missed, looser):
     (said,) = ratio_remarks(np.array([ratio, 0.0, 1.0, missed]), ["box", "ball"], 1e-6)
-    assert f"miss the contact laws by {missed:g}" in said
+    assert f"leaves a residual of {missed:g}" in said
     assert said.endswith(f"or {looser}" if looser else "within 1 to 7e+07")
