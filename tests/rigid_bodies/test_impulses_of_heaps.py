@@ -138,8 +138,8 @@ def test_wrong_tolerances_of_impulses_are_refused(asked, words):
 @pytest.mark.parametrize(
     ("ratio", "missed", "looser"),
     [
-        (1e10, 1e-5, "impulse_tolerance of 1e-04"),
-        (1e10, 3e-3, "impulse_tolerance of 3e-03"),
+        (1e10, 1e-5, "an impulse_tolerance of 1e-04"),
+        (1e10, 3e-3, "an impulse_tolerance of 3e-03"),
         # Discs under a box of 1e12 times their mass miss by as much at any tolerance.
         (1e12, 0.22, None),
         (1e14, 1e-5, None),
