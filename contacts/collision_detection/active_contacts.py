@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import Memory
+from contacts.collision_detection.body_numbers import KINETIC, RESTITUTION, BodyNumbers, Memory
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
@@ -26,7 +26,9 @@ class ActiveContacts(NamedTuple):
     # above the other; slip that the impulses of the step before may have missed; how far it is
     # above the level at which it was kept.
     memory: Array
-    materials: Array  # (c, 3): see `BodyNumbers`.
+    laws: Ints  # (c,): which of `BodyNumbers.materials`; -1: a joint.
+    materials: Array  # (c, 3): edge of the cone that holds now (2), restitution.
+    ways: Ints  # (c,): slip before, 1 or -1, where kinetic friction holds; 2 or -2: it begins.
     # (c, 2): velocities before the step, and after it without impulses; what these may not fall
     # below, negated.
     before: Array
@@ -45,7 +47,9 @@ class ActiveContacts(NamedTuple):
             np.zeros((most, 2, 6)),
             np.empty((most, 2), np.int64),
             np.empty((most, 4)),
+            np.empty(most, np.int64),
             np.empty((most, 3)),
+            np.empty(most, np.int64),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty((most, 2)),
@@ -119,6 +123,20 @@ def warm_start(
             active.memory[m, 2] = memory.contacts[at, 8]
         at += 1
     return level, lasting, place
+
+
+@kernel
+def has_two_coefficients(law: Array) -> bool:
+    """Return whether friction is larger at rest than in motion."""
+    return law[0] != law[KINETIC] or law[1] != law[KINETIC + 1]
+
+
+@kernel
+def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
+    """Write the cone of a contact that rests (0) or slips this `way`."""
+    law, at = numbers.materials[active.laws[i]], 0 if way == 0 else KINETIC
+    active.ways[i] = way
+    active.materials[i, 0], active.materials[i, 1] = law[at], law[at + 1]
 
 
 @kernel

@@ -9,12 +9,14 @@ import numpy as np
 
 from contacts.collision_detection.active_contacts import (
     ActiveContacts,
+    has_two_coefficients,
     take_motion_of,
     turning_change,
     warm_start,
     write_contact,
+    write_friction,
 )
-from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import RESTITUTION, BodyNumbers, Memory
 from contacts.collision_detection.broad_phase import Grid, near_pairs
 from contacts.collision_detection.convex import FOUND, ConvexShape, between
 from contacts.collision_detection.ground import POINTS, Ground, carried_along, is_far, on_surface
@@ -42,7 +44,6 @@ from contacts.collision_detection.time_of_impact import (
 )
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
@@ -104,6 +105,8 @@ _CORE, _WHOLE = 0.9, 0.995
 _SUNK = 0.25
 # Penetration, relative to that size, that the first detection may find beyond the checked start.
 _STARTED = 1e-5
+# A new contact slips where that is faster than this part of what forces change in a step.
+_STUCK = 1e-6
 LANDED = 0.5
 """Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
 
@@ -340,7 +343,7 @@ def _takes_part(
     if nearing > slow and -gap > max(memory.past[2], h * nearing):
         _note(points, SUNK, -gap)
     if role == HIT:
-        active.wanted[m, 0] = -numbers.materials[pair.material, 2] * nearing
+        active.wanted[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
         active.wanted[m, 1] = 0.0
         _note(points, CLOSING, -gap)
         if -gap > _SUNK * pair.size:
@@ -358,7 +361,13 @@ def _takes_part(
     active.keys[m, 0], active.keys[m, 1] = pair.key, feature
     active.memory[m, 0] = level
     active.memory[m, 1] = 0.0 if lasting and role != HIT else above
-    put(numbers.materials[pair.material], active.materials[m])
+    law, slip = numbers.materials[pair.material], active.before[m, 1]
+    active.laws[m], active.materials[m, 2] = pair.material, law[RESTITUTION]
+    stuck = not has_two_coefficients(law) or abs(slip) <= _STUCK * gained
+    if stuck or (lasting and place >= 0 and memory.contacts[place, 9] == 0.0):
+        write_friction(numbers, m, 0, active)
+    else:
+        write_friction(numbers, m, 1 if slip > 0.0 else -1, active)
     return True
 
 

@@ -99,6 +99,7 @@ def _store(
         slip = memory.contacts[i, 5] + active.wanted[i, 1]
         none = max(space.known[i], active.memory[i, 2], allowed * fall)
         memory.contacts[i, 8] = space.known[i]
+        memory.contacts[i, 9] = 1.0 if abs(slip) > none else 0.0
         sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none
         for side in range(2):
             b = active.bodies[i, side]

@@ -8,7 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts
+from contacts.collision_detection.active_contacts import (
+    ActiveContacts,
+    has_two_coefficients,
+    write_friction,
+)
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.joints import bent_on
 from contacts.rigid_bodies.workspace import Workspace
@@ -16,8 +20,10 @@ from contacts.solvers.contact_rows import (
     HELD,
     ContactRows,
     add,
+    along,
     complete,
     joint_work,
+    law_of,
     moved,
     scale,
     scale_beside,
@@ -488,6 +494,34 @@ def close_joints(
 
 
 @kernel
+def _change_friction(
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float
+) -> bool:
+    """Change the friction of contacts whose slip begins or turns; return whether there are.
+
+    A slip that would turn in the step is stopped, as long as static friction holds it. What that
+    does not hold slips under kinetic friction: each changes twice at most. A slip up to `none` is
+    what the impulses miss.
+    """
+    active, changes = space.active, False
+    rates = contacts.rates[0, : 3 * contacts.moving + 3]
+    moved(contacts, island.chosen, rates)
+    for a in range(len(island.members)):
+        i = island.members[a]
+        law, way = active.laws[i], active.ways[i]
+        if law < 0 or abs(way) == 2 or not has_two_coefficients(numbers.materials[law]):
+            continue
+        slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
+        if abs(slip) <= none or slip * way > 0.0 or not island.chosen[a, 0] > 0.0:
+            continue
+        write_friction(numbers, i, 0 if way != 0 else 2 if slip > 0.0 else -2, active)
+        contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
+        law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
+        changes = True
+    return changes
+
+
+@kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     allowed: float, effort: Array,
@@ -525,7 +559,7 @@ def solve_islands(
         asked, chosen = space.island[2, :size], space.island[3, :size]
         sudden, rebounds = space.island[4, :size], space.rebounds[:size]
         together = Island(members, start, unforced, asked, chosen, sudden, rebounds)
-        quiet, lively, touching = 0, False, 0
+        quiet, lively, touching, splits = 0, False, 0, False
         for a in range(size):
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
@@ -540,6 +574,8 @@ def solve_islands(
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             quiet += 0 if active.hit[i] else 1
+            law = active.laws[i]
+            splits = splits or (law >= 0 and has_two_coefficients(numbers.materials[law]))
         bound = 0.0
         for a in range(size):
             for side in range(2):
@@ -561,6 +597,13 @@ def solve_islands(
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
+        while splits and _change_friction(
+            numbers, space, contacts, together, max(missed, near) * fast
+        ):
+            missed, further, softened = island_impulses(
+                contacts, start, unforced, asked, rebounds, chosen, near, bound, True
+            )
+            done += further
         if touching < size:
             bounds, found = (near, bound, allowed), (missed, done, softened)
             missed, done, softened = close_joints(

@@ -168,6 +168,11 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "controllers move no joint of what touches by points",
             f"write a formula of {TIME}, or give bodies shapes, and collisions",
         )
+    if name == SLIP and loc[0] == "collisions":
+        return (
+            "friction between bodies with shapes does not depend on the slip",
+            "write {static: s, kinetic: k} with formulas of parameters",
+        )
     if name == INDEX and loc[-2:-1] == ("start",):
         return "it is the number of a copy", "say how many there are, beside start: copies: N"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from contacts.scene.friction import DeclaredFriction
 from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
 
@@ -84,13 +85,7 @@ LAW_WORDS = {
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
 
-    OTHER_WORDS: ClassVar = {
-        **LAW_WORDS,
-        **dict.fromkeys(
-            ("mu_s", "mu_k", "static_friction", "kinetic_friction"),
-            "friction: a number for both; contacts of points have {static, kinetic}",
-        ),
-    }
+    OTHER_WORDS: ClassVar = LAW_WORDS
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description=(
@@ -104,8 +99,8 @@ class Collision(Part):
         description="Surfaces that the bodies collide with.",
         examples=[["floor", "wall"]],
     )
-    friction: FormulaText = Field(
-        description="Coulomb's friction coefficient, 0 to inf.",
+    friction: DeclaredFriction = Field(
+        description="Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one.",
         examples=[0.3],
         json_schema_extra=unit("1"),
     )

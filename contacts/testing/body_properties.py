@@ -211,7 +211,7 @@ def assert_impulses_of_bodies(numbers: BodyNumbers, trace: Trace) -> None:
             carried = np.flatnonzero(numbers.surfaces.carriers == b)
             laws = np.append(numbers.laws[numbers.kinds[b]], numbers.laws[:, kinds + carried])
             edges = numbers.materials[np.unique(laws[laws >= 0])]
-            n, t, _ = min(edges, key=lambda edge: float(edge[0]))
+            n, t, *_ = min(edges, key=lambda edge: float(edge[0]))
             assert_in_cone(impulse, (n, t), largest, f"on {name} at t = {jump.t:.6g}")
 
 
