@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
+from contacts.solvers.contact_rows import PADDED
 from statechart.arrays import Array, Ints
 
 MEMORY = 10
@@ -14,7 +15,7 @@ MEMORY = 10
 nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
 its normal; slip that the impulses may have missed; whether it slid (1)."""
 
-RESTITUTION, KINETIC = 2, 3
+RESTITUTION, KINETIC, STIFFNESS, DAMPING, ROLLING = 2, 3, 5, 6, 7
 """Places in `BodyNumbers.materials`."""
 
 BOTH, ALONG_X, ALONG_Y = range(3)
@@ -64,8 +65,15 @@ class BodyNumbers(NamedTuple):
     kinds: Ints  # (b,): what bodies are copies of.
     # (k, k + s): which law kinds of bodies touch each other and surfaces by; -1: they do not.
     laws: Ints
-    materials: Array  # (m, 5): laws: edge of the cone at rest (2), restitution, edge in motion (2).
+    # (m, 8): laws: edge of the cone at rest (2), restitution, edge in motion (2), stiffness and
+    # damping of compliant contacts, rolling resistance.
+    materials: Array
     joints: JointNumbers
+
+    @property
+    def sides(self) -> int:
+        """Blocks of rates that a row moves: of two bodies, and of a pad; see `island_rows`."""
+        return PADDED if self.materials[:, STIFFNESS:].any() else 2
 
 
 class Memory(NamedTuple):

@@ -84,7 +84,9 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
                 counts[numbers.joints.bodies[j, side]] = -1
     for i in range(count):
         b, other = active.bodies[i]
-        alone = other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
+        # What yields, and what resists rolling, has no such problem.
+        rigid = active.yields[i] == 0.0 and active.twins[i] == 0
+        alone = rigid and other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
         if other >= 0:
             counts[other] = -1
         if not alone:
@@ -245,7 +247,9 @@ def _body_mode(
             mu = cones[m, 1] / cones[m, 0]
             left = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
             goes_on = shown == SLIDE and slip * active.before[i, 1] > 0.0
-            if shown == FREE or goes_on or abs(slip) > left:
+            # Two coefficients tell at once whether a slip has begun.
+            begins = active.ways[i] != 0
+            if shown == FREE or goes_on or begins or abs(slip) > left:
                 slides[m] = 1.0 if slip > 0.0 else -1.0
         _write_cone(numbers, active, i, slides[m], cones[m])
         m += 1

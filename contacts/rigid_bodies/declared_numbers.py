@@ -375,7 +375,11 @@ def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, I
     materials = []
     for law, collision in enumerate(scene.collisions.values()):
         static, kinetic = (edge(number(text)) for text in coefficients(collision.friction))
-        materials.append((*static, number(collision.restitution), *kinetic))
+        others = (
+            number(0 if text is None else text)
+            for text in (collision.stiffness, collision.damping, collision.rolling_resistance)
+        )
+        materials.append((*static, number(collision.restitution or 0), *kinetic, *others))
         members = [kinds[owner] for owner in collision.bodies]
         others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
         for one in members:
@@ -386,5 +390,7 @@ def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, I
     return (
         np.array([kinds[owner] for owner in owners], dtype=np.int64),
         laws,
-        np.column_stack([smoothed(edges[:, :2]), edges[:, 2], smoothed(edges[:, 3:])]),
+        np.column_stack(
+            [smoothed(edges[:, :2]), edges[:, 2], smoothed(edges[:, 3:5]), edges[:, 5:]]
+        ),
     )

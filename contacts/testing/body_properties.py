@@ -279,11 +279,16 @@ def _pushed(subject: Subject) -> bool:
     return bool(scene.forces or scene.joints)
 
 
-def body_properties() -> tuple[Property, ...]:
-    """Return what holds for every scene of colliding bodies."""
+def body_properties(declared: Scene) -> tuple[Property, ...]:
+    """Return what holds for a scene of colliding bodies."""
+    soft = any(law.stiffness is not None for law in declared.collisions.values())
     return (
         Property("no body is deeper than a step takes it", each(_depths)),
         Property("no force without contact", each(_fall)),
         Property("impulses push, within friction", each(_impulses)),
-        Property("energy grows by no more than the scheme's bound", each(_energy)),
+        Property(
+            "energy grows by no more than the scheme's bound",
+            each(_energy),
+            "compliant contacts give back what they store" if soft else "",
+        ),
     )

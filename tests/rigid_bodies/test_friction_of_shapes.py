@@ -134,5 +134,5 @@ def test_the_kinetic_coefficient_is_no_formula_of_the_slip():
 
 
 def test_the_kinetic_coefficient_is_not_above_the_static_one():
-    with pytest.raises(DeclarationError, match="static coefficient 0.1 is below the kinetic"):
+    with pytest.raises(DeclarationError, match=r"static coefficient 0\.1 is below the kinetic"):
         run(DRAGGED, {"s": 0.1})
