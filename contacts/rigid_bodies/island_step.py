@@ -628,8 +628,8 @@ def solve_islands(
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             quiet += 0 if active.hit[i] else 1
-            law = active.laws[i]
-            splits = splits or (law >= 0 and has_two_coefficients(numbers.materials[law]))
+            used = active.laws[i]
+            splits = splits or (used >= 0 and has_two_coefficients(numbers.materials[used]))
         bound = 0.0
         for a in range(size):
             for side in range(2):
