@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
-from statechart.errors import Unsupported
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
@@ -44,11 +43,6 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        if mechanics.scene.couplings:
-            raise Unsupported(
-                f"coupling {next(iter(mechanics.scene.couplings))!r}: steps have no couplings yet; "
-                "run with --engine taylor or scipy"
-            )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)
@@ -82,7 +76,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         laws=laws,
         controls=given(mechanics),
         # Rates of what is eliminated would follow from the memory as well.
-        coordinates=None if scene.leading else coordinates(mechanics),
+        coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,
         switching=switching,
         components=tuple if switching else cache(partial(components, scene, _composed)),
@@ -119,10 +113,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             partial(gates, name),
             partial(back, name),
             edges(
-                contact,
-                jams=scene.jams(name),
-                bounces=scene.bounces(name),
-                gate=scene.gate(name),
+                contact, jams=scene.jams(name), bounces=scene.bounces(name), gate=scene.gate(name)
             ),
             scene.gate(name),
             mechanics.forces[name],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Sequence
 from functools import cached_property, partial
 
@@ -26,23 +27,17 @@ from contacts.dynamics.starting import (
 )
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
-from contacts.event_driven.compliance import Compliance
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import (
-    Landing,
-    Rules,
-    flow_in,
-    impact_jump,
-    shown_roles,
-)
-from contacts.event_driven.switching import Switching
-from contacts.impacts.bounces import opens_in_vain
-from contacts.impacts.jamming import Jam, listed, off_state, unbounded
+from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
+from contacts.event_driven.switching import Switching, alike
+from contacts.impacts.bounces import opens_in_vain, rest_of_passages
+from contacts.impacts.jamming import Jam, listed, off_state, struck, unbounded
+from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.couplings import LIMIT_MARGINS
-from contacts.scene.modes import FORCE_MARGINS
+from contacts.scene.modes import FORCE_MARGINS, INSIDE, OUTSIDE
 from contacts.states import OFF, OPEN, SLIPPING
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
@@ -58,6 +53,7 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
+from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -441,7 +437,25 @@ class SceneLaws:
             return None
         took = [name in took_part for name in self._names]
         period = jump.t - jumps[since[-1]].t
-        return self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+        jump, flow, beside = self._beside(setup, clock, flow, jump)
+        made = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+        if made is None or not all(made[1].roles[i].captured for i in beside):
+            return None if beside else made
+        return self._switching.watched(setup, made[0].after, clock.high, made)
+
+    def _beside(
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
+    ) -> tuple[Jump, Flow, list[int]]:
+        """Engage the contacts that are off in the corner where an impact has left their point."""
+        snapshot = self._tape.at(setup.values, jump.after, clock.high)
+        beside = self._switching.beside(setup, snapshot, jump.after, clock.high, flow.mode)
+        if beside:
+            mode = tuple("free" if i in beside else now for i, now in enumerate(flow.mode))
+            free = roles_in(mode)
+            roles = tuple(free[i] if i in beside else now for i, now in enumerate(flow.roles))
+            jump = dataclasses.replace(jump, target=mode)
+            flow = flow._replace(mode=mode, roles=roles)
+        return jump, flow, beside
 
     def _closed_at_once(
         self,
@@ -494,4 +508,82 @@ class SceneLaws:
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
             if done is not None:
                 return done
+        if jam is None and self.conditions.present and not jump.skipped:
+            return self._captured_in_corner(setup, here.at.clock, jump, flow) or (jump, flow)
         return jump, flow
+
+    def _captured_in_corner(
+        self, setup: SceneSetup, clock: Clock, jump: Jump, flow: Flow
+    ) -> tuple[Jump, Flow] | None:
+        """Stop a point that goes to and fro through a corner so slowly that round-off moves it.
+
+        Where a contact takes over is known to the round-off of its condition: falling so far gives
+        a point the speed that the impact takes.
+        """
+        engaged, following, beside = self._beside(setup, clock, flow, jump)
+        shut = [i for i, now in enumerate(flow.mode) if now not in OPEN]
+        at = partial(self._tape.at, setup.values, time=clock.high)
+        if len(beside) != 1:
+            return None
+        points, other = self.conditions.points, beside[0]
+
+        def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
+            closed = struck(setup.contacts, closed)
+            return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
+
+        for on in (i for i in shut if points[i] == points[other]):
+            rest = rest_of_passages(setup, at, strike, jump.after, on, other)
+            if rest is None:
+                continue
+            took = [i == other or i in shut for i in range(len(flow.mode))]
+            made = self._closed_at_once(setup, clock, following, engaged, took, 0.0, rest)
+            if made is not None and made[1].roles[other].captured:
+                return made
+        return None
+
+
+class Compliance:
+    """The compliant contacts of a scene.
+
+    A damped contact lifts off while it is inside its surface, where its force vanishes. From there
+    it presses again, or leaves the surface, whichever comes first.
+    """
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        names = [*mechanics.scene.contacts]
+        self._places = [(name, names.index(name)) for name in mechanics.pads]
+        symbols = [mechanics.contact(name).symbols for name in mechanics.pads]
+        self._tape = mechanics.tape([e for one in symbols for e in (one.gap, one.compliance)])
+
+    def tolerances(
+        self, setup: SceneSetup, mode: Key, state: Array, time: float
+    ) -> dict[str, float]:
+        """Return margin -> how far below zero a flow from here lets it go; infinity: unwatched."""
+        found: dict[str, float] = {}
+        numbers = self._tape.at(state, setup.values, time).reshape(-1, 2)
+        for (name, place), (gap, force) in zip(self._places, numbers.tolist(), strict=True):
+            if mode[place] not in OPEN:
+                # Round-off of a gap that has just closed, times a stiffness.
+                if gap >= 0.0 and force < 0.0:
+                    edge = max(setup.contacts[place].cone_n, np.finfo(float).tiny)
+                    band = setup.tolerances["force"] - 2.0 * force / edge
+                    found |= {f"{name}.{margin}": band for margin in FORCE_MARGINS}
+                continue
+            near, press = setup.tolerances["gap"], setup.tolerances["force"]
+            bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
+            margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
+            found |= dict(zip(margins, bands, strict=True))
+        return found
+
+    def watched(
+        self, at: Instant, made: tuple[Jump | None, Flow] | None
+    ) -> tuple[Jump | None, Flow] | None:
+        """Give a flow the margins that end its flights; also one that goes on."""
+        jump, flow = (None, at.flow) if made is None else made
+        state = flow.start if jump is None else jump.after
+        where = at.state if state is None else state
+        assert isinstance(at.setup, SceneSetup)
+        own = self.tolerances(at.setup, moving_mode(flow.roles), where, at.clock.high)
+        if made is None and alike(own, flow.tolerances):
+            return None
+        return jump, flow._replace(tolerances={**flow.tolerances, **own})

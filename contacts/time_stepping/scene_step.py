@@ -22,10 +22,12 @@ from contacts.time_stepping.chunk import (
     HARD,
     JAMMED,
     NOT_FINITE,
+    RESIDUAL,
     Chunk,
 )
 from contacts.time_stepping.equations import (
     CONTACT,
+    EDGES,
     JOINT,
     ContactForces,
     ContactMemory,
@@ -36,17 +38,22 @@ from contacts.time_stepping.equations import (
     StepInstant,
     TapeValues,
     factor_equations,
+    is_coupling,
     solve_factored,
 )
 from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
+    LOADED,
+    LOADINGS,
     change_friction,
     clear_contacts,
     close_opposed,
     contact_problem,
+    coupling_loads,
     find_active,
     initial_guess,
     largest_energy_gain,
+    load_couplings,
     mixed_with_impacts,
     order_decides,
     share_forces,
@@ -128,6 +135,8 @@ def switch_contacts(
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        if is_coupling(scene, i):
+            continue
         if not off[i] and condition < 0.0:
             speed = math.hypot(numbers[row + 2 * n + 3], numbers[row + 2 * n + 4])
             reach = _STEPS * h * speed
@@ -150,6 +159,13 @@ def switch_contacts(
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
         rate = numbers[row + 2 * n + 3]
+        if is_coupling(scene, i):
+            kinetic = numbers[row + 2 * n + EDGES + 1]
+            off[i], met.entered[i] = not condition > 0.0, -math.inf
+            if math.isnan(condition) or not (off[i] or math.isfinite(gap + kinetic)):
+                return False
+            chunk.gaps[k, i] = math.inf if off[i] else kinetic if kinetic < 0.0 else gap
+            continue
         if off[i]:
             entered = gap
             if before[0] <= 0.0 < condition:
@@ -507,10 +523,10 @@ def step_scene(
         put(-lasting[:n], memory.pushed)
         which, blurred = indices(met.active), False
         chunk.efforts[k, CONTACTS] = len(which)
-        clear_contacts(memory.off, forces, k, chunk)
+        clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            began, changes = np.zeros(len(which), np.bool_), True
+            began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
             while changes:
                 good, z, basis, pushes, least = solve_impacts(
                     problem.delassus, problem.groups, problem.before, problem.free,
@@ -520,7 +536,14 @@ def step_scene(
                 )  # fmt: skip
                 if not good:
                     return k, HARD, problem.delassus, least, problem.cones
-                changes = change_friction(scene, tape, problem, least, pushes, began)
+                # Friction begins or turns under the limits that are there in the end.
+                loads = coupling_loads(scene, which, problem.columns, equations.change, pushes, h)
+                unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
+                rounds += 1
+                changes = unloaded > LOADED and rounds < LOADINGS
+                changes = changes or change_friction(scene, tape, problem, least, pushes, began)
+            if unloaded > LOADED:
+                chunk.efforts[k, RESIDUAL] = unloaded
             answer = split_forces(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
             rates = state[n : 2 * n]

@@ -13,7 +13,18 @@ from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import into_cone, of_group, relieve, steady_impulses
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import (
+    FREE,
+    LOCKED,
+    OFF_CODE,
+    OPEN_CODE,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIP_MINUS,
+    SLIP_PLUS,
+)
 from contacts.time_stepping.chunk import (
     APART,
     BESIDE,
@@ -37,6 +48,7 @@ from contacts.time_stepping.equations import (
     FactoredEquations,
     StepConstants,
     TapeValues,
+    is_coupling,
     solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
@@ -255,6 +267,9 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
+        if is_coupling(scene, i):
+            met.active[i], met.wanted[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
+            continue
         if scene.soft[i, 0] > 0.0:
             # Implicit Euler: h times the force at the gap at the start plus h times the rate at
             # the end, never below 0. It takes energy from steps longer than a contact lasts.
@@ -333,6 +348,75 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
     return result
 
 
+# Rolling resistances are loaded so often, and until none changes by more than this part of itself.
+# Each time leaves the part length*dV/dM of the change.
+LOADINGS, LOADED = 40, 1e-10
+
+
+@kernel
+def coupling_loads(
+    scene: StepConstants, which: Ints, columns: Array, free: Array, pushes: Array, h: float
+) -> Array:
+    """Return the factors (m,) of limits: h; of rolling resistance, its contact's normal impulse.
+
+    Parameters
+    ----------
+    which : (m,) array of int
+    columns : (2 m, s) array
+        See `unit_responses`.
+    free : (s,) array
+        Changes of the rates, and impulses of constraints, without those of contacts.
+    pushes : (m, 2) array
+        Impulses of contacts.
+    h : float
+    """
+    loads = np.full(len(which), h)
+    for a in range(len(which)):
+        carrier = scene.carriers[which[a]]
+        if carrier < 0:
+            continue
+        loads[a] = 0.0
+        for b in range(len(which)):
+            if which[b] == carrier:
+                loads[a] = max(pushes[b, 0], 0.0)
+        if scene.held[carrier] > 0:
+            at = scene.size + scene.held[:carrier].sum()
+            load = free[at]
+            for b in range(2 * len(which)):
+                load += columns[b, at] * pushes[b // 2, b % 2]
+            loads[a] = max(load, 0.0)
+    return loads
+
+
+@kernel
+def load_couplings(
+    scene: StepConstants, tape: TapeValues, which: Ints, loads: Array, delassus: Array, free: Array
+) -> float:
+    """Load couplings, in place, with the impulses of their limits at rest; return what changed.
+
+    So their normal rows, which move nothing, have these impulses as their solution, and what is in
+    the cone of friction 1 is within the limit. The change is the largest, in parts of the impulse.
+    """
+    changed = 0.0
+    for a in range(len(which)):
+        if is_coupling(scene, which[a]):
+            # Of the size of velocities, as the other rows.
+            own = delassus[2 * a + 1, 2 * a + 1]
+            delassus[2 * a, 2 * a] = own if own > 0.0 else 1.0
+            limit = tape.numbers[tape.first + tape.per * which[a] + 2 * tape.size + 2]
+            before, free[a, 0] = free[a, 0], -delassus[2 * a, 2 * a] * loads[a] * limit
+            if before != free[a, 0]:
+                size = max(abs(before), abs(free[a, 0]))
+                changed = max(changed, abs(free[a, 0] - before) / size)
+    return changed
+
+
+@kernel
+def _has_two(scene: StepConstants, i: int) -> bool:
+    """Return whether a contact has a friction at rest and another in motion."""
+    return scene.used[i] >= 0 or is_coupling(scene, i)
+
+
 @kernel
 def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
@@ -355,7 +439,7 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
     """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
     put(scene.cones[i], cone)
-    if direction != 0 and scene.used[i] >= 0:
+    if direction != 0 and _has_two(scene, i):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
         if cone[1] <= ROUNDING * cone[0]:
@@ -376,7 +460,7 @@ def change_friction(
     for a in range(len(problem.which)):
         i, direction = problem.which[a], problem.directions[a]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        if scene.used[i] < 0 or began[a] or slip == 0.0 or slip * direction > 0.0:
+        if not _has_two(scene, i) or began[a] or slip == 0.0 or slip * direction > 0.0:
             continue
         began[a] = direction == 0
         problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
@@ -406,6 +490,8 @@ def contact_problem(
         if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
             directions[a] = 1 if slip > 0.0 else -1
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
+        if scene.carriers[i] >= 0:
+            sudden[a] = met.hit[scene.carriers[i]]
         if scene.plastic and rebounds[a] and not _is_alone(groups, a):
             rebounds[a], met.wanted[i, 0] = False, 0.0
         write_cone(scene, tape, i, directions[a], cones[a])
@@ -415,6 +501,8 @@ def contact_problem(
         yields[a] = scene.soft[i, 0] > 0.0
         if yields[a]:
             delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
+    loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
+    load_couplings(scene, tape, which, loads, delassus, free)
     for a in range(m):
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
@@ -514,6 +602,20 @@ def mixed_with_impacts(
 
 
 @kernel
+def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int:
+    """Return the mode of a coupling that is not open: that of rolling resistance is its contact's.
+
+    `modes` (c,) are those of contacts.
+    """
+    carrier = scene.carriers[i]
+    if carrier >= 0 and scene.held[carrier] == 0 and modes[carrier] in (FREE, OFF_CODE):
+        return FREE
+    if slip == 0.0:
+        return LOCKED
+    return SLIP_PLUS if slip > 0.0 else SLIP_MINUS
+
+
+@kernel
 def write_modes(
     scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
     met: ContactRoles, k: int, chunk: Chunk,
@@ -529,6 +631,11 @@ def write_modes(
             memory.bases[i, u] = answer.basis[UNKNOWNS * a + u]
         slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
         memory.slid[i] = slip != 0.0
+        if is_coupling(scene, i):
+            memory.closed[i] = True
+            modes[a] = FREE if slip != 0.0 else LOCKED
+            chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])
+            continue
         if of_group(sudden, problem.groups, problem.groups[a]):
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
@@ -622,6 +729,12 @@ def share_forces(
             for j in range(n):
                 reach[a, d, j] = tape.numbers[row + d * n + j]
     alike, result = shared_forces(modes, problem.cones, reach, steady)
+    if (modes == LOCKED).any():
+        # How couplings share a load with others is not determined; what these bear stays.
+        others = np.where(modes == LOCKED, FREE, modes)
+        result = steady
+        if not (alike & (modes == LOCKED)).any():
+            _, result = shared_forces(others, problem.cones, reach, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]
@@ -633,10 +746,11 @@ def share_forces(
 
 
 @kernel
-def clear_contacts(off: Bools, before: int, k: int, chunk: Chunk) -> None:
+def clear_contacts(scene: StepConstants, off: Bools, before: int, k: int, chunk: Chunk) -> None:
     """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
     for i in range(len(off)):
-        chunk.codes[k, i] = OFF_CODE if off[i] else FREE
+        none = OPEN_CODE if is_coupling(scene, i) else OFF_CODE
+        chunk.codes[k, i] = none if off[i] else FREE
         chunk.struck[k, i] = chunk.shared[k, i] = False
         for d in range(2):
             chunk.impulses[k, i, d] = 0.0

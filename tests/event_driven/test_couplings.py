@@ -491,7 +491,149 @@ def test_rolling_resistance_is_of_a_disc() -> None:
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
 
 
-@pytest.mark.parametrize("text", [RAMP, ROLLING])
-def test_steps_refuse_couplings(text: str) -> None:
-    with pytest.raises(statechart.Unsupported, match="steps have no couplings"):
-        statechart.run(interpret(read_text(text)), engine="impulse", step=1e-3)
+def steps(text: str, h: float):
+    return statechart.run(interpret(read_text(text)), engine="impulse", step=h)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.005, -0.015])
+@pytest.mark.parametrize("contact", ["friction: 0.5\n    restitution: 0", "modes: [pin]"])
+def test_steps_roll_a_ball_to_rest_where_the_closed_form_does(slope: float, contact: str) -> None:
+    a = 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    text, h = ROLLING.replace("friction: 0.5\n    restitution: 0", contact), 4e-3
+    result = steps(text.replace("slope: 0", f"slope: {slope}"), h)
+    ((name, t),) = events(result.trace)
+    assert name == "rim_rolling lock"
+    assert t == pytest.approx(-2.0 / a, abs=h)
+    assert result.outputs["way"] == pytest.approx(-2.0 / a, abs=1e-2 * h)
+    assert result.trace.arcs[-1].mode == ("pin", "locked")
+
+
+@pytest.mark.parametrize(("part", "holds"), [(0.999, True), (1.001, False)])
+def test_steps_hold_a_disc_below_the_angle_of_its_length(part: float, holds: bool) -> None:
+    slope = part * math.atan(0.02)
+    text = ROLLING.replace("v0: 2", "v0: 0").replace("slope: 0", f"slope: {slope}")
+    result = steps(text, 4e-3)
+    assert result.trace.arcs[0].mode == ("pin", "locked" if holds else "slip-")
+    a = 0.0 if holds else 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    assert result.outputs["way"] == pytest.approx(a * 200, abs=EXACT)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.6])
+def test_steps_resist_rolling_in_impacts(e: float) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 1, dangle: -5")
+    trace = steps(text.replace("restitution: 0\n", f"restitution: {e}\n"), 4e-3).trace
+    assert trace.arcs[0].mode == ("free", "free")
+    assert trace.arcs[-1].mode == ("pin", "locked")
+    spin = 1 * 0.1 * 1 + 0.4 * 0.1**2 * 5
+    assert trace.jumps[-1].t == pytest.approx(spin / (0.002 * 9.81), abs=8e-3)
+
+
+TRAILER = """
+kind: scene
+name: trailer
+gravity: 9.81
+parameters: {m: 1, r: 0.1, L: 0.03, v: 3}
+bodies:
+  cart: {mass: 2, inertia: 0.1, start: {y: 0.6, x: -0.5, dx: v}}
+  ball: {mass: m, inertia: 2*m*r**2/5, start: {y: r, dx: v, dangle: -v/r}}
+surfaces: {floor: {height: 0}}
+joints:
+  rail: {point: {body: cart}, to: {y: 0.6}}
+  hinge: {point: {body: ball}, to: {body: cart, at: [0.5, -0.5]}}
+contacts:
+  rim:
+    point: {body: ball}
+    radius: r
+    surface: floor
+    friction: 0.5
+    restitution: 0
+    rolling_resistance: L
+forces: {hold: {body: cart, moment: -20*cart.angle - 2*cart.dangle}}
+stop: {time: 6}
+outputs: {way: {value: ball.x}, load: {value: rim.V, at: first rim_rolling.lock}}
+"""
+
+
+def test_steps_find_the_normal_force_that_rolling_resistance_changes() -> None:
+    # The couple turns the cart through its wheel, which loads the wheel otherwise.
+    exact = run(TRAILER)
+    wrong = []
+    for h in (4e-3, 1e-3):
+        found = steps(TRAILER, h)
+        assert found.trace.arcs[-1].mode == ("pin", "locked")
+        wrong.append(abs(found.outputs["way"] - exact.outputs["way"]))
+        assert found.trace.jumps[-1].t == pytest.approx(exact.trace.jumps[-1].t, abs=h)
+    assert wrong[1] < 0.5 * wrong[0] < 4e-3
+
+
+@ENGINES
+def test_rolling_resistance_of_a_compliant_tyre_stops_it(engine: str) -> None:
+    # It sinks by m g/k at once, the normal force stays m g.
+    text = ROLLING.replace("restitution: 0\n", "stiffness: 2000\n")
+    result = run(text.replace("start: {y: r,", "start: {y: r - m*g/2000,"), engine)
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("rim_rolling lock", pytest.approx(2 * 1.4 / (0.02 * 9.81), abs=1e-8))
+    assert result.trace.arcs[-1].mode == ("pin", "locked")
+
+
+@pytest.mark.parametrize(("text", "h", "count"), [(ROTOR, 4e-3, 4), (RAMP, 4e-3, 1)])
+def test_steps_meet_the_events_within_a_step(text: str, h: float, count: int) -> None:
+    exact, found = run(text), steps(text, h)
+    assert len(found.trace.jumps) == count
+    for one, other in zip(events(exact.trace), events(found.trace), strict=True):
+        assert one[0] == other[0]
+        assert one[1] == pytest.approx(other[1], abs=2 * h)
+    for name, value in exact.outputs.items():
+        assert found.outputs[name] == pytest.approx(value, abs=h)
+
+
+def test_steps_of_coupled_clutches_are_of_first_order() -> None:
+    exact = run(CLUTCHES)
+    wrong = []
+    for h in (4e-3, 1e-3):
+        found = steps(CLUTCHES, h)
+        assert [name for name, _ in events(found.trace)] == [n for n, _ in events(exact.trace)]
+        wrong.append(max(abs(found.outputs[n] - v) for n, v in exact.outputs.items()))
+    assert wrong[1] < 0.5 * wrong[0] < 10 * 4e-3
+
+
+def test_steps_brake_a_car_as_events_do() -> None:
+    exact, found = run(CAR), steps(CAR, 2e-3)
+    for one, other in zip(events(exact.trace)[:2], events(found.trace)[:2], strict=True):
+        assert one[0] == other[0]
+        assert one[1] == pytest.approx(other[1], abs=4e-3)
+    assert found.trace.arcs[-1].mode == ("pin", "pin", "locked", "locked")
+
+
+def test_warning_of_steps_says_what_is_shown_of_brakes_that_share_a_load() -> None:
+    text = RAMP.replace("couplings: {", "couplings: {second: {bodies: [wheel], limit: s}, ")
+    result = steps(text.replace("time: 4", "time: 1"), 1e-2)
+    assert result.trace.arcs[-1].mode == ("locked", "locked")
+    assert result.warnings == (
+        "the forces of second, brake are indeterminate: one possible share is shown",
+    )
+
+
+def test_steps_end_where_a_limit_falls_below_zero() -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
+    with pytest.raises(statechart.NoConsistentMode, match="'brake': its limit is below zero"):
+        steps(text, 1e-2)
+
+
+def test_controllers_of_stepped_runs_hear_a_coupling() -> None:
+    text = RAMP.replace("rate*time", "0").replace("phi: {}", "phi: {rate: 3}")
+    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
+    text += """
+regions:
+  hand:
+    initial: holds
+    states: {holds: {}, rests: {}, away: {}}
+    transitions:
+      - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
+      - {name: see, from: rests, to: away, on: brake.open}
+"""
+    found = steps(text, 1e-3)
+    names = [name for name, _ in events(found.trace)]
+    assert names == ["hand let_go", "brake open", "hand see"]
+    assert found.trace.jumps[0].t == pytest.approx(1.0, abs=2e-3)
+    assert found.outputs["speed"] == pytest.approx(2.0, abs=2e-3)
