@@ -778,7 +778,9 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     for one in clear:
         if one.share is not None and one.states == before.mode:
             return _without_new_loads(one, clear, case, before.bearing)
-    taken = min(clear or agreeing, key=openness)
+    # What static friction holds does not begin to slip because something else does.
+    held = [c for c in clear if not any(_held(d, c, case) > _held(c, d, case) for d in clear)]
+    taken = min(held or clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     others = [

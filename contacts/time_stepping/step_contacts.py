@@ -729,12 +729,6 @@ def share_forces(
             for j in range(n):
                 reach[a, d, j] = tape.numbers[row + d * n + j]
     alike, result = shared_forces(modes, problem.cones, reach, steady)
-    if (modes == LOCKED).any():
-        # How couplings share a load with others is not determined; what these bear stays.
-        others = np.where(modes == LOCKED, FREE, modes)
-        result = steady
-        if not (alike & (modes == LOCKED)).any():
-            _, result = shared_forces(others, problem.cones, reach, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]
