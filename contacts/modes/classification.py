@@ -615,10 +615,11 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
     laws, coefficients = case.laws, _coefficients(case)
     found = {_label(laws, c.states): _verdict(c, case.tie) + coefficients(c.states) for c in tried}
     if taken is not None:
+        firmer = _firmer(case)
         found |= {
             _label(laws, c.states): c.reason + coefficients(c.states)
             for c in tried
-            if c.violation > _NEARLY * case.tie and _held(c, taken, case)
+            if c.violation > _NEARLY * case.tie and _held(c, taken, firmer)
         }
         found[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return found
@@ -762,9 +763,11 @@ def _continuing(
         left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
-    if left.violation > _NEARLY * case.tie and any(_held(left, c, case) for c in agreeing):
-        # Static friction has just been exceeded, and kinetic friction is less.
-        return agreeing
+    if left.violation > _NEARLY * case.tie:
+        firmer = _firmer(case)
+        if any(_held(left, c, firmer) for c in agreeing):
+            # Static friction has just been exceeded, and kinetic friction is less.
+            return agreeing
     return [c for c in agreeing if same_motion(c, left, case.scales, _GOES_ON)] or agreeing
 
 
@@ -782,14 +785,18 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         if one.share is not None and one.states == before.mode:
             return _without_new_loads(one, clear, case, before.bearing)
     # What static friction holds does not begin to slip because something else does.
-    held = [c for c in clear if not any(_held(d, c, case) > _held(c, d, case) for d in clear)]
+    firmer, held = _firmer(case), clear
+    if firmer:
+        held = [
+            c for c in clear if not any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear)
+        ]
     taken = min(held or clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     others = [
         c
         for c in sure
-        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, case)
+        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, firmer)
     ]
     if not others and taken.share is not None:
         # What lies along a surface is on its edge wherever it goes.
@@ -819,16 +826,21 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     )
 
 
-def _held(taken: Candidate, other: Candidate, case: Case) -> bool:
+def _held(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
     """Return whether static friction holds what kinetic friction would let slip."""
+    return any(
+        taken.states[k] in STICKING and other.states[k] not in (*STICKING, *OPEN) for k in firmer
+    )
+
+
+def _firmer(case: Case) -> Sequence[int]:
+    """Return the contacts and couplings whose static friction exceeds their kinetic friction."""
     edges = bounds(case.laws, case.snapshot)
     mu = edges[:, 1::2] / np.maximum(edges[:, ::2], np.finfo(float).tiny)
-    return any(
-        one in STICKING
-        and two not in (*STICKING, *OPEN)
-        and (edges[k, 0] > edges[k, 1] if law.coupling else (mu[k, 0] > mu[k, 1:]).any())
-        for k, (law, one, two) in enumerate(zip(case.laws, taken.states, other.states, strict=True))
-    )
+    coupled = np.array([law.coupling for law in case.laws], np.bool_)
+    more = np.where(coupled, edges[:, 0] > edges[:, 1], (mu[:, :1] > mu[:, 1:]).any(1))
+    firmer: list[int] = np.flatnonzero(more).tolist()
+    return firmer
 
 
 def _without_new_loads(
