@@ -787,9 +787,8 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     # What static friction holds does not begin to slip because something else does.
     firmer, held = _firmer(case), clear
     if firmer:
-        held = [
-            c for c in clear if not any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear)
-        ]
+        lost = [any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear) for c in clear]
+        held = [c for c, slips in zip(clear, lost, strict=True) if not slips]
     taken = min(held or clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
