@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import AT_REST, Friction, check_sides, friction_law, friction_texts
+from contacts.scene.friction import (
+    AT_REST,
+    SLIP,
+    Friction,
+    check_sides,
+    friction_law,
+    friction_texts,
+)
 from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
@@ -174,6 +181,11 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "controllers move no joint of what touches by points",
             f"write a formula of {TIME}, or give bodies shapes, and collisions",
         )
+    if name == SLIP and loc[0] == "collisions":
+        return (
+            "friction between bodies with shapes does not depend on the slip",
+            "write {static: s, kinetic: k} with formulas of parameters",
+        )
     owner, _, quantity = name.rpartition(".")
     if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_CONTACTS:
         return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
@@ -252,10 +264,6 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         at, surface = ("contacts", name), scene.surfaces[contact.surface]
         if contact.radius is not None:
             yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
-            if contact.rolling_resistance is not None:
-                yield Limit(
-                    (*at, "rolling_resistance"), contact.rolling_resistance, 0.0, _MAX_NUMBER
-                )
             if surface.hollow:
                 yield Limit(
                     (*at, "radius"),
@@ -266,16 +274,16 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     "the circle has to be the larger one",
                     (contact.radius, surface.radius or 0),
                 )
-    for name, contact in scene.contacts.items():
-        if contact.stiffness is not None:
-            yield Limit(("contacts", name, "stiffness"), contact.stiffness, *_POSITIVE)
-        if contact.damping is not None:
-            yield Limit(("contacts", name, "damping"), contact.damping, 0.0, _MAX_NUMBER)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
             yield from _friction_limits(scene, (section, name, "friction"), law.friction)
             if law.restitution is not None:
                 yield Limit((section, name, "restitution"), law.restitution, *_PART)
+            if law.stiffness is not None:
+                yield Limit((section, name, "stiffness"), law.stiffness, *_POSITIVE)
+            for key in ("damping", "rolling_resistance"):
+                if (text := getattr(law, key)) is not None:
+                    yield Limit((section, name, key), text, 0.0, _MAX_NUMBER)
     for name, joint in scene.joints.items():
         for key in ("rod", "rope"):
             if (text := getattr(joint, key)) is not None:
@@ -736,6 +744,14 @@ def check_collisions(scene: SceneFields) -> None:
                     loc=("bodies", one),
                     key=True,
                 )
+        discs = (s.disc for one in collision.bodies for s in scene.bodies[one].shape)
+        if collision.rolling_resistance is not None and not any(discs):
+            raise DeclarationProblem(
+                "rolling resistance is of a disc that rolls, and no body has a disc",
+                advice="list a body with shape: {disc: r}, or remove it",
+                loc=(*at, "rolling_resistance"),
+                key=True,
+            )
         for place, one in enumerate(collision.surfaces):
             loc = (*at, "surfaces", place)
             if one not in scene.surfaces:
