@@ -155,7 +155,7 @@ def bent_on(
 
 @kernel
 def held(joints: JointNumbers, one: int, other: int) -> bool:
-    """Whether a joint holds two bodies together."""
+    """Return whether a joint holds two bodies together."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]
         if (a == one and b == other) or (a == other and b == one):
