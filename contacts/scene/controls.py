@@ -218,8 +218,8 @@ class Controls:
                     see=there,
                 )
         for region, flat in self.flat.items():
-            for words, given in (("set", _set), ("give a flow to", lambda state: state.flows)):
-                shared = flat.shared(given)
+            for words, part in (("set", "sets"), ("give a flow to", "flows")):
+                shared = flat.shared(part)
                 if shared is not None:
                     raise DeclarationProblem(
                         f"{shared.one!r} and {shared.other!r}, which may be active together, both "
@@ -297,7 +297,3 @@ class Controls:
             for state, at in self.states(region):
                 for control, text in state.sets.items():
                     yield region, str(at[-1]), control, text, (*at, "sets", control)
-
-
-def _set(state: BaseState) -> Collection[str]:
-    return state.sets if isinstance(state, ControlState) else ()

@@ -179,7 +179,7 @@ class Chart(Declaration):
                     see=owner,
                 )
         for region, flat in self.flat.items():
-            shared = flat.shared(lambda state: state.flows)
+            shared = flat.shared("flows")
             if shared is not None:
                 raise DeclarationProblem(
                     f"{shared.one!r} and {shared.other!r}, which may be active together, both "

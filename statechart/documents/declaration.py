@@ -49,8 +49,7 @@ from statechart.errors import (
     FormulaError,
     close_matches,
 )
-from statechart.formulas.constants import Constants
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Constants, parse
 from statechart.formulas.tree import Binary, Name, names_in
 
 
