@@ -75,10 +75,7 @@ SINGULAR = "its equations do not determine the motion"
 """Why a mode is undetermined in which a body without mass or inertia is held by nothing."""
 OPEN_LOAD = "how the contacts share the load changes the motion"
 """Why a mode is undetermined that more than geometry leaves open: feet of different friction."""
-_UNSOLVED = {
-    CONTRADICTORY: "its contacts cannot move like that together",
-    UNDETERMINED: OPEN_LOAD,
-}
+_UNSOLVED = {CONTRADICTORY: "its contacts cannot move like that together", UNDETERMINED: OPEN_LOAD}
 _DETERMINED = (SOLVED, REDUNDANT)
 _UNEXPLAINED = "no forces within the cones explain its motion"
 _LESS = "moves like a mode that keeps more contacts closed or pinned"
@@ -193,11 +190,7 @@ def _refused(candidate: Candidate, why: str) -> Candidate:
 
 
 def _explain(
-    case: Case,
-    edges: Array,
-    codes: Ints,
-    found: list[Candidate],
-    redundant: Sequence[int],
+    case: Case, edges: Array, codes: Ints, found: list[Candidate], redundant: Sequence[int]
 ) -> None:
     """Replace candidates judged by their motion alone, by whether forces explain it."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
@@ -736,10 +729,7 @@ def choose(
 
 
 def _continuing(
-    agreeing: list[Candidate],
-    tried: Iterable[Candidate],
-    case: Case,
-    before: Before,
+    agreeing: list[Candidate], tried: Iterable[Candidate], case: Case, before: Before
 ) -> list[Candidate]:
     """Return those of the candidates that agree that move on as the mode left, or all.
 
@@ -895,10 +885,7 @@ def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]
 
 
 def _carried(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    closed: Sequence[bool],
-    states: tuple[str, ...],
+    snapshot: Snapshot, laws: Sequence[ContactLaw], closed: Sequence[bool], states: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Tell of contacts that joints hold closed: no motion opens them, and any force would do."""
     if snapshot.held is None:
