@@ -10,14 +10,8 @@ from typing import TypeVar
 
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
-from statechart.documents.fields import (
-    FiniteText,
-    FormulaText,
-    NameText,
-    ValueName,
-    check_names,
-    declare,
-)
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, check_names
 from statechart.errors import DeclarationProblem, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 

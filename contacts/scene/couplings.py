@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
-from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part, declare
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part
 from statechart.errors import DeclarationProblem
 from statechart.formulas.relation import conjunction
 

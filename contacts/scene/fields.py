@@ -26,14 +26,8 @@ from contacts.scene.parts import (
 from contacts.scene.shapes import INDEX, Collision
 from statechart.charts.flatten import timed
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.fields import (
-    FiniteText,
-    FormulaText,
-    NameText,
-    ValueName,
-    declare,
-    value_of,
-)
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, value_of
 from statechart.documents.quantities import (
     POWERS,
     Dimension,

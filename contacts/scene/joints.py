@@ -7,7 +7,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Tag, model_validator
 
 from contacts.scene.parts import Pair, Point, Relations
-from statechart.documents.fields import FiniteText, FormulaText, Part, declare
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, Part
 from statechart.errors import DeclarationProblem
 
 JOINT_WORDS = {

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from statechart.automaton.regions import Hold, Loads, Margin, MarginKind, State
-from statechart.documents.fields import Part, declare
+from statechart.documents.documented import declare
+from statechart.documents.fields import Part
 
 if TYPE_CHECKING:
     import sympy as sp

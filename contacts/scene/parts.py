@@ -10,13 +10,13 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
     FormulaText,
     OneRelation,
     Part,
-    declare,
 )
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse

@@ -19,6 +19,7 @@ from statechart.charts.transitions import (
     nested,
 )
 from statechart.documents.declaration import TIME, Declaration
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteText,
     Label,
@@ -27,7 +28,6 @@ from statechart.documents.fields import (
     ValueName,
     check_derived,
     check_relation,
-    declare,
     switching,
     value_of,
 )

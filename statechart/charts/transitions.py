@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import StrictBool, model_validator
 
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteText,
     FormulaText,
@@ -14,7 +15,6 @@ from statechart.documents.fields import (
     Part,
     RelationText,
     check_names,
-    declare,
     value_of,
 )
 from statechart.documents.outputs import Event, EventText, check_event, parse_events

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     ConstantText,
     FormulaText,
@@ -22,7 +23,6 @@ from statechart.documents.fields import (
     ValueName,
     check_names,
     check_relation,
-    declare,
     problem,
     value_of,
 )

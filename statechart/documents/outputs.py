@@ -9,7 +9,8 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import AfterValidator, Discriminator, StrictBool, Tag, model_validator
 
-from statechart.documents.fields import FiniteText, Part, check_names, declare
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, Part, check_names
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 

@@ -6,15 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, StrictInt, model_validator
 
-from statechart.documents.fields import (
-    FormulaText,
-    Label,
-    Part,
-    Real,
-    RelationText,
-    declare,
-    problem,
-)
+from statechart.documents.documented import declare
+from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, problem
 from statechart.documents.setting import Setting
 from statechart.errors import FormulaError
 from statechart.formulas.formula import parse
