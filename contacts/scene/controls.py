@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
+from statechart.charts.wrapping import STATE, Count
 from statechart.documents.documented import declare
 from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, check_names
 from statechart.errors import DeclarationProblem, Loc, close_matches
@@ -60,6 +61,14 @@ class Controller(ControlRegion):
         unit="that of each",
         default={},
     )
+
+    @classmethod
+    def counting(cls, count: Count) -> Controller:
+        """Return the region that counts the periods of what a formula has of time."""
+        states = {STATE: ControlState()}
+        made = cls(initial=STATE, states=states, transitions=count.transitions)
+        # The name has a dot, which no declared variable has.
+        return made.model_copy(update={"variables": {count.variable: count.initial}})
 
 
 @dataclass(frozen=True)
