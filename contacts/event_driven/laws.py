@@ -439,9 +439,11 @@ class SceneLaws:
         period = jump.t - jumps[since[-1]].t
         jump, flow, beside = self._beside(setup, clock, flow, jump)
         made = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
-        if made is None or not all(made[1].roles[i].captured for i in beside):
-            return None if beside else made
-        return self._switching.watched(setup, made[0].after, clock.high, made)
+        if made is None or not beside:
+            return made
+        jump, flow = made
+        _, flow = self._switching.watched(setup, jump.after, clock.high, made)
+        return (jump, flow) if all(flow.roles[i].captured for i in beside) else None
 
     def _beside(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
