@@ -8,18 +8,11 @@ from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeVar
 
-from pydantic import Field
-
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
-from statechart.documents.fields import (
-    FiniteText,
-    FormulaText,
-    NameText,
-    ValueName,
-    check_names,
-    unit,
-)
+from statechart.charts.wrapping import STATE, Count
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, check_names
 from statechart.errors import DeclarationProblem, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 
@@ -29,33 +22,29 @@ Value = TypeVar("Value")
 class ControlState(BaseState):
     """One state of a controller, and what it sets."""
 
-    sets: dict[str, FormulaText] = Field(
+    sets: dict[str, FormulaText] = declare(
+        "Values of controls while the state is active; inner states may override them.",
+        {"torque": "-k*leg.angle"},
+        unit="that of the control",
         default={},
-        description=(
-            "Values of controls while the state is active; inner states may override them."
-        ),
-        examples=[{"torque": "-k*leg.angle"}],
-        json_schema_extra=unit("that of the control"),
     )
-    states: dict[NameText, ControlState] = Field(
+    states: dict[NameText, ControlState] = declare(
+        "States in it, of which one is active with it.",
+        {"push": {"sets": {"torque": 1}}, "pull": {"sets": {"torque": -1}}},
         default={},
-        description="States in it, of which one is active with it.",
-        examples=[{"push": {"sets": {"torque": 1}}, "pull": {"sets": {"torque": -1}}}],
     )
-    regions: dict[NameText, ControlRegion] = Field(
+    regions: dict[NameText, ControlRegion] = declare(
+        "Regions in it, of each of which one state is active with it.",
+        {"grip": {"initial": "open", "states": {"open": {}, "shut": {}}}},
         default={},
-        description="Regions in it, of each of which one state is active with it.",
-        examples=[{"grip": {"initial": "open", "states": {"open": {}, "shut": {}}}}],
     )
 
 
 class ControlRegion(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, ControlState] = Field(
-        min_length=1,
-        description="Name to state.",
-        examples=[{"hold": {}, "thrust": {"sets": {"push": 20}}}],
+    states: dict[NameText, ControlState] = declare(
+        "Name to state.", {"hold": {}, "thrust": {"sets": {"push": 20}}}, min_length=1
     )
 
 
@@ -66,12 +55,20 @@ ControlState.model_rebuild()
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
-    variables: dict[ValueName, FiniteText] = Field(
+    variables: dict[ValueName, FiniteText] = declare(
+        "Variables of the controller and their initial values.",
+        {"seen": 0},
+        unit="that of each",
         default={},
-        description="Variables of the controller and their initial values.",
-        examples=[{"seen": 0}],
-        json_schema_extra=unit("that of each"),
     )
+
+    @classmethod
+    def counting(cls, count: Count) -> Controller:
+        """Return the region that counts the periods of what a formula has of time."""
+        states = {STATE: ControlState()}
+        made = cls(initial=STATE, states=states, transitions=count.transitions)
+        # The name has a dot, which no declared variable has.
+        return made.model_copy(update={"variables": {count.variable: count.initial}})
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from contacts.time_stepping.chunk import (
     HARD,
     JAMMED,
     NOT_FINITE,
+    RESIDUAL,
     Chunk,
 )
 from contacts.time_stepping.equations import (
@@ -42,13 +43,17 @@ from contacts.time_stepping.equations import (
 )
 from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
+    LOADED,
+    LOADINGS,
     change_friction,
     clear_contacts,
     close_opposed,
     contact_problem,
+    coupling_loads,
     find_active,
     initial_guess,
     largest_energy_gain,
+    load_couplings,
     mixed_with_impacts,
     order_decides,
     share_forces,
@@ -521,7 +526,7 @@ def step_scene(
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            began, changes = np.zeros(len(which), np.bool_), True
+            began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
             while changes:
                 good, z, basis, pushes, least = solve_impacts(
                     problem.delassus, problem.groups, problem.before, problem.free,
@@ -531,7 +536,14 @@ def step_scene(
                 )  # fmt: skip
                 if not good:
                     return k, HARD, problem.delassus, least, problem.cones
-                changes = change_friction(scene, tape, problem, least, pushes, began)
+                # Friction begins or turns under the limits that are there in the end.
+                loads = coupling_loads(scene, which, problem.columns, equations.change, pushes, h)
+                unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
+                rounds += 1
+                changes = unloaded > LOADED and rounds < LOADINGS
+                changes = changes or change_friction(scene, tape, problem, least, pushes, began)
+            if unloaded > LOADED:
+                chunk.efforts[k, RESIDUAL] = unloaded
             answer = split_forces(scene, memory, problem, z, basis, least, pushes)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
             rates = state[n : 2 * n]

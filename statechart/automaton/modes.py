@@ -140,7 +140,7 @@ def _minimal(
     working = [u for u in automaton.unknowns if u not in absent | elimination.forces]
     motion = coordinates.motion(elimination, working)
     places, known = elimination.replaced, elimination.known
-    laws = [e for e in others if e not in places]
+    laws = [e.xreplace(elimination.accelerations) for e in others if e not in places]
     # Coefficients of forces that are zero need not be finite, as of a contact that is off.
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]

@@ -82,8 +82,8 @@ def build(
 
 
 def _moving(automaton: Automaton) -> list[Region]:
-    """Return the regions that have a choice; all, if none has."""
-    changing = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1]
+    """Return the regions that have a choice, or transitions; all, if none has."""
+    changing = [r for r in automaton.regions if len({*r.states, *r.innermost}) > 1 or r.edges]
     return changing or list(automaton.regions)
 
 

@@ -471,7 +471,7 @@ class Execution:
             if self.flow.settled and self._filippov is None:
                 break
         else:
-            raise looping(self.record.jumps[-6:], self.clock, self.automaton.label)
+            raise looping(self.record.jumps[-6:], self.clock, self.automaton)
         if fired and not moved:
             if self.failure is not None:
                 raise self.failure
@@ -502,7 +502,7 @@ class Execution:
         Raise `TooLong` or `EventLoop` where it is plain that they will be too many, or take no
         time.
         """
-        self._livelock.check(self.record.jumps, self.clock, self.automaton.label)
+        self._livelock.check(self.record.jumps, self.clock, self.automaton)
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         if many := len(self.record.jumps) >= self.max_jumps:
