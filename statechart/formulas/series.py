@@ -226,29 +226,13 @@ def _sign_of(a: Series) -> float:
     return 0.0
 
 
-def _abs(a: Series) -> Series:
-    return _neg(a) if _sign_of(a) < 0.0 else a
-
-
-def _sign(a: Series) -> Series:
-    return _constant(_sign_of(a), len(a.values))
-
-
-def _min(a: Series, b: Series) -> Series:
-    return b if _sign_of(_sub(a, b)) > 0.0 else a
-
-
-def _max(a: Series, b: Series) -> Series:
-    return b if _sign_of(_sub(a, b)) < 0.0 else a
-
-
 _BINARY: dict[str, Callable[[Series, Series], Series]] = {
     "add": _add,
     "sub": _sub,
     "mul": _mul,
     "div": _div,
-    "min": _min,
-    "max": _max,
+    "min": lambda a, b: b if _sign_of(_sub(a, b)) > 0.0 else a,
+    "max": lambda a, b: b if _sign_of(_sub(a, b)) < 0.0 else a,
     "atan2": _atan2,
     "hypot": lambda a, b: _sqrt(_add(_mul(a, a), _mul(b, b))),
     "pow": _pow,
@@ -268,6 +252,6 @@ _UNARY: dict[str, Callable[[Series], Series]] = {
     "sinh": lambda a: _hyperbolic(a)[0],
     "cosh": lambda a: _hyperbolic(a)[1],
     "tanh": lambda a: _div(*_hyperbolic(a)),
-    "abs": _abs,
-    "sign": _sign,
+    "abs": lambda a: _neg(a) if _sign_of(a) < 0.0 else a,
+    "sign": lambda a: _constant(_sign_of(a), len(a.values)),
 }

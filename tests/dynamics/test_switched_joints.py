@@ -79,6 +79,7 @@ outputs:
   taut: {value: time, at: first rope.touchdown}
   a: {value: a.dx}
   b: {value: b.dx}
+  slack: {value: rope.gap}
 """
 _ROD = """
 kind: scene
@@ -155,9 +156,12 @@ _EXPECTED: dict[str, tuple[str, dict[str, float]]] = {
     # m v l / (I + m l^2), as on a pivot; hook and floor together stop the box, without rebound.
     "swing": (_SWING, {"spin": 0.2 / 0.12}),
     "stop": (_STOP, {"spin": 0.0, "dx": 0.0, "dy": 0.0}),
-    "rope": (_ROPE, {"taut": 0.5, "a": 1.0, "b": 0.5}),
+    "rope": (_ROPE, {"taut": 0.5, "a": 1.0, "b": 0.5, "slack": 0.75}),
     "rod": (_ROD, {"pull": 9.81 * 1.8, "speed": math.sqrt(2 * 9.81 * 0.4)}),
-    "limits": (_LIMITS, {"high": math.pi / 4, "low": 3 * math.pi / 4, "spin": 0.5}),
+    "limits": (
+        _LIMITS,
+        {"high": math.pi / 4, "low": 3 * math.pi / 4, "spin": 0.5},
+    ),
     "elbow": (
         _ELBOW,
         {
