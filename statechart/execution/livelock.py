@@ -110,6 +110,6 @@ def looping(
     if len(held) == 1:
         return EventLoop(f"{found}; the guard of {held[0]} holds after it too; let updates end it")
     return EventLoop(
-        f"{found}; the guards of {' and '.join(held)} hold at once; add to one what is false where "
-        "the other holds, as in guard: [..., ...]"
+        f"{found}; the guards of {' and '.join(held)} hold at once; leave a band between "
+        "them, or give one a further condition"
     )

@@ -84,7 +84,9 @@ regions:
 
 def test_guards_that_hold_together_without_end_are_named() -> None:
     scene = Scene.model_validate(read_text(f"{BALL.replace('Y', '0.5')}{PUSHED}").data)
-    with pytest.raises(EventLoop, match=r"part \(.*\) and touch \(ball.y <= 0\) hold at once; add"):
+    with pytest.raises(
+        EventLoop, match=r"part \(.*\) and touch \(ball.y <= 0\) hold at once; leave"
+    ):
         Runner(scene).run()
     further = PUSHED.replace("ball.y <= 0}", "[ball.y <= 0, -1e3*ball.y - 20*ball.dy > 0]}")
     scene = Scene.model_validate(read_text(f"{BALL.replace('Y', '0.5')}{further}").data)
