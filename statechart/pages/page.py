@@ -93,7 +93,7 @@ def content(
         "mode": _packed(samples.mode, np.int32),
         "film": None if film is None else _film(film, automaton.declaration.units),
         "panels": _panels(trace, _until(observer, trace, drawn, end), panels),
-        "events": [_event(event, times) for event in events],
+        "events": [_event(event, times, trace.step) for event in events],
         "more": len(trace.jumps) - len(events),
         "chart": _chart(automaton, diagram, trace, samples),
         "outputs": _measured(report["outputs"], report["units"]),
@@ -250,13 +250,13 @@ def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
     return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
 
 
-def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
+def _event(event: Mapping[str, Any], times: Array, step: float | None) -> dict[str, Any]:
     return {
         "t": event["t"],
         "instant": int(np.searchsorted(times, event["t"])),
         "what": " ".join(filter(None, (event["contact"], event["cause"]))),
         "change": change(event, _NAMES),
-        "why": explanation({"events": [event]}),
+        "why": explanation({"events": [event], "step": step}),
     }
 
 
