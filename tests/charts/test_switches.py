@@ -162,4 +162,4 @@ def test_products_of_signs_at_crossing_surfaces_are_reported(engine: Engine) -> 
     chart = flow({"x": 1, "y": 1}, x="-sign(x)*(1 + sign(y)/2)", y="-sign(y)*(1 + sign(x)/2)")
     trace = Simulator(chart, engine).run({}, until=2.0, throw=False)
     assert trace.outcome is Outcome.AMBIGUOUS_MODE
-    assert "cross" in trace.message
+    assert "in several switches at once" in trace.message

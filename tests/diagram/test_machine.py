@@ -74,7 +74,7 @@ def test_a_machine_that_is_loaded_goes_through_the_states_of_the_run(tmp_path: P
     heard = {edge.cause for edge in job.nesting.edges if edge.events}
     seen = []
     for jump in trace.jumps:
-        if jump.region != "job" or not heard.issuperset(job.causes(jump.cause)):
+        if jump.region != "job" or not heard.issuperset(jump.cause.split("+")):
             for name, value in zip(trace.variables, jump.before.tolist(), strict=True):
                 setattr(machine.model, name, value)
             # A guard that falls is true but for rounding.

@@ -382,7 +382,9 @@ def test_open_couplings_are_told_apart_by_their_names() -> None:
 
 def test_limit_that_falls_below_zero_ends_the_run_with_its_name() -> None:
     text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
-    with pytest.raises(statechart.NoConsistentMode, match=r"brake: its limit is -2.*e-12 < 0"):
+    with pytest.raises(
+        statechart.NoConsistentMode, match=r"brake:slip\+ fails, its limit is -2.*e-12 < 0"
+    ):
         run(text)
 
 

@@ -42,7 +42,7 @@ def test_colliding_bodies_take_steps_by_their_scales_and_say_so(tmp_path, monkey
     shown = json.loads(capsys.readouterr().out)
     assert shown["engine"] == "impulse"
     assert shown["outcome"] == "HORIZON"
-    (said,) = [w for w in shown["warnings"] if "steps of" in w]
+    (said,) = [w for w in shown["warnings"] if "; step " in w]
     assert f"{shown['step']:g}" in said
     for verb in (["validate", str(path)], ["check", str(path), "--examples", "2", "--seed", "1"]):
         assert main(verb) == 0, verb
