@@ -15,14 +15,12 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import impulses_by_lemke
 from contacts.solvers.contact_rows import (
-    LAW,
+    PAIR,
     TRIED,
     ContactRows,
     add,
     along,
-    complete,
     measured,
     rates_of,
     scale,
@@ -30,7 +28,8 @@ from contacts.solvers.contact_rows import (
     swept,
     without,
 )
-from contacts.solvers.proximal_points import VERIFIED, by_proximal_points
+from contacts.solvers.lemke import impulses_by_lemke
+from contacts.solvers.proximal_points import VERIFIED, by_last_status, by_proximal_points
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
@@ -79,7 +78,15 @@ def solve_rows(
     if left <= (_AT_REST if rests else VERIFIED):
         return left, 0
     other, done = contacts.spare[TRIED, :count], 0
-    goal = min(allowed, VERIFIED) if rests or count <= _SMALL else allowed
+    # All contacts of coordinates move the same, so that Newton's equations are as small as that.
+    same = contacts.bodies.shape[1] != PAIR
+    goal = min(allowed, VERIFIED) if rests or same or count <= _SMALL else allowed
+    if same and count > 1 and impulses[:, 0].max() > 0.0:
+        put_rows(impulses, other)
+        missed, done = by_last_status(contacts, least, other)
+        if missed <= VERIFIED:
+            put_rows(other, impulses)
+            return missed, done
     for anew in (False, True):
         if anew:
             other[:] = 0.0
@@ -106,32 +113,6 @@ def solve_rows(
             left = missed
             put_rows(other, impulses)
     return left, done
-
-
-@kernel
-def dense_impulses(
-    delassus: Array, least: Array, cones: Array, allowed: float
-) -> tuple[float, Array]:
-    """Return the residual of the best impulses of a dense problem, and these (m, 2)."""
-    count = len(cones)
-    threes = (2 * count + 2) // 3
-    bodies = np.empty((count, threes), np.int64)
-    rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
-    own, impulses = np.empty((count, 3)), np.zeros((count, 2))
-    for i in range(count):
-        for side in range(threes):
-            bodies[i, side] = side
-        for d in range(2):
-            rows[i, d, 2 * i + d] = 1.0
-            for k in range(2 * count):
-                columns[i, d, k] = delassus[k, 2 * i + d]
-    contacts = ContactRows(
-        bodies, threes, rows, columns, own, cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)),
-    )  # fmt: skip
-    complete(contacts)
-    left, _ = solve_rows(contacts, least, impulses, allowed, False, True)
-    return left, impulses
 
 
 @kernel

@@ -165,10 +165,13 @@ def step(
 
 @kernel
 def _find_status(
-    contacts: ContactRows, least: Array, now: Array, centre: Array, compliance: float,
-    rates: Array, status: Ints, edges: Array,
+    contacts: ContactRows, least: Array, begins: float, now: Array, centre: Array,
+    compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> bool:  # fmt: skip
-    """Write the status of contacts by the natural map; False where it is as before."""
+    """Write the status of contacts by the natural map; False where it is as before.
+
+    One without an impulse begins to press above a velocity `begins`.
+    """
     different = False
     for i in range(len(now)):
         mu = slope(contacts.cones[i])
@@ -181,7 +184,7 @@ def _find_status(
         press = wn * now[i, 0] - normal - compliance * wn * (now[i, 0] - centre[i, 0])
         shear = wt * now[i, 1] - slip - compliance * wt * (now[i, 1] - centre[i, 1])
         new, edge = SLIDES, math.copysign(mu, shear)
-        if press <= 0.0:
+        if press <= (begins if now[i, 0] == 0.0 else 0.0):
             new = OPEN
         elif abs(shear) * wn < mu * wt * press:
             new = STICKS
@@ -207,12 +210,14 @@ def _take_step(
 
 @kernel
 def _settled(
-    contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
-    compliance: float, rates: Array, status: Ints, edges: Array,
+    contacts: ContactRows, equations: Equations, least: Array, begins: float, now: Array,
+    centre: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
     """Take Newton's steps to a proximal point, in place; return if they settle, and how many."""
     for taken in range(_SETTLING + 1):
-        changed = _find_status(contacts, least, now, centre, compliance, rates, status, edges)
+        changed = _find_status(
+            contacts, least, begins, now, centre, compliance, rates, status, edges
+        )
         if taken > 0 and not changed:
             # A small compliance costs digits, which a second step gives back.
             _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
@@ -353,6 +358,24 @@ def followed(
 
 
 @kernel
+def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tuple[float, int]:
+    """Solve contacts of which no other one presses than did; return the residual, and eliminations.
+
+    Impulses are improved in place. What is open stays so as long as that solves the problem: a box
+    that just fits under a lid is else stuck between that and the floor, in impulses without cause.
+    """
+    count, rates = len(impulses), rates_of(contacts, 0)
+    moved(contacts, impulses, rates)
+    good, taken = _settled(
+        contacts, equations_of(contacts), least, math.inf, impulses, impulses.copy(), _LEAST, rates,
+        np.full(count, -1), np.zeros(count),
+    )  # fmt: skip
+    moved(contacts, impulses, rates)
+    left = residual(contacts, least, scale(contacts, least), impulses, rates)
+    return (left if good else math.inf), taken
+
+
+@kernel
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
@@ -376,7 +399,7 @@ def by_proximal_points(
     most = min(_MOST, _MOST_TIMES // count)
     while done < most and idle < _IDLE and (lowest > allowed or falls):
         good, taken = _settled(
-            contacts, equations, least, now, centre, compliance, rates, status, edges
+            contacts, equations, least, 0.0, now, centre, compliance, rates, status, edges
         )
         done += taken
         if not good and is_known:

@@ -20,7 +20,8 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS, forces_near
+from contacts.solvers.lemke import forces_by_lemke
+from contacts.solvers.step_impulses import SUM_ROUNDING
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import (
@@ -33,7 +34,7 @@ from contacts.time_stepping.equations import (
     TapeValues,
     solve_factored,
 )
-from contacts.time_stepping.step_contacts import ROUNDING, delassus_of, unit_responses, write_cone
+from contacts.time_stepping.step_contacts import delassus_of, unit_responses, write_cone
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
@@ -105,25 +106,21 @@ def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: fl
 
 @kernel
 def solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
-    sizes: Array, found: Array, sums: Array,
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, found: Array,
+    sums: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
     """Write the accelerations of contacts; return whether the problem was solved, and forces.
 
     Parameters
     ----------
-    delassus, free, cones, slides, guess
-        See `contacts.solvers.contact_lcp_kernels.forces_near`.
+    delassus, free, cones, slides
+        See `contacts.solvers.lemke.impulses_by_lemke`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
     found, sums : (m, 2)
         To be filled; sums of the sizes of the terms.
     """
-    support = guess.copy()
-    for a in range(len(found)):
-        for u in range(1, UNKNOWNS):
-            support[UNKNOWNS * a + u] = guess[UNKNOWNS * a + u] and slides[a] == 0.0
-    solved, forces = forces_near(delassus, free, cones, slides, support)
+    solved, forces = forces_by_lemke(delassus, free, cones, slides)
     for a in range(len(found)):
         for d in range(2):
             found[a, d], terms = free[a, d], sizes[a, d]
@@ -133,7 +130,7 @@ def solve_accelerations(
                     found[a, d] += term
                     terms += abs(term)
             sums[a, d] = terms
-            if abs(found[a, d]) <= ROUNDING * terms:
+            if abs(found[a, d]) <= SUM_ROUNDING * terms:
                 found[a, d] = 0.0
     return solved, forces
 
@@ -212,10 +209,10 @@ def settle(
     modes = chunk.modes[k]
     if m > 0:
         delassus = delassus_of(tape, which, unit_responses(tape, equations, which))
-        slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
+        slips, slides, rounding = np.empty(m), np.zeros(m), SUM_ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
-        against, guess = np.zeros(m, np.bool_), np.zeros(UNKNOWNS * m, np.bool_)
+        against = np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
@@ -227,15 +224,12 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
-            for u in range(UNKNOWNS):
-                guess[UNKNOWNS * a + u] = memory.bases[i, u]
-            guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         problem = delassus, alone, cones
-        solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
+        solved, forces = solve_accelerations(*problem, slides, terms, forced, sums)
         if solved and end_slips(slips, forced, against, terms, h, slides):
             for a in range(m):
                 write_cone(scene, tape, which[a], int(slides[a]), cones[a])
-            solved, forces = solve_accelerations(*problem, slides, guess, terms, forced, sums)
+            solved, forces = solve_accelerations(*problem, slides, terms, forced, sums)
         for a in range(m):
             i = which[a]
             idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
