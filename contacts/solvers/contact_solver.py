@@ -78,23 +78,29 @@ def solve_rows(
         return 0.0, 0
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
-    if left <= (_AT_REST if rests else VERIFIED):
-        return left, 0
-    other, done = contacts.spare[TRIED, :count], 0
     # All contacts of coordinates move the same, so that Newton's equations are as small as that.
     same = contacts.bodies.shape[1] != PAIR
+    # Of coordinates they are solved anew at each step: what rests has no velocity at all.
+    if not same and left <= (_AT_REST if rests else VERIFIED):
+        return left, 0
+    other, done, pivots = contacts.spare[TRIED, :count], 0, count <= _LEMKE and not joined
     goal = min(allowed, VERIFIED) if rests or same or count <= _SMALL else allowed
-    if same and count > 1 and impulses[:, 0].max() > 0.0:
-        put_rows(impulses, other)
-        missed, done = by_last_status(contacts, least, other)
-        if missed <= _OPENS:
+    if same:
+        missed, found = math.inf, max(goal, min(allowed, _OPENS))
+        if count == 1:
+            other[:] = 0.0
+            measured(contacts, least, size, other)
+            missed, done = swept(contacts, least, size, math.inf, other, goal, 1)
+        elif impulses[:, 0].max() > 0.0:
+            put_rows(impulses, other)
+            missed, done = by_last_status(contacts, least, other)
+        if missed > found and count > 1 and pivots:
+            missed, steps = _by_lemke(contacts, least, found, other)
+            done, pivots = done + steps, False
+        if missed <= found or missed < left:
+            left = missed
             put_rows(other, impulses)
-            return missed, done
-    if same and count > 1 and count <= _LEMKE and not joined:
-        missed, steps = _by_lemke(contacts, least, goal, other)
-        done += steps
-        if missed <= _OPENS:
-            put_rows(other, impulses)
+        if missed <= found:
             return missed, done
     for anew in (False, True):
         if anew:
@@ -115,7 +121,7 @@ def solve_rows(
             put_rows(other, impulses)
         if left <= allowed:
             return left, done
-    if last and count <= _LEMKE and not joined:
+    if last and pivots:
         missed, steps = _by_lemke(contacts, least, allowed, other)
         done += steps
         if missed < left:
@@ -153,7 +159,7 @@ def _by_lemke(
             continue
         exact = found.copy()
         missed, steps = by_last_status(contacts, least, exact)
-        if missed <= _OPENS:
+        if missed <= allowed:
             put_rows(exact, found)
         else:
             missed, more = by_proximal_points(contacts, least, found, allowed)
