@@ -40,15 +40,17 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
     from contacts.event_driven.laws import SceneLaws
+    from contacts.scene.couplings import Rolling
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        if mechanics.scene.couplings:
-            raise Unsupported(
-                f"coupling {next(iter(mechanics.scene.couplings))!r}: steps have no couplings yet; "
-                "run with --engine taylor or scipy"
-            )
+        for one in mechanics.scene.couplings.values():
+            if isinstance(one, Rolling):
+                raise Unsupported(
+                    f"contact {one.contact!r}: steps have no rolling resistance; run with "
+                    "--engine taylor or scipy"
+                )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE, LOCKED, SLIP_PLUS, SLIP_MINUS = range(9)
+FREE, PIN, SLIDE, SLIDE_PLUS, SLIDE_MINUS, OFF_CODE, LOCKED, SLIP_PLUS, SLIP_MINUS, OPEN_CODE = (
+    range(10)
+)
 
 
 OFF = "off"
@@ -104,13 +106,17 @@ STATES = {
     SLIDE_PLUS: "slide+",
     SLIDE_MINUS: "slide-",
     OFF_CODE: "off",
+    LOCKED: "locked",
+    SLIP_PLUS: "slip+",
+    SLIP_MINUS: "slip-",
+    OPEN_CODE: DISENGAGED,
 }
 """Number of a mode of a region to its state."""
 
 
-def undetermined(names: Iterable[str]) -> str:
-    """Return what is told of contacts whose forces the motion leaves open."""
-    return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
+def undetermined(names: Iterable[str], shown: str = "the smallest are shown") -> str:
+    """Return the warning of contacts whose forces the motion leaves open."""
+    return f"the forces of {', '.join(names)} are indeterminate: {shown}"
 
 
 def implied_joints(names: Iterable[str]) -> str:

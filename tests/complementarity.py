@@ -60,5 +60,5 @@ def impact_problem(delassus, before, free, wanted, cones, rebounds):
     return ContactProblem(
         np.arange(m), np.eye(2 * m).reshape(m, 2, 2 * m), np.ascontiguousarray(delassus.T),
         delassus, np.zeros(m, np.int64), np.zeros(m, np.int64), cones, before, free, wanted,
-        rebounds, np.ones(m, np.bool_), np.zeros(m, np.bool_),
+        rebounds, np.ones(m, np.bool_), np.zeros(m, np.bool_), np.zeros(m, np.bool_),
     )  # fmt: skip

@@ -44,8 +44,8 @@ _FALLS, _GROWS = 0.5, 4.0
 # A centre that misses less than this part of what the one before did is worth another one; at the
 # least compliance, which impulses begin at that nearly solve the problem, the first is the last.
 _FURTHER = 0.9
-# Compliance of a status that is refined, and how often: each leaves the larger of it and of round-off
-# over its square, so that four of them end in round-off.
+# Compliance of a status that is refined, and how often: each leaves the larger of it and of
+# round-off over its square, so that four of them end in round-off.
 _REFINING, _REFINEMENTS = 1e-5, 4
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.

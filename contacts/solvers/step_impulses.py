@@ -43,19 +43,21 @@ class ContactProblem(NamedTuple):
     # (m,): who asks for restitution; whose impulse is one at an instant.
     rebounds: Bools
     sudden: Bools
-    yields: Bools  # (m,): who is compliant, by what `delassus` has beyond the coordinates.
+    yields: Bools  # (m,): who is compliant.
+    # (m,): whose normal row moves something of its own: `delassus` has it beyond the coordinates.
+    apart: Bools
 
 
 @kernel
 def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
     """Return the rows of the contacts `which`: all of them move the same coordinates.
 
-    A compliant contact moves one of its own, too.
+    The normal row of a compliant contact or of a coupling moves one of its own, too.
     """
     count, n = len(which), problem.jacobians.shape[2]
     soft = n
     for i in which:
-        soft += 1 if problem.yields[i] else 0
+        soft += 1 if problem.apart[i] else 0
     threes, soft = (soft + 2) // 3, n
     threes += 1 if threes == PAIR else 0
     bodies, cones = np.empty((count, threes), np.int64), np.empty((count, 2))
@@ -69,7 +71,7 @@ def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
             for j in range(n):
                 rows[a, d, j] = problem.jacobians[i, d, j]
                 columns[a, d, j] = problem.columns[2 * i + d, j]
-        if problem.yields[i]:
+        if problem.apart[i]:
             rows[a, 0, soft], columns[a, 0, soft] = 1.0, problem.delassus[2 * i, 2 * i]
             for j in range(n):
                 columns[a, 0, soft] -= rows[a, 0, j] * columns[a, 0, j]

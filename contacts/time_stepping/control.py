@@ -59,8 +59,8 @@ class StepControl:
         self._listening = Listening(regions, self._controllers)
         self._active = ActiveStates(regions)
         n, r = len(mechanics.q), len(mechanics.joint_rows)
-        c = 2 * len(mechanics.scene.contacts)
-        # Guards take the forces of joints after those of contacts.
+        c = 2 * len(mechanics.scene.contacts) + len(mechanics.scene.couplings)
+        # Guards take the forces of joints after those of contacts and couplings.
         self._order = [*range(n), *range(n + r, n + r + c), *range(n, n + r)]
         self.states = controllers.initial
         self._begun = False

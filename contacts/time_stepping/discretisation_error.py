@@ -58,7 +58,7 @@ def velocity_change(
         np.arange(m), pushes, np.ascontiguousarray(moved.T), delassus, groups,
         np.zeros(m, dtype=np.int64), cones, velocities,
         velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
-        np.zeros(m, dtype=np.bool_),
+        np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
     )  # fmt: skip
     missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), _SOLVED)
     change: Array = moved @ impulses.reshape(2 * m)

@@ -62,6 +62,13 @@ class StepConstants(NamedTuple):
     negligible: float
     # (c, 2): stiffness and damping of compliant contacts; 0 of rigid ones.
     soft: Array
+    couplings: int  # So many of the contacts, the last, are couplings; see `load_couplings`.
+
+
+@kernel
+def is_coupling(scene: StepConstants, i: int) -> bool:
+    """Return whether contact i is a coupling."""
+    return i >= len(scene.cones) - scene.couplings
 
 
 class ContactMemory(NamedTuple):
@@ -175,7 +182,8 @@ class ContactForces(NamedTuple):
 CONTACT, EDGES = 11, 7
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
 the condition without the ends of edges at which another edge makes a valley; from `EDGES` on the
-unit edges of its friction cone in slide+ and slide-, at the size of its slip."""
+unit edges of its friction cone in slide+ and slide-, at the size of its slip. The gap of a coupling
+is its limit at rest."""
 
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""

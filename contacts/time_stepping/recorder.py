@@ -14,7 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.states import FREE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES, cause_of, undetermined
+from contacts.states import (
+    FREE,
+    LOCKED,
+    PIN,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIP_MINUS,
+    SLIP_PLUS,
+    STATES,
+    cause_of,
+    undetermined,
+)
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.lazy_arcs import ArcMaker, Line, Steps, Stretch, Stroke, cut
 from statechart.arrays import Array, Bools, Ints
@@ -42,12 +53,12 @@ class Recorder:
     """Collects steps as arcs and jumps; both are made when they are read.
 
     Regions have modes (r,) at the start; `controls` are states of further regions, which `turn`
-    changes. `sticks` (r,) tells which regions have a pin beside slide. An impact on a region that
-    is not free has the cause `again`. `forces` is the place of the first region's V and H among
-    the further unknowns; None: they have none. Behind the `coordinates` and their rates stand
-    controller variables. Without `modes`, jumps of regions are only counted, and arcs end where
-    they would; without `arcs_too`, only the last step of a run becomes an arc, in which a stop
-    condition may be met. `control_jumps` are those of further regions and the stop.
+    changes. `sticks` (r,) tells which regions have a pin beside slide, or are couplings. An impact
+    on a region that is not free has the cause `again`. `forces` is the place of the first region's
+    V and H among the further unknowns; None: they have none. Behind the `coordinates` and their
+    rates stand controller variables. Without `modes`, jumps of regions are only counted, and arcs
+    end where they would; without `arcs_too`, only the last step of a run becomes an arc, in which a
+    stop condition may be met. `control_jumps` are those of further regions and the stop.
     """
 
     regions: Sequence[str]
@@ -211,7 +222,13 @@ class Recorder:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of forces that the motion does not determine, once each."""
-        return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
+        found = []
+        for key, names in self.indeterminate.items():
+            states = dict(zip(self.regions, key, strict=False))
+            # Steps do not share out the load of locked couplings.
+            locked = any(states[name] == STATES[LOCKED] for name in names)
+            found.append(undetermined(names, *(["one possible share is shown"] * locked)))
+        return tuple(dict.fromkeys(found))
 
     def _key(self, row: Ints) -> Key:
         found = self._keys.get(row.tobytes())
@@ -225,9 +242,10 @@ class Recorder:
         if not self._sticking:
             return codes
         before = np.vstack([self._raw, codes[:-1]])
-        slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
+        slid = np.isin(before, (SLIDE_PLUS, SLIDE_MINUS, SLIP_PLUS, SLIP_MINUS))
+        rests = (codes == PIN) | (codes == LOCKED)
         felt = chunk.struck | chunk.impulses.any(axis=2)
-        return np.where((codes == PIN) & slid & self.sticks & ~felt, before, codes)
+        return np.where(rests & slid & self.sticks & ~felt, before, codes)
 
     def _before(self, shown: Ints) -> Ints:
         return np.vstack([self.row, shown[:-1]])

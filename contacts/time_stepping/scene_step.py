@@ -27,6 +27,7 @@ from contacts.time_stepping.chunk import (
 )
 from contacts.time_stepping.equations import (
     CONTACT,
+    EDGES,
     JOINT,
     ContactForces,
     ContactMemory,
@@ -36,6 +37,7 @@ from contacts.time_stepping.equations import (
     StepInstant,
     TapeValues,
     factor_equations,
+    is_coupling,
     solve_factored,
 )
 from contacts.time_stepping.settling import settle, unsettle
@@ -127,6 +129,8 @@ def switch_contacts(
     for i in range(len(off)):
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
+        if is_coupling(scene, i):
+            continue
         if not off[i] and condition < 0.0:
             speed = math.hypot(numbers[row + 2 * n + 3], numbers[row + 2 * n + 4])
             reach = _STEPS * h * speed
@@ -149,6 +153,13 @@ def switch_contacts(
         row = tape.first + tape.per * i
         gap, condition, before = numbers[row + 2 * n + 2], numbers[row + 2 * n + 5], memory.past[i]
         rate = numbers[row + 2 * n + 3]
+        if is_coupling(scene, i):
+            kinetic = numbers[row + 2 * n + EDGES + 1]
+            off[i], met.entered[i] = not condition > 0.0, -math.inf
+            if math.isnan(condition) or not (off[i] or math.isfinite(gap + kinetic)):
+                return False
+            chunk.gaps[k, i] = math.inf if off[i] else kinetic if kinetic < 0.0 else gap
+            continue
         if off[i]:
             entered = gap
             if before[0] <= 0.0 < condition:
@@ -495,7 +506,7 @@ def step_scene(
         put(-lasting[:n], memory.pushed)
         which, blurred = indices(met.active), False
         chunk.efforts[k, CONTACTS] = len(which)
-        clear_contacts(memory.off, forces, k, chunk)
+        clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
             began, changes = np.zeros(len(which), np.bool_), True

@@ -8,17 +8,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contacts.dynamics.contact_law import ContactLaw
+from contacts.dynamics.contact_law import ContactLaw, edge
 from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import ROUNDING, SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.dynamics.snapshot import SnapshotTape
-from contacts.dynamics.starting import check_joints, check_start, hovering, jumped_in, torn
+from contacts.dynamics.starting import (
+    check_joints,
+    check_limits,
+    check_start,
+    hovering,
+    jumped_in,
+    torn,
+)
 from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.step_impulses import smoothed
-from contacts.states import FREE, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.states import FREE, LOCKED, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
@@ -128,7 +135,9 @@ class SteppedScene(SteppedSystem):
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
         # Forces of compliant contacts follow whatever a surface does.
         rigid = np.array(
-            [was.scene.contacts[name].stiffness is None for name in was.names], np.bool_
+            [contact.stiffness is None for contact in was.scene.contacts.values()]
+            + [False] * was.couplings,
+            np.bool_,
         )
         for i in np.flatnonzero(rigid & ~memory.off & (deep > near)).tolist():
             surface = was.scene.contacts[was.names[i]].surface
@@ -145,7 +154,7 @@ class SteppedScene(SteppedSystem):
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
         self._source = source
-        edges = [(law.cone_n, law.cone_t) for law in contacts]
+        edges = [edge(1.0) if law.coupling else (law.cone_n, law.cone_t) for law in contacts]
         self._cones = smoothed(np.array(edges, float).reshape(-1, 2))
         self._restitution = np.array([law.restitution for law in contacts])
         nowhere = np.zeros(source.soft.n_variables)
@@ -173,7 +182,12 @@ class SteppedScene(SteppedSystem):
     def margins(self) -> dict[str, float]:
         """The least values seen, at the midpoints of steps."""
         found: dict[str, float] = {}
+        rigid = len(self._source.names) - self._source.couplings
         for i, name in enumerate(self._source.names):
+            if i >= rigid and np.isfinite(self._memory.least_gap[i]):
+                found[f"{name}.limit"] = float(self._memory.least_gap[i])
+            if i >= rigid:
+                continue
             values = (self._memory.least_gap[i], *self._memory.least[i])
             for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
                 if np.isfinite(value):
@@ -216,7 +230,7 @@ class SteppedScene(SteppedSystem):
             source.used, self._restitution, source.plastic, source.bodies, source.pairs,
             source.held, source.slips, r, source.signs, self._near, self._still,
             ROUNDING * self._speed,
-            self._speed, _SLOWEST * self._speed, self._negligible, self._soft,
+            self._speed, _SLOWEST * self._speed, self._negligible, self._soft, source.couplings,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
@@ -235,7 +249,9 @@ class SteppedScene(SteppedSystem):
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
             self._errors.add(now, chunk, start, self._kept.codes, swings)
-        return chunk
+        # Their loads are no unknowns.
+        loads = n + r + 2 * np.arange(c - source.couplings, c)
+        return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`."""
@@ -250,7 +266,9 @@ class SteppedScene(SteppedSystem):
         _, rows, joints = source.rows(self._values, state, start)
         codes = self._memory.codes
         closed = (codes != FREE) & (codes != OFF_CODE)
-        held = np.concatenate([rows[closed, :n], rows[codes == PIN, n : 2 * n], joints[:, :n]])
+        held = np.concatenate(
+            [rows[closed, :n], rows[np.isin(codes, (PIN, LOCKED)), n : 2 * n], joints[:, :n]]
+        )
         swings = source.limits.swings(self._values, state, start, held)
         swing = 0.0 if swings is None else float(swings.speeds.max())
         check_swing(swing, chunk.h)
@@ -321,7 +339,7 @@ class SteppedScene(SteppedSystem):
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
         self._memory.codes = codes[-1] if len(codes) else self._memory.codes
         places = np.arange(codes.shape[1])
-        wrong = self._undeclared[places, codes]
+        wrong = self._undeclared[places, codes] | self._negative(chunk)
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if not self._source.may_jam:
             for k in np.flatnonzero(chunk.efforts[:, JAMMED]).tolist():
@@ -335,9 +353,20 @@ class SteppedScene(SteppedSystem):
             raise self._refusal(i, int(codes[0, i]), start + h)
         return k
 
+    def _negative(self, chunk: Chunk) -> Bools:
+        """Return which limits (k, c) are below zero; those of contacts are none."""
+        found: Bools = chunk.gaps < 0.0
+        found[:, : found.shape[1] - self._source.couplings] = False
+        return found
+
     def _refusal(self, contact: int, code: int, end: float) -> NoConsistentMode:
         """Return why a contact does not take a mode in a step that ends then."""
         name, state = self._source.names[contact], STATES[code]
+        if contact >= len(self._source.names) - self._source.couplings:
+            return NoConsistentMode(
+                f"coupling {name!r}: its limit is below zero by t = {end:.9g}; a coupling that "
+                "lets go is one with enabled: RELATION"
+            )
         if not self._undeclared[contact, code]:
             return NoConsistentMode(
                 f"contact {name!r} can neither slide nor lift off: friction presses it into "
@@ -401,7 +430,11 @@ class SceneStepper(Stepper):
             self._tapes,
             again="jam",
             forces=len(mechanics.a) + len(mechanics.joint_rows),
-            sticks=np.array([{"pin", "slide"} <= c.kinds for c in contacts.values()], bool),
+            sticks=np.array(
+                [{"pin", "slide"} <= c.kinds for c in contacts.values()]
+                + [True] * len(mechanics.scene.couplings),
+                bool,
+            ),
         )
         self._numbers = SceneNumbers(mechanics, stops)
 
@@ -433,6 +466,9 @@ class SceneStepper(Stepper):
         within = replace(within, initial=memory.parted(setup.initial))
         if self._mechanics.joint_rows:
             check_joints(self._mechanics, SnapshotTape(self._mechanics), within, RELATIVE)
+        if self._scene.couplings:
+            snapshot = SnapshotTape(self._mechanics).at(within.values, within.initial, 0.0)
+            check_limits([*self._scene.couplings], snapshot.limits)
         failing = self._numbers.conditions.at(within, within.initial, 0.0).failing()
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
@@ -442,7 +478,7 @@ class SceneStepper(Stepper):
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
-            if self._scene.contacts[law.name].stiffness is not None:
+            if law.coupling or self._scene.contacts[law.name].stiffness is not None:
                 continue
             if not off[i]:
                 surface, slow = self._scene.surface_of(law.name), setup.tolerances["speed"]
@@ -453,6 +489,7 @@ class SceneStepper(Stepper):
         slow, sticks = (np.abs(measured[:, 1:3]) <= setup.tolerances["speed"]).T
         # Nothing lasts yet; what slides could, and then another motion may be as good.
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
+        sliding[len(self._scene.contacts) :] = False
 
         def tried(closed: Bools) -> tuple[SteppedScene, Chunk]:
             trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
@@ -476,7 +513,7 @@ class SceneStepper(Stepper):
 
     def _cut(self, setup: SceneSetup) -> Iterator[str]:
         """Yield whose friction is computed as less."""
-        for law in setup.contacts:
+        for law in setup.contacts[: len(self._scene.contacts)]:
             kinds = self._scene.contacts[law.name].kinds
             if law.cone_t * STEEPEST > law.cone_n and "free" in kinds:
                 mu = math.inf if law.cone_n == 0.0 else law.cone_t / law.cone_n

@@ -60,19 +60,30 @@ class SteppedTape:
         if self.damped:
             outputs += derivatives
         self.scene = mechanics.scene
-        self.names = tuple(mechanics.scene.contacts)
+        self.names = tuple(mechanics.scene.frictional)
+        self.couplings = len(mechanics.scene.couplings)
+        rigid = self.names[: len(self.names) - self.couplings]
         for name in self.names:
             geometry = mechanics.contact(name)
             symbols = geometry.symbols
             outputs += [*geometry.jacobian_n, *geometry.jacobian_t]
-            motion = geometry.bias_n, geometry.bias_t, symbols.gap, symbols.gap_rate, symbols.slip
+            coupled = name in mechanics.scene.couplings
+            static, kinetic = (
+                (limit.xreplace(known) for limit in mechanics.limits(name))
+                if coupled
+                else (symbols.gap, sp.S.Zero)
+            )
+            motion = geometry.bias_n, geometry.bias_t, static, symbols.gap_rate, symbols.slip
             # Rates of what moves surfaces are set by states.
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
             holds = sp.S.One if gate is None else gate.by_steps(known)
-            valleys = mechanics.valleys(name)
+            valleys = {} if coupled else mechanics.valleys(name)
             outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
-            outputs += [edge.xreplace(known) for edge in mechanics.sliding_edges(symbols)]
+            edges = (
+                2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(symbols)
+            )
+            outputs += [edge.xreplace(known) for edge in edges]
         rows = mechanics.joint_rows
         for row in rows:
             # The row of a joint that is off couples nothing.
@@ -81,15 +92,16 @@ class SteppedTape:
             outputs.append(row.status.xreplace(known))
         self.joint_rows = len(rows)
         self.limits = StepLimits(mechanics, forces)
-        # A contact that its condition keeps off passes nothing.
+        # A contact that its condition keeps off passes nothing, nor does a coupling.
         self.gaps: Tape = mechanics.whole_tape(
             [
                 sp.Max(
                     mechanics.contact(name).symbols.gap.xreplace(known),
                     *(() if gate is None else (-gate.by_steps(known),)),
                 )
-                for name, gate in zip(self.names, map(mechanics.gate, self.names), strict=True)
+                for name, gate in zip(rigid, map(mechanics.gate, rigid), strict=True)
             ]
+            + [sp.S.One] * self.couplings
         )
         self.given, self.signs = len(set_in), len(signs.functions)
         outputs += [*set_in, *signs.rows(len(forces))]
@@ -101,6 +113,7 @@ class SteppedTape:
         flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
+        none = [0] * self.couplings
         self.held = np.array(
             [
                 0
@@ -109,12 +122,13 @@ class SteppedTape:
                 if contact.kinds == {"pin"}
                 else int(contact.kinds == {"slide"} and contact.frictionless)
                 for contact in mechanics.scene.contacts.values()
-            ],
+            ]
+            + none,
             dtype=np.int64,
         )
         declared = mechanics.scene.contacts.values()
         self.slips = np.array(
-            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared],
+            [0 if "slide" not in c.kinds else 1 if c.frictionless else 2 for c in declared] + none,
             dtype=np.int64,
         )
         # (c, 2): stiffness and damping, 0 of rigid contacts.
@@ -124,6 +138,7 @@ class SteppedTape:
                 for contact in declared
                 for text in (contact.stiffness, contact.damping)
             ]
+            + [sp.S.Zero] * (2 * self.couplings)
         )
         self.size = len(mechanics.q)
         self.bodies, self.pairs = _touching_bodies(mechanics.scene)
@@ -191,10 +206,20 @@ class _Signs:
         return found
 
 
+# A limit of zero at rest has no edge in motion.
+_TINY = 1e-300
+
+
+def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Return the unit edge of a coupling that slips: its normal force is the limit at rest."""
+    mu = sp.S.One if static == kinetic else kinetic / sp.Max(static, _TINY)
+    return 1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)
+
+
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:
     """Return the bodies (c, 2) of contacts, and the numbers (c,) of the pairs that touch."""
     places = {name: i for i, name in enumerate(scene.bodies)}
-    bodies = np.full((len(scene.contacts), 2), -1)
+    bodies = np.full((len(scene.frictional), 2), -1)
     things: list[frozenset[str]] = []
     for i, contact in enumerate(scene.contacts.values()):
         point, carrier = contact.point.body, scene.surfaces[contact.surface].body
@@ -202,5 +227,6 @@ def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:
             bodies[i] = places[point], -1 if carrier is None else places[carrier]
         ground = f"surface {contact.surface}" if carrier is None else f"body {carrier}"
         things.append(frozenset({f"body {point}", ground}))
+    things += [frozenset({f"coupling {name}"}) for name in scene.couplings]
     numbers = {pair: k for k, pair in enumerate(dict.fromkeys(things))}
     return bodies, np.array([numbers[pair] for pair in things], dtype=np.int64)

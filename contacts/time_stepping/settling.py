@@ -32,9 +32,15 @@ from contacts.time_stepping.equations import (
     FactoredEquations,
     StepConstants,
     TapeValues,
+    is_coupling,
     solve_factored,
 )
-from contacts.time_stepping.step_contacts import delassus_of, unit_responses, write_cone
+from contacts.time_stepping.step_contacts import (
+    delassus_of,
+    load_couplings,
+    unit_responses,
+    write_cone,
+)
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import indices, put
 from statechart.kernels.jit import kernel
@@ -200,7 +206,9 @@ def settle(
     closed, near = np.zeros(c, np.bool_), np.zeros(c, np.bool_)
     for i in range(c):
         _write_accelerations(tape, i, moving, free[i], sizes[i])
-        if scene.held[i] == 0 and not memory.off[i]:
+        if is_coupling(scene, i):
+            closed[i] = not memory.off[i]
+        elif scene.held[i] == 0 and not memory.off[i]:
             near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
             lasts = near[i] and memory.shown[i] != FREE and memory.shown[i] != OFF_CODE
             closed[i] = lasts or chunk.codes[k, i] != FREE
@@ -224,6 +232,7 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
+        load_couplings(scene, tape, which, 1.0, delassus, alone)
         problem = delassus, alone, cones
         solved, forces = solve_accelerations(*problem, slides, terms, forced, sums)
         if solved and end_slips(slips, forced, against, terms, h, slides):

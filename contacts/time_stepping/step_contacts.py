@@ -20,7 +20,18 @@ from contacts.solvers.step_impulses import (
     steady_impulses,
     velocity_after,
 )
-from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
+from contacts.states import (
+    FREE,
+    LOCKED,
+    OFF_CODE,
+    OPEN_CODE,
+    PIN,
+    SLIDE,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    SLIP_MINUS,
+    SLIP_PLUS,
+)
 from contacts.time_stepping.chunk import (
     APART,
     BESIDE,
@@ -42,6 +53,7 @@ from contacts.time_stepping.equations import (
     FactoredEquations,
     StepConstants,
     TapeValues,
+    is_coupling,
     solve_factored,
 )
 from statechart.arrays import Array, Bools, Ints
@@ -240,6 +252,9 @@ def find_active(
             before[d] = free[d] = numbers[row + 2 * n + 3 + d]
             for j in range(n):
                 free[d] += numbers[row + d * n + j] * change[j]
+        if is_coupling(scene, i):
+            met.active[i], met.wanted[i, 1] = True, 0.5 * h * numbers[row + 2 * n + 1]
+            continue
         if scene.soft[i, 0] > 0.0:
             # Implicit Euler: h times the force at the gap at the start plus h times the rate at
             # the end, never below 0. It takes energy from steps longer than a contact lasts.
@@ -319,6 +334,30 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
 
 
 @kernel
+def load_couplings(
+    scene: StepConstants, tape: TapeValues, which: Ints, h: float, delassus: Array, free: Array
+) -> None:
+    """Load couplings, in place, with the impulse of their limit at rest in a time h.
+
+    So their normal rows, which move nothing, have these impulses as their solution, and what is in
+    the cone of friction 1 is within the limit.
+    """
+    for a in range(len(which)):
+        if is_coupling(scene, which[a]):
+            # Of the size of velocities, as the other rows.
+            own = delassus[2 * a + 1, 2 * a + 1]
+            delassus[2 * a, 2 * a] = own if own > 0.0 else 1.0
+            limit = tape.numbers[tape.first + tape.per * which[a] + 2 * tape.size + 2]
+            free[a, 0] = -delassus[2 * a, 2 * a] * h * limit
+
+
+@kernel
+def _has_two(scene: StepConstants, i: int) -> bool:
+    """Return whether a contact has a friction at rest and another in motion."""
+    return scene.used[i] >= 0 or is_coupling(scene, i)
+
+
+@kernel
 def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
     """Label the groups of the contacts `which` (m,), then those of constraints."""
     numbers, n, c, m = tape.numbers, tape.size, len(scene.held), len(which)
@@ -340,7 +379,7 @@ def _groups(scene: StepConstants, tape: TapeValues, which: Ints) -> Ints:
 def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, cone: Array) -> None:
     """Write the unit edge (2,) of the friction cone of contact i that slips, or rests (0)."""
     put(scene.cones[i], cone)
-    if direction != 0 and scene.used[i] >= 0:
+    if direction != 0 and _has_two(scene, i):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
         if cone[1] <= SUM_ROUNDING * cone[0]:
@@ -361,7 +400,7 @@ def change_friction(
     for a in range(len(problem.which)):
         i, direction = problem.which[a], problem.directions[a]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        if scene.used[i] < 0 or began[a] or slip == 0.0 or slip * direction > 0.0:
+        if not _has_two(scene, i) or began[a] or slip == 0.0 or slip * direction > 0.0:
             continue
         began[a] = direction == 0
         problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
@@ -384,7 +423,7 @@ def contact_problem(
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
     directions = np.zeros(m, np.int64)
-    yields = np.empty(m, np.bool_)
+    yields, apart = np.empty(m, np.bool_), np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
         row = tape.first + tape.per * i
@@ -402,16 +441,17 @@ def contact_problem(
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
         yields[a] = scene.soft[i, 0] > 0.0
+        apart[a] = yields[a] or is_coupling(scene, i)
         if yields[a]:
             delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
+    load_couplings(scene, tape, which, h, delassus, free)
     for a in range(m):
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
     return ContactProblem(
         which, jacobians, columns, delassus, groups[:m], directions, cones, before, free, wanted,
-        rebounds,
-        sudden, yields,
+        rebounds, sudden, yields, apart,
     )  # fmt: skip
 
 
@@ -502,6 +542,12 @@ def write_modes(
         put(pushes[a], memory.pushes[i])
         slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
         memory.slid[i] = slip != 0.0
+        if is_coupling(scene, i):
+            memory.closed[i] = True
+            sign = SLIP_PLUS if slip > 0.0 else SLIP_MINUS
+            chunk.codes[k, i] = sign if slip != 0.0 else LOCKED
+            modes[a] = FREE if slip != 0.0 else LOCKED
+            continue
         if of_group(sudden, problem.groups, problem.groups[a]):
             for d in range(2):
                 chunk.impulses[k, i, d] = pushes[a, d] - steady[a, d]
@@ -589,6 +635,12 @@ def share_forces(
     if m < 2 or problem.yields.any():
         return steady
     alike, result = shared_forces(modes, problem.cones, problem.jacobians, steady)
+    if (modes == LOCKED).any():
+        # How couplings share a load with others is not determined; what these bear stays.
+        others = np.where(modes == LOCKED, FREE, modes)
+        result = steady
+        if not (alike & (modes == LOCKED)).any():
+            _, result = shared_forces(others, problem.cones, problem.jacobians, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]
@@ -600,10 +652,11 @@ def share_forces(
 
 
 @kernel
-def clear_contacts(off: Bools, before: int, k: int, chunk: Chunk) -> None:
+def clear_contacts(scene: StepConstants, off: Bools, before: int, k: int, chunk: Chunk) -> None:
     """Write of step k that no contact bears anything; forces of contacts begin at `before`."""
     for i in range(len(off)):
-        chunk.codes[k, i] = OFF_CODE if off[i] else FREE
+        none = OPEN_CODE if is_coupling(scene, i) else OFF_CODE
+        chunk.codes[k, i] = none if off[i] else FREE
         chunk.struck[k, i] = chunk.shared[k, i] = False
         for d in range(2):
             chunk.impulses[k, i, d] = 0.0

@@ -491,7 +491,73 @@ def test_rolling_resistance_is_of_a_disc() -> None:
         run(ROLLING.replace("    radius: r\n", "").replace("y: r", "y: 0"))
 
 
-@pytest.mark.parametrize("text", [RAMP, ROLLING])
-def test_steps_refuse_couplings(text: str) -> None:
-    with pytest.raises(statechart.Unsupported, match="steps have no couplings"):
-        statechart.run(interpret(read_text(text)), engine="impulse", step=1e-3)
+def steps(text: str, h: float):
+    return statechart.run(interpret(read_text(text)), engine="impulse", step=h)
+
+
+def test_steps_refuse_rolling_resistance() -> None:
+    with pytest.raises(statechart.Unsupported, match="steps have no rolling resistance"):
+        steps(ROLLING, 1e-3)
+
+
+@pytest.mark.parametrize(("text", "h", "count"), [(ROTOR, 4e-3, 4), (RAMP, 4e-3, 1)])
+def test_steps_meet_the_events_within_a_step(text: str, h: float, count: int) -> None:
+    exact, found = run(text), steps(text, h)
+    assert len(found.trace.jumps) == count
+    for one, other in zip(events(exact.trace), events(found.trace), strict=True):
+        assert one[0] == other[0]
+        assert one[1] == pytest.approx(other[1], abs=2 * h)
+    for name, value in exact.outputs.items():
+        assert found.outputs[name] == pytest.approx(value, abs=h)
+
+
+def test_steps_of_coupled_clutches_are_of_first_order() -> None:
+    exact = run(CLUTCHES)
+    wrong = []
+    for h in (4e-3, 1e-3):
+        found = steps(CLUTCHES, h)
+        assert [name for name, _ in events(found.trace)] == [n for n, _ in events(exact.trace)]
+        wrong.append(max(abs(found.outputs[n] - v) for n, v in exact.outputs.items()))
+    assert wrong[1] < 0.5 * wrong[0] < 10 * 4e-3
+
+
+def test_steps_brake_a_car_as_events_do() -> None:
+    exact, found = run(CAR), steps(CAR, 2e-3)
+    for one, other in zip(events(exact.trace)[:2], events(found.trace)[:2], strict=True):
+        assert one[0] == other[0]
+        assert one[1] == pytest.approx(other[1], abs=4e-3)
+    assert found.trace.arcs[-1].mode == ("pin", "pin", "locked", "locked")
+
+
+def test_warning_of_steps_says_what_is_shown_of_brakes_that_share_a_load() -> None:
+    text = RAMP.replace("couplings: {", "couplings: {second: {bodies: [wheel], limit: s}, ")
+    result = steps(text.replace("time: 4", "time: 1"), 1e-2)
+    assert result.trace.arcs[-1].mode == ("locked", "locked")
+    assert result.warnings == (
+        "the forces of second, brake are indeterminate: one possible share is shown",
+    )
+
+
+def test_steps_end_where_a_limit_falls_below_zero() -> None:
+    text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
+    with pytest.raises(statechart.NoConsistentMode, match="'brake': its limit is below zero"):
+        steps(text, 1e-2)
+
+
+def test_controllers_of_stepped_runs_hear_a_coupling() -> None:
+    text = RAMP.replace("rate*time", "0").replace("phi: {}", "phi: {rate: 3}")
+    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
+    text += """
+regions:
+  hand:
+    initial: holds
+    states: {holds: {}, rests: {}, away: {}}
+    transitions:
+      - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
+      - {name: see, from: rests, to: away, on: brake.open}
+"""
+    found = steps(text, 1e-3)
+    names = [name for name, _ in events(found.trace)]
+    assert names == ["hand let_go", "brake open", "hand see"]
+    assert found.trace.jumps[0].t == pytest.approx(1.0, abs=2e-3)
+    assert found.outputs["speed"] == pytest.approx(2.0, abs=2e-3)
