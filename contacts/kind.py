@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from contacts.scene.checks import has_switches
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton
-from statechart.errors import Unsupported
 from statechart.loading.kind import Kind
 
 if TYPE_CHECKING:
@@ -40,17 +39,10 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
     from contacts.event_driven.laws import SceneLaws
-    from contacts.scene.couplings import Rolling
     from statechart.automaton.laws import Laws
     from statechart.automaton.regions import stop_conditions
 
     def stepper() -> TimeStepper:
-        for one in mechanics.scene.couplings.values():
-            if isinstance(one, Rolling):
-                raise Unsupported(
-                    f"contact {one.contact!r}: steps have no rolling resistance; run with "
-                    "--engine taylor or scipy"
-                )
         from contacts.time_stepping.scene_stepper import SceneStepper
 
         return SceneStepper(mechanics, stops, regions)
@@ -84,7 +76,7 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
         laws=laws,
         controls=given(mechanics),
         # Rates of what is eliminated would follow from the memory as well.
-        coordinates=None if scene.leading else coordinates(mechanics),
+        coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,
         switching=switching,
         components=tuple if switching else cache(partial(components, scene, _composed)),
@@ -121,10 +113,7 @@ def _regions(mechanics: Mechanics) -> tuple[Region, ...]:
             partial(gates, name),
             partial(back, name),
             edges(
-                contact,
-                jams=scene.jams(name),
-                bounces=scene.bounces(name),
-                gate=scene.gate(name),
+                contact, jams=scene.jams(name), bounces=scene.bounces(name), gate=scene.gate(name)
             ),
             scene.gate(name),
             mechanics.forces[name],

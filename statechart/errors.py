@@ -236,10 +236,7 @@ class NoConsistentMode(SimulationError):
     """
 
     def __init__(
-        self,
-        message: str,
-        trace: object | None = None,
-        considered: Mapping[str, str] | None = None,
+        self, message: str, trace: object | None = None, considered: Mapping[str, str] | None = None
     ) -> None:
         super().__init__(message, trace)
         self.considered = dict(considered or {})

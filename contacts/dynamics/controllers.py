@@ -242,12 +242,7 @@ class ControllerState:
         )
 
     def updated(
-        self,
-        setup: SceneSetup,
-        clock: Clock,
-        cause: str,
-        blocks: tuple[Updates, ...],
-        state: Array,
+        self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array
     ) -> Array:
         """Return the state after updates; those of a block see what the one before it left.
 

@@ -442,10 +442,7 @@ class Mechanics(Geometry):
     def controlled(self, states: Mapping[str, str] | None = None) -> list[Definition]:
         """Return the values of `controls`, in order, in `states` of the controllers.
 
-        Parameters
-        ----------
-        states : mapping, optional
-            Controller -> its state; those at the start by default.
+        Those at the start by default.
         """
         found = {
             used: self._coefficients[name]["static"] for name, used in self.used_friction.items()

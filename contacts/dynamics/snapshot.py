@@ -85,10 +85,7 @@ class Snapshot(NamedTuple):
     def solved(self, accelerations: Array, forces: Array) -> tuple[Array, Array]:
         """Return what a solution means for the scene: accelerations and forces of joints.
 
-        Returns
-        -------
-        (coordinates,) array, (joint rows,) array
-            Those of redundant rows are taken as zero.
+        Redundant rows are taken as zero.
         """
         if self.held is None:
             return accelerations[: len(accelerations) - self.pads], np.zeros(0)

@@ -293,7 +293,7 @@ def _listed(names: Sequence[str], values: Array, changes: Array) -> str:
 def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
     """Return why a run ends where the velocity of a surface jumps under a contact."""
     return NoConsistentMode(
-        f"the velocity of surface {surface!r} jumps as a controller changes, and {contact!r} would "
+        f"the velocity of surface {surface!r} jumps, and {contact!r} would "
         f"be {state}, which is not among its modes; add it, or let the velocity flow"
     )
 
@@ -301,6 +301,6 @@ def torn(surface: str, contact: str, state: str) -> NoConsistentMode:
 def jumped_in(surface: str, contact: str, depth: float) -> NoConsistentMode:
     """Return why a run ends where a transition displaces a surface into a point."""
     return NoConsistentMode(
-        f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r} as a controller "
-        "changes; let a variable that flows move it"
+        f"surface {surface!r} jumps {depth:.3g} deep into the point of {contact!r}; write a path "
+        "that moves there in a time, or let a variable flow"
     )

@@ -46,27 +46,10 @@ def closed_at_once(
 
     None where it is too early for that.
 
-    What impacts in turn do to bodies that stay where they are (a light ball between the floor and
-    a heavy one that comes down) is done at once.
-
-    Parameters
-    ----------
-    setup : SceneSetup
-        The numbers of the run.
-    at : callable
-        State -> its numbers, now.
-    flow : Flow
-        After the last impact.
-    jump : Jump
-        That impact.
-    took_part : sequence of bool
-        Which contacts.
-    period : float
-        Since the impact before at the same contact.
-    rest : float
-        How long further impacts would take.
-    paradox : str
-        See `contacts.event_driven.decision.decide`.
+    What impacts in turn do to bodies that stay where they are (a light ball between the floor and a
+    heavy one that comes down) is done at once. `jump` is the last impact and `flow` follows it;
+    `period` is the time since the impact before at the same contact, `rest` the time that further
+    impacts would take.
     """
     state = jump.after
     snapshot = hidden(at(state), flow.mode)

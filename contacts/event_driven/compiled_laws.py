@@ -34,18 +34,7 @@ from statechart.kernels.jit import Kernel, is_ready
 class CompiledSceneLaws:
     """The unambiguous instants of a scene without joints.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of the contacts.
-    numbers : SceneNumbers
-        From the values of the parameters to the numbers of a run.
-    snapshots : SnapshotTape
-        The scene's numbers at a state.
-    projection : Projection
-        Of its constraints.
-    ask : callable
-        What the laws do at an instant.
+    `ask` is what the laws do at an instant.
     """
 
     def __init__(

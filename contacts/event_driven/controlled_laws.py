@@ -18,11 +18,12 @@ from contacts.dynamics.controllers import Controllers, ControllerState
 from contacts.dynamics.held_forces import HeldForces
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.snapshot import SnapshotTape
-from contacts.event_driven.displaced import displaced
+from contacts.dynamics.snapshot import PerContact, Snapshot, SnapshotTape
+from contacts.dynamics.starting import jumped_in, torn
 from contacts.event_driven.laws import SceneLaws
 from contacts.modes.classification import Case, candidates
-from contacts.states import CLOSED, OPEN
+from contacts.scene.scene import Scene
+from contacts.states import CLOSED, OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
 from statechart.automaton.constraints import Constraints
@@ -40,10 +41,7 @@ class ControlledLaws:
     compiled_laws = None
 
     def __init__(
-        self,
-        contacts: SceneLaws,
-        mechanics: Mechanics,
-        regions: Sequence[Region],
+        self, contacts: SceneLaws, mechanics: Mechanics, regions: Sequence[Region]
     ) -> None:
         self._contacts = contacts
         self._mechanics = mechanics
@@ -170,11 +168,7 @@ class ControlledLaws:
         jump, flow = self._at(states).close(parted, joint, cause)
         after = self._memory.joined(jump.after, state)
         jump = replace(
-            jump,
-            source=at.flow.mode,
-            target=(*jump.target, *states),
-            before=at.state,
-            after=after,
+            jump, source=at.flow.mode, target=(*jump.target, *states), before=at.state, after=after
         )
         pending = self._listening.heard(at.flow.pending, jump)
         before = at.flow._replace(pending=pending)
@@ -228,8 +222,7 @@ class ControlledLaws:
         if states not in self._under:
             named = self._states.named(states)
             self._under[states] = self._contacts.under(
-                SnapshotTape(self._mechanics, named),
-                Conditions(self._mechanics, named),
+                SnapshotTape(self._mechanics, named), Conditions(self._mechanics, named)
             )
         return self._under[states]
 
@@ -335,3 +328,46 @@ class ControlledLaws:
             terms=None if flow.terms is None or before is None else before.terms,
             pending=before.pending if before is not None else {},
         )
+
+
+def displaced(scene: Scene, setup: SceneSetup, mode: Key, before: Snapshot, after: Snapshot) -> Key:
+    """Return the modes of the contacts after a jump that may have moved their surfaces.
+
+    What no longer holds is opened by the jump itself, and judged again after it: a point that a
+    surface then approaches is struck, one that it leaves is free.
+
+    Raises `NoConsistentMode` where a surface jumps into a point, or its velocity jumps under one
+    that may not leave it.
+    """
+    near, slow = setup.tolerances["gap"], setup.tolerances["speed"]
+    laws = zip(setup.contacts, mode, before.contacts, after.contacts, strict=True)
+    found = []
+    for law, state, was, now in laws:
+        # Couplings touch no surface; forces of compliant contacts follow whatever a surface does.
+        if law.name not in scene.contacts or scene.contacts[law.name].stiffness is not None:
+            found.append(state)
+            continue
+        # Where the surface begins to approach, or to leave, is judged by what it did before.
+        parts = abs(now.gap - was.gap) > near or abs(now.gap_rate - was.gap_rate) > slow
+        touches = state not in OPEN
+        if state != OFF and now.gap < min(was.gap, 0.0) - near:
+            raise jumped_in(scene.contacts[law.name].surface, law.name, -now.gap)
+        target = state
+        if touches and parts:
+            target = "free"
+        elif touches and abs(now.slip - was.slip) > slow:
+            target = _slipping(state, now, slow)
+        if target != state and target not in law.states:
+            raise torn(scene.contacts[law.name].surface, law.name, target)
+        found.append(target)
+    return tuple(found)
+
+
+def _slipping(state: str, now: PerContact, slow: float) -> str:
+    """Return how a contact goes on whose surface changes its velocity along itself."""
+    if state == "slide":
+        return state
+    if abs(now.slip) <= slow:
+        # It is judged from a slip that has ended.
+        return state
+    return "slide+" if now.slip > 0.0 else "slide-"

@@ -28,17 +28,8 @@ def decide(
 ) -> Choice | Jam:
     """Return the mode that the touching contacts take, or the jam that has to come first.
 
-    Parameters
-    ----------
-    before : Before, optional
-        What held before.
-    uncertainty : ForceUncertainty, optional
-        What the state may be off by, where contacts may have come to rest.
-
-    Raises
-    ------
-    NoConsistentMode, AmbiguousMode
-        With every candidate and its reason, and the paradoxes met.
+    `uncertainty` bounds the error of the state where contacts may have come to rest. An error lists
+    every candidate with its reason, and the paradoxes met.
     """
     check_listed(setup, snapshot, touching)
     still = 2.0 * setup.tolerances["speed"]
@@ -65,12 +56,7 @@ def decide(
 
 
 def check_listed(setup: SceneSetup, snapshot: Snapshot, touching: Sequence[bool]) -> None:
-    """Refuse a state that a contact does not list, whatever the forces: open, or slipping.
-
-    Raises
-    ------
-    NoConsistentMode
-    """
+    """Refuse a state that a contact does not list, whatever the forces: open, or slipping."""
     close, still = setup.tolerances["gap"], 2.0 * setup.tolerances["speed"]
     for law, contact, shut in zip(setup.contacts, snapshot.contacts, touching, strict=True):
         if (
@@ -101,16 +87,8 @@ def explained(
 ) -> dict[str, str]:
     """Return what was considered at an impact: mode or state -> why it was taken or not.
 
-    Parameters
-    ----------
-    before : mapping
-        What did not agree with the state, where that is why there is an impact.
-    laws, contacts : sequence
-        Per contact, after the impact.
-    closed, touching : sequence of bool
-        Which contacts took part, and which of them the impact does not throw off.
-    after : mapping
-        What was considered for those.
+    `before` holds what did not agree with the state, where that caused the impact; `closed`
+    contacts took part, `touching` ones are not thrown off, and `after` was considered for those.
     """
     found = {label: f"before the impact {why}" for label, why in before.items()}
     for law, contact, hit, stays in zip(laws, contacts, closed, touching, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Sequence
 from functools import cached_property, partial
 
@@ -26,23 +27,16 @@ from contacts.dynamics.starting import (
 )
 from contacts.event_driven.accumulation import closed_at_once
 from contacts.event_driven.compiled_laws import CompiledSceneLaws
-from contacts.event_driven.compliance import Compliance
 from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
-from contacts.event_driven.impact_jump import (
-    Landing,
-    Rules,
-    flow_in,
-    impact_jump,
-    shown_roles,
-)
-from contacts.event_driven.switching import Switching
+from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
+from contacts.event_driven.switching import Switching, alike
 from contacts.impacts.bounces import opens_in_vain
 from contacts.impacts.jamming import Jam, listed, off_state, unbounded
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.couplings import LIMIT_MARGINS
-from contacts.scene.modes import FORCE_MARGINS
+from contacts.scene.modes import FORCE_MARGINS, INSIDE, OUTSIDE
 from contacts.states import OFF, OPEN, SLIPPING
 from statechart.arrays import EPS, Array
 from statechart.automaton.clock import Clock
@@ -58,6 +52,7 @@ from statechart.automaton.laws import (
     roles_in,
     uncaptured,
 )
+from statechart.automaton.margin_derivatives import UNDERFLOW
 from statechart.automaton.regions import Region
 from statechart.automaton.trace import Jump, Key, Roles
 from statechart.errors import NoConsistentMode, SingularMode
@@ -495,3 +490,50 @@ class SceneLaws:
             if done is not None:
                 return done
         return jump, flow
+
+
+class Compliance:
+    """The compliant contacts of a scene.
+
+    A damped contact lifts off while it is inside its surface, where its force vanishes. From there
+    it presses again, or leaves the surface, whichever comes first.
+    """
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        names = [*mechanics.scene.contacts]
+        self._places = [(name, names.index(name)) for name in mechanics.pads]
+        symbols = [mechanics.contact(name).symbols for name in mechanics.pads]
+        self._tape = mechanics.tape([e for one in symbols for e in (one.gap, one.compliance)])
+
+    def tolerances(
+        self, setup: SceneSetup, mode: Key, state: Array, time: float
+    ) -> dict[str, float]:
+        """Return margin -> how far below zero a flow from here lets it go; infinity: unwatched."""
+        found: dict[str, float] = {}
+        numbers = self._tape.at(state, setup.values, time).reshape(-1, 2)
+        for (name, place), (gap, force) in zip(self._places, numbers.tolist(), strict=True):
+            if mode[place] not in OPEN:
+                # Round-off of a gap that has just closed, times a stiffness.
+                if gap >= 0.0 and force < 0.0:
+                    edge = max(setup.contacts[place].cone_n, np.finfo(float).tiny)
+                    band = setup.tolerances["force"] - 2.0 * force / edge
+                    found |= {f"{name}.{margin}": band for margin in FORCE_MARGINS}
+                continue
+            near, press = setup.tolerances["gap"], setup.tolerances["force"]
+            bands = (math.inf, press, UNDERFLOW) if gap < -near else (near, math.inf, math.inf)
+            margins = (f"{name}.{margin}" for margin in ("gap", INSIDE, OUTSIDE))
+            found |= dict(zip(margins, bands, strict=True))
+        return found
+
+    def watched(
+        self, at: Instant, made: tuple[Jump | None, Flow] | None
+    ) -> tuple[Jump | None, Flow] | None:
+        """Give a flow the margins that end its flights; also one that goes on."""
+        jump, flow = (None, at.flow) if made is None else made
+        state = flow.start if jump is None else jump.after
+        where = at.state if state is None else state
+        assert isinstance(at.setup, SceneSetup)
+        own = self.tolerances(at.setup, moving_mode(flow.roles), where, at.clock.high)
+        if made is None and alike(own, flow.tolerances):
+            return None
+        return jump, flow._replace(tolerances={**flow.tolerances, **own})

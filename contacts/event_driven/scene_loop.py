@@ -503,16 +503,7 @@ _NAMES = {code: name for name, code in CODES.items() if name != OFF} | {OFF_CODE
 class SceneLoop:
     """Calls of the compiled loop of a scene (see `statechart.automaton.laws.CompiledLaws.call`).
 
-    Parameters
-    ----------
-    numbers : SceneNumbers
-        From the values of the parameters to the numbers of a run.
-    rules : Rules or None
-        Of it; None where runs are not started by the loop.
-    loop : Loop
-        What runs go through.
-    relative : float
-        Tolerance of the integration.
+    Without `rules` the loop starts no runs; `relative` is the tolerance of the integration.
     """
 
     def __init__(

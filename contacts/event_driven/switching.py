@@ -207,10 +207,7 @@ class Switching:
             name,
             cause_of(flow.mode[place], mode[place]),
             tuple(mode),
-            considered={
-                f"{name}:{flow.mode[place]}": reason,
-                f"{name}:{mode[place]}": "taken",
-            },
+            considered={f"{name}:{flow.mode[place]}": reason, f"{name}:{mode[place]}": "taken"},
             energy=(snapshot.energy, snapshot.energy),
         )
         following = flow._replace(mode=tuple(mode), roles=tuple(roles), warning="", settled=False)

@@ -112,11 +112,8 @@ def feasible_modes(
 def without_direction(judged: Iterable[ModeVerdict]) -> dict[tuple[str, ...], str]:
     """Return modes without their directions of sliding, and why they are not possible.
 
-    Returns
-    -------
-    dict
-        Mode -> reason; "" where one of its directions is possible. A reason that asks for no
-        direction stands alone, else those of all directions are joined.
+    "" stands where one of its directions is possible. A reason that asks for no direction stands
+    alone, else those of all directions are joined.
     """
     groups: dict[tuple[str, ...], list[ModeVerdict]] = {}
     for mode in judged:
@@ -306,12 +303,8 @@ def scene_feasibility(
     """Judge every product mode of a scene by the velocities that it asks for.
 
     Contacts that do not touch at the configuration, or are off, are judged as if they did and were
-    not: the remarks say which. Regions that are no contact's ask for no velocity.
-
-    Raises
-    ------
-    StatechartError
-        If a contact has no direction there (a point at the centre of a circle).
+    not: the remarks say which. Regions that are no contact's ask for no velocity. A contact without
+    a direction there (a point at the centre of a circle) is an error.
     """
     names = [law.name for law in setup.contacts]
     options = [law.states for law in setup.contacts]

@@ -82,12 +82,7 @@ _PRESSED = 1e-6
 
 
 def share(
-    code: Ints,
-    snapshot: Snapshot,
-    cones: Array,
-    loaded_by: Ints,
-    forces: Array,
-    inward: float,
+    code: Ints, snapshot: Snapshot, cones: Array, loaded_by: Ints, forces: Array, inward: float
 ) -> Share | None:
     """Return the smallest forces within the cones that act like `forces`; None: there are none.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -12,16 +12,25 @@ from numpy.typing import NDArray
 from contacts.dynamics.geometry import Vector, surface_frame
 from contacts.dynamics.mechanics import Mechanics
 from contacts.pictures.bodies import BodyShapes, disc_of
-from contacts.pictures.grounds import grounds, is_straight, line_of
 from contacts.pictures.links import compiled
-from contacts.pictures.window import ahead, beside, cloud_of, window
+from contacts.scene.parts import Surface
 from contacts.scene.scene import Scene
 from contacts.states import OFF, OPEN
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
-from statechart.pictures.film import HATCH, WORLD, Film, Shape, Touch, arrows, cones
+from statechart.pictures.film import (
+    HATCH,
+    WORLD,
+    Film,
+    Shape,
+    ShapeKind,
+    Touch,
+    arrows,
+    cones,
+    placed,
+)
 from statechart.pictures.stage import Moments
 
 # Of more bodies none leaves a trail.
@@ -219,3 +228,266 @@ def _usual(touches: tuple[Touch, ...]) -> float:
     sizes = [size[size > 0.0] for size in sizes]
     found = np.concatenate(sizes) if sizes else np.empty(0)
     return float(np.quantile(found, _FEW)) if len(found) else 1.0
+
+
+# Around what is shown, of its own size.
+_MARGIN = 0.15
+# Of its height a picture is at most so wide, and the other way round; what moves farther than this
+# is followed, and shown by a part of it.
+_LONGEST, _FOLLOWED = 4.0, 3.0
+# A side is at least this part of the other.
+_SHORTEST = 0.45
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
+# A surface is shown whole if it is no larger than so many times what moves; one that goes round it
+# may be larger.
+_AROUND, _ROUND_ABOUT = 2.2, 6.0
+# Of an instant it is not known where bodies will go: what goes on is seen up to so many times half
+# the size of what moves away, beyond which bodies would be dots.
+_SEEN = 20.0
+# Followed through what a camera would not see: this part of the run.
+_SMOOTH = 0.04
+
+
+def cloud_of(shapes: Sequence[Shape], poses: Array, places: Sequence[Array]) -> Array:
+    """Return all that is to be seen at every instant, as points (k, m, 2)."""
+    clouds = [at[:, None, :] for at in places if np.isfinite(at).any()]
+    for shape in shapes:
+        points = shape.points
+        if shape.kind == "disc":
+            points = points + shape.radius * np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
+        ends = [(points, shape.frame)]
+        if shape.other != shape.frame:
+            ends = [(points[:1], shape.frame), (points[-1:], shape.other)]
+        clouds += [placed(part, poses[:, frame]) for part, frame in ends]
+    cloud = np.concatenate(clouds, axis=1)
+    return np.where(np.isfinite(cloud), cloud, np.nanmean(cloud, axis=(0, 1)))
+
+
+def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
+    """Return the middle (k, 2) of the picture at every instant, and half its width and height."""
+    low, high = cloud.min(axis=1), cloud.max(axis=1)
+    least, most = low.min(axis=0), high.max(axis=0)
+    whole, own = most - least, (high - low).max(axis=0)
+    centres = np.tile((least + most) / 2.0, (len(cloud), 1))
+    half = whole / 2.0
+    for axis in (0, 1):
+        size = max(own.max(), whole[1 - axis])
+        if size > 0.0 and whole[axis] > _LONGEST * size:
+            half[axis] = _FOLLOWED * size / 2.0
+            centres[:, axis] = _smooth(((low + high) / 2.0)[:, axis])
+    half = half * (1.0 + 2.0 * _MARGIN)
+    largest = float(half.max()) or 1.0
+    half = np.maximum(half, _SHORTEST * largest)
+    return centres, (float(half[0]), float(half[1]))
+
+
+def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+    """Return a cloud with the surfaces that end not far from it.
+
+    A drum around its grains or a floor between walls counts; a surface without ends does not.
+    """
+    low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
+    middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
+    found = [cloud]
+    for surface in surfaces:
+        line = placed(surface.points, poses[:, surface.frame])
+        near = (np.abs(line - middle) <= _AROUND * size).all()
+        if np.allclose(line[:, 0], line[:, -1], atol=1e-9 * size):
+            around = line.min(axis=1) <= low, line.max(axis=1) >= high
+            near |= np.all(around) and np.ptp(line, axis=1).max() <= _ROUND_ABOUT * 2.0 * size
+        if near:
+            found.append(line)
+    return np.concatenate(found, axis=1)
+
+
+def ahead(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+    """Return the cloud of one instant with the places of surfaces that are nearest to it.
+
+    So the ground is seen that a body is about to fall on.
+    """
+    low, high = cloud.min(axis=(0, 1)), cloud.max(axis=(0, 1))
+    middle, size = (low + high) / 2.0, float((high - low).max()) / 2.0
+    found = [cloud]
+    for surface in surfaces:
+        line = placed(surface.points, poses[:, surface.frame])[0]
+        along = np.diff(line, axis=0)
+        squares = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+        part = ((middle - line[:-1]) * along).sum(axis=1) / squares
+        places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
+        away = np.hypot(*(places - middle).T)
+        if len(away) and away.min() <= _SEEN * size:
+            found.append(places[None, [int(away.argmin())]])
+    return np.concatenate(found, axis=1)
+
+
+def _smooth(values: Array) -> Array:
+    """Return a moving average whose ends are held."""
+    width = max(1, round(_SMOOTH * len(values)))
+    held = np.concatenate([np.full(width, values[0]), values, np.full(width, values[-1])])
+    kernel = np.hanning(2 * width + 1) if width > 1 else np.array([0.25, 0.5, 0.25])
+    averaged: Array = np.convolve(held, kernel / kernel.sum(), mode="valid")
+    return averaged
+
+
+_CIRCLE_POINTS = 180  # points of a circle
+_FINE = 320  # points of a curve, in the width of a picture
+_MAX_POINTS = 6000
+# What is carried by a body and has no end is shown so far, of the picture's width.
+_CARRIED = 0.06
+
+
+def grounds(
+    scene: Scene,
+    known: Mapping[str, float],
+    frames: Mapping[str, int],
+    box: tuple[Array, Array],
+    unit: float,
+) -> tuple[Shape, ...]:
+    """Return the surfaces of a scene, for values `known` of its parameters.
+
+    `frames` maps each surface to the frame that moves it, `box` are the corners of all that is ever
+    seen, in the world and in the frames of what is displaced, and `unit` is the width of a picture.
+    """
+
+    def number(text: str | int | float) -> float:
+        return parse(text).value(known)
+
+    found: list[Shape] = []
+    straight: list[tuple[int, Array, Array]] = []
+    for name, surface in scene.surfaces.items():
+        frame = frames[name]
+        if surface.body is not None:
+            found += _carried(scene, name, surface, frame, unit, number)
+            continue
+        lift = _lift(scene, name, number)
+        if surface.edge is not None:
+            points = np.array([[number(x), number(y)] for x, y in surface.edge])
+        elif surface.circle is not None:
+            side = -1.0 if surface.hollow else 1.0
+            turn = -side * np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
+            radius = number(surface.radius or 0) - side * lift
+            centre = [number(text) for text in surface.circle]
+            points = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+            lift = 0.0
+        elif not is_straight(surface):
+            points = _graph(surface.height or 0, known, box, unit)
+        else:
+            start, direction = line_of(surface, number)
+            start = start + lift * np.array([direction[1], -direction[0]])
+            straight.append((len(found), start, direction))
+            found.append(_ground(name, _through(start, direction, box), frame))
+            continue
+        found.append(_ground(name, _shifted(points, lift), frame))
+    return tuple(_cut(found, straight))
+
+
+def _ground(name: str, points: Array, frame: int) -> Shape:
+    return Shape("ground", points, frame, frame, name=name)
+
+
+def _carried(
+    scene: Scene,
+    name: str,
+    surface: Surface,
+    frame: int,
+    unit: float,
+    number: Callable[[str | int | float], float],
+) -> list[Shape]:
+    """Return what a body carries, as lines or discs; nothing where its shape is declared."""
+    assert surface.body is not None
+    if scene.bodies[surface.body].shape:
+        return []
+    kind: ShapeKind = "link"
+    radius = 0.0
+    if surface.circle is not None:
+        kind, radius = "disc", number(surface.radius or 0)
+        points = np.array([[number(text) for text in surface.circle]])
+    elif surface.edge is not None:
+        points = np.array([[number(x), number(y)] for x, y in surface.edge])
+    else:
+        start, direction = line_of(surface, number)
+        # Beside the body's centre.
+        start = start - (start @ direction) * direction
+        points = np.array(
+            [start - _CARRIED * unit * direction, start + _CARRIED * unit * direction]
+        )
+    return [Shape(kind, points, frame, frame, radius, name=name)]
+
+
+def _lift(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
+    """Return how far below the declared surface it is drawn: discs touch it with their rims."""
+    contacts = [c for c in scene.contacts.values() if c.surface == name]
+    radii = {disc_of(scene, contact, number) for contact in contacts}
+    return radii.pop() if len(radii) == 1 else 0.0
+
+
+def is_straight(surface: Surface) -> bool:
+    """Return whether a surface is a straight line without ends."""
+    graph = surface.height is not None and "x" in parse(surface.height).names
+    return not graph and surface.edge is None and surface.circle is None
+
+
+def line_of(surface: Surface, number: Callable[[str | int | float], float]) -> tuple[Array, Array]:
+    """Return a point of a straight surface and its direction, the solid on the right."""
+    if surface.height is not None:
+        slope = parse(surface.height)
+        low = slope.value(dict.fromkeys(slope.names & {"x"}, 0.0)) if "x" in slope.names else 0
+        return np.array([0.0, number(surface.height) if "x" not in slope.names else low]), np.array(
+            [1.0, 0.0]
+        )
+    if surface.line is not None:
+        one, two = (np.array([number(x), number(y)]) for x, y in surface.line)
+        return one, (two - one) / np.hypot(*(two - one))
+    angle = number(surface.incline or 0)
+    return np.array([number(text) for text in surface.through]), np.array(
+        [np.cos(angle), np.sin(angle)]
+    )
+
+
+def _through(start: Array, direction: Array, box: tuple[Array, Array]) -> Array:
+    """Return the part of a line that is as long as a box and beside its middle."""
+    middle, reach = (box[0] + box[1]) / 2.0, np.hypot(*(box[1] - box[0])) / 2.0
+    nearest = start + ((middle - start) @ direction) * direction
+    return np.array([nearest - reach * direction, nearest + reach * direction])
+
+
+def _graph(
+    text: str | int | float, known: Mapping[str, float], box: tuple[Array, Array], unit: float
+) -> Array:
+    formula = parse(text)
+    low, high = float(box[0][0]), float(box[1][0])
+    count = int(np.clip(_FINE * (high - low) / unit, _FINE, _MAX_POINTS))
+    x = np.linspace(low, high, count)
+    points = np.column_stack([x, [formula.value({**known, "x": float(at)}) for at in x]])
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _shifted(points: Array, lift: float) -> Array:
+    if lift == 0.0:
+        return points
+    along = np.gradient(points, axis=0)
+    along /= np.hypot(*along.T)[:, None]
+    return points + lift * np.column_stack([along[:, 1], -along[:, 0]])
+
+
+def _cut(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:
+    """Cut off what of straight surfaces at rest is in the solid of another one."""
+    result = list(shapes)
+    for place, _, _ in straight:
+        one, two = result[place].points
+        if result[place].frame != WORLD:
+            continue
+        low, high = 0.0, 1.0
+        for other, start, direction in straight:
+            if other == place or shapes[other].frame != WORLD:
+                continue
+            normal = np.array([-direction[1], direction[0]])
+            a, b = float((one - start) @ normal), float((two - start) @ normal)
+            if a * b < 0.0:
+                low, high = (
+                    (max(low, a / (a - b)), high) if a < 0.0 else (low, min(high, a / (a - b)))
+                )
+        if low < high:
+            points = np.array([one + low * (two - one), one + high * (two - one)])
+            result[place] = _ground(result[place].name, points, WORLD)
+    return result

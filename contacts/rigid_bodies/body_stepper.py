@@ -51,7 +51,7 @@ _START_DEPTH = 1e-6
 
 def bodies_automaton(scene: Scene) -> Automaton:
     """Return the automaton of a scene with collisions: its regions, and what steps it."""
-    declared, mechanics = scene, BodyMechanics(scene)
+    declared, mechanics = scene, BodyMechanics(scene.expanded)
     scene, superstates = mechanics.scene, superstates_of(BODY_STATES)
     observables = mechanics.observables
     stops = stop_conditions(scene.stop.conditions, observables)

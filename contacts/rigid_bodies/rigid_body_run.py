@@ -407,9 +407,9 @@ class RigidBodyRun(SteppedSystem):
         if deep[b] < 0.0:
             other = met.deepest_of(b, self.numbers.pieces.bodies, self._names, self.surfaces)
             raise NoConsistentMode(
-                f"the path of {jumped[0]} jumps as a controller changes, and body "
-                f"{self._names[b]!r} is {-met.gaps[b]:.3g} deep in {other}; let a variable that "
-                "flows move it"
+                f"the path of {jumped[0]} jumps, and body {self._names[b]!r} is "
+                f"{-met.gaps[b]:.3g} deep in {other}; write a path that moves there in a time, or "
+                "let a variable flow"
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:

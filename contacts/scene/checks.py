@@ -12,13 +12,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import (
-    AT_REST,
-    Friction,
-    check_sides,
-    friction_law,
-    friction_texts,
-)
+from contacts.scene.friction import AT_REST, Friction, check_sides, friction_law, friction_texts
 from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
@@ -46,6 +40,18 @@ _SWITCHED = (
 )
 _PULLED = "write a force on the body, or let the ground move"
 _CONSTANT = "write a formula of parameters"
+# Of what forces cannot use of a contact: why, and what to write.
+_PUSH = (
+    "a force follows from places and velocities",
+    "for a contact that gives, write stiffness and damping of {0!r}; else coordinates and rates of "
+    "bodies",
+)
+_FRICTION = (
+    "forces of contacts follow from the others",
+    "for a couple against rolling, write rolling_resistance: LENGTH of {0!r}; for a force along "
+    "the surface, friction",
+)
+_OF_FORCES = {"gap": _PUSH, "slip": _PUSH, "V": _FRICTION, "H": _FRICTION}
 
 
 def formulas(part: BaseModel, loc: Loc = ()) -> Iterator[tuple[Loc, FormulaText]]:
@@ -168,6 +174,9 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "controllers move no joint of what touches by points",
             f"write a formula of {TIME}, or give bodies shapes, and collisions",
         )
+    owner, _, quantity = name.rpartition(".")
+    if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_CONTACTS:
+        return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
         return "it is the number of a copy", "say how many there are, beside start: copies: N"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):

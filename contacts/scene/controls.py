@@ -11,12 +11,8 @@ from typing import TypeVar
 from pydantic import Field
 
 from statechart.charts.flatten import FlatRegion, flatten
-from statechart.charts.transitions import (
-    BaseRegion,
-    BaseState,
-    check_changes,
-    nested,
-)
+from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
+from statechart.charts.wrapping import STATE, Count
 from statechart.documents.fields import (
     FiniteText,
     FormulaText,
@@ -77,6 +73,14 @@ class Controller(ControlRegion):
         examples=[{"seen": 0}],
         json_schema_extra=unit("that of each"),
     )
+
+    @classmethod
+    def counting(cls, count: Count) -> Controller:
+        """Return the region that counts the periods of what a formula has of time."""
+        states = {STATE: ControlState()}
+        made = cls(initial=STATE, states=states, transitions=count.transitions)
+        # The name has a dot, which no declared variable has.
+        return made.model_copy(update={"variables": {count.variable: count.initial}})
 
 
 @dataclass(frozen=True)

@@ -188,10 +188,7 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
 
 
 def coupling_region(
-    name: str,
-    coupling: Coupling,
-    build: Callable[[Role], State],
-    forces: tuple[sp.Symbol, ...],
+    name: str, coupling: Coupling, build: Callable[[Role], State], forces: tuple[sp.Symbol, ...]
 ) -> Region:
     """Return the region of a coupling; `build` adds the margins of its conditions."""
 

@@ -59,8 +59,7 @@ class Force(Part):
     def _does_something(self) -> Self:
         if not self.model_fields_set & {"force", "moment"}:
             raise DeclarationProblem(
-                "neither force nor moment is given",
-                advice="write force: [fx, fy], or moment: m",
+                "neither force nor moment is given", advice="write force: [fx, fy], or moment: m"
             )
         return self
 
@@ -105,10 +104,7 @@ def _end(value: Any) -> str:
 
 
 _End = Annotated[
-    Annotated[
-        Annotated[Point, Tag("point")] | Annotated[Path, Tag("path")],
-        Discriminator(_end),
-    ],
+    Annotated[Annotated[Point, Tag("point")] | Annotated[Path, Tag("path")], Discriminator(_end)],
     BeforeValidator(_as_path, json_schema_input_type=Point | Path | Pair),
 ]
 

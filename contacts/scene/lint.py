@@ -10,6 +10,7 @@ from itertools import combinations, pairwise
 from contacts.scene.fields import SceneFields
 from contacts.scene.friction import Friction
 from contacts.scene.parts import MOREAU, Contact, Point
+from statechart.charts.transitions import declared_transitions
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText
 from statechart.documents.quantities import fields_of
@@ -51,6 +52,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
             value = _plain(parse(body.start["angle"]).root, scene.parameters)
             if value is not None and abs(value) > _TURN:
                 yield f"bodies.{name}.start.angle: {_degrees(value)}"
+    yield from _static_by_hand(scene)
     if scene.collisions:
         yield from _idle(scene)
     with suppress(DeclarationError, DeclarationProblem):
@@ -66,6 +68,25 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
                 value = _plain(node.arguments[0], {})
                 if value is not None and abs(value) > _TURN:
                     yield f"{node.function}({value:g}): {_degrees(value)}"
+
+
+def _static_by_hand(scene: SceneFields) -> Iterator[str]:
+    """Say which coefficients follow their contact's own slip and stick, one event late."""
+    for name, contact in scene.contacts.items():
+        law = scene.friction_of(name)
+        region = None if law is None else scene.controlled.region_of(law.both)
+        if region is None:
+            continue
+        transitions = declared_transitions(scene.regions[region], "regions", region)
+        heard = {
+            event.cause for one, _ in transitions for event in one.events if event.region == name
+        }
+        if heard & {"slip", "stick"}:
+            yield (
+                f"contacts.{name}.friction: {contact.friction} changes after {name} slips or "
+                "sticks, so where it comes to rest that of its motion decides; write friction: "
+                "{static: S, kinetic: K}"
+            )
 
 
 def _idle(scene: SceneFields) -> Iterator[str]:

@@ -313,10 +313,7 @@ class Surface(Part):
         json_schema_extra=unit("length"),
     )
     radius: FiniteText | None = Field(
-        default=None,
-        description="Of the circle.",
-        examples=["r"],
-        json_schema_extra=unit("length"),
+        default=None, description="Of the circle.", examples=["r"], json_schema_extra=unit("length")
     )
     hollow: bool = Field(
         default=False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Self, get_args
+from typing import Any, Self, get_args
 
 from pydantic import model_validator
 
@@ -22,6 +22,7 @@ from contacts.scene.checks import (
     check_rim,
     check_turns,
 )
+from contacts.scene.controls import Controller
 from contacts.scene.couplings import coupling_edges, coupling_states
 from contacts.scene.expansion import expansion
 from contacts.scene.fields import SceneFields, copies
@@ -31,6 +32,7 @@ from contacts.scene.regions import BODY_CAUSES, BODY_STATES, edges, states
 from contacts.states import declared_state, superstates_of
 from statechart.charts.flatten import causes_of
 from statechart.charts.transitions import check_listening, check_periods, declared_transitions
+from statechart.charts.wrapping import check_wrapping, counted
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import check_names, check_relation, value_of
 from statechart.documents.outputs import check_member
@@ -51,12 +53,20 @@ class Scene(SceneFields):
 
     @property
     def expanded(self) -> Self:
-        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`)."""
-        added = expansion(self)
+        """The scene with the regions and contacts of its joints (`contacts.scene.expansion`).
+
+        And with those that count periods (`statechart.charts.wrapping`).
+        """
+        scene, counts = counted(self)
+        regions = {name: Controller.counting(count) for name, count in counts.items()}
+        if counts:
+            scene = scene.model_construct(
+                **{**_fields(scene), "regions": {**regions, **scene.regions}}
+            )
+        added = expansion(scene)
         if not added:
-            return self
-        own = {name: getattr(self, name) for name in type(self).model_fields}
-        return self.model_construct(**{**own, **added})
+            return scene
+        return self.model_construct(**{**_fields(scene), **added})
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the scene under the other meanings of simultaneous impacts."""
@@ -95,6 +105,9 @@ class Scene(SceneFields):
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check that numbers are physical, finite and, of copies, whole, too."""
         super().check_values(values)
+        # A pin by points has no impacts of its own: its path is smooth.
+        pins = [] if self.collisions else [n for n, x in self.joints.items() if x.rope is None]
+        check_wrapping(self, values, [("joints", name, "to") for name in pins])
         copies(self, values)
         check_physical(self, values)
         check_finite(self, values)
@@ -354,6 +367,10 @@ class Scene(SceneFields):
         assert isinstance(known, dict)
         with found:
             check_member(what, name, known, *loc)
+
+
+def _fields(scene: Scene) -> dict[str, Any]:
+    return {name: getattr(scene, name) for name in type(scene).model_fields}
 
 
 def _twice(name: str, loc: Loc, before: Loc, of: str = "") -> DeclarationProblem:

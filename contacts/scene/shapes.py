@@ -122,8 +122,6 @@ class Collision(Part):
             for place, name in enumerate(names):
                 if name in names[:place]:
                     raise DeclarationProblem(
-                        f"{name!r} is listed twice",
-                        advice=f"list it once{also}",
-                        loc=(key, place),
+                        f"{name!r} is listed twice", advice=f"list it once{also}", loc=(key, place)
                     )
         return self

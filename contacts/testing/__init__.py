@@ -7,12 +7,7 @@ what must hold.
 """
 
 from contacts.dynamics.mechanics import Mechanics
-from contacts.testing.assertions import (
-    assert_in_cone,
-    largest_of,
-    no_growth,
-    step_ends,
-)
+from contacts.testing.assertions import assert_in_cone, largest_of, no_growth, step_ends
 from contacts.testing.scene_properties import (
     assert_cone,
     assert_energy,

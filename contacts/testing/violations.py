@@ -57,10 +57,7 @@ def violations(scene: Scene, observer: Observer, trace: Trace) -> dict[str, floa
                 # A step knows the slip at its start alone.
                 n, t = edges(samples.columns[f"{name}.friction"][here])
             outside = max(outside, _largest(n * np.abs(H) - t * V))
-    return {
-        "constraint": deepest / setup.scales.length,
-        "cone": outside / setup.scales.force,
-    }
+    return {"constraint": deepest / setup.scales.length, "cone": outside / setup.scales.force}
 
 
 def cone_edges(

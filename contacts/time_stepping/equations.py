@@ -63,6 +63,7 @@ class StepConstants(NamedTuple):
     # (c, 2): stiffness and damping of compliant contacts; 0 of rigid ones.
     soft: Array
     couplings: int  # So many of the contacts, the last, are couplings; see `load_couplings`.
+    carriers: Ints  # (c,): contacts whose normal forces load rolling resistances; -1: none.
 
 
 @kernel
@@ -183,7 +184,7 @@ CONTACT, EDGES = 11, 7
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
 the condition without the ends of edges at which another edge makes a valley; from `EDGES` on the
 unit edges of its friction cone in slide+ and slide-, at the size of its slip. The gap of a coupling
-is its limit at rest."""
+is its limit at rest; of rolling resistance, its length."""
 
 JOINT = 4
 """Numbers of a joint's row beside its Jacobian (n,): gap, rate, bias, whether others imply it."""

@@ -169,16 +169,18 @@ class Steps(NamedTuple):
         """Bytes of the polynomials of a piece."""
         return TERMS * self.states[0].nbytes
 
-    def without_forces(self, before: Ints, after: Ints, first: int) -> Steps:
-        """Return them without the forces of open regions in the halves of steps with impacts."""
+    def without_forces(self, before: Ints, after: Ints, columns: Ints) -> Steps:
+        """Return them without the forces of open regions in the halves of steps with impacts.
+
+        The forces of regions are in `columns` (r, 2).
+        """
         if not self.hit.any():
             return self
         halves = np.repeat(self.solved, 1 + self.hit, axis=0)
         for rows, places in ((before, self.places[:-1]), (after, self.places[:-1] + 1)):
             opened = (rows[self.hit] == FREE) | (rows[self.hit] == OFF_CODE)
             which, regions = np.nonzero(opened)
-            at, column = places[self.hit][which], first + 2 * regions
-            halves[at, column] = halves[at, column + 1] = 0.0
+            halves[places[self.hit][which, None], columns[regions]] = 0.0
         return self._replace(halves=halves)
 
     def at(self, step: int, half: int) -> Clock:

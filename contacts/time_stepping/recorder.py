@@ -54,11 +54,12 @@ class Recorder:
 
     Regions have modes (r,) at the start; `controls` are states of further regions, which `turn`
     changes. `sticks` (r,) tells which regions have a pin beside slide, or are couplings. An impact
-    on a region that is not free has the cause `again`. `forces` is the place of the first region's
-    V and H among the further unknowns; None: they have none. Behind the `coordinates` and their
-    rates stand controller variables. Without `modes`, jumps of regions are only counted, and arcs
-    end where they would; without `arcs_too`, only the last step of a run becomes an arc, in which a
-    stop condition may be met. `control_jumps` are those of further regions and the stop.
+    on a region that is not free has the cause `again`. `forces` (r, 2) are the places of V and
+    H of regions among the further unknowns, or twice that of a couple; None: they have none. Behind
+    the `coordinates` and their rates stand controller variables. Without `modes`, jumps of regions
+    are only counted, and arcs end where they would; without `arcs_too`, only the last step of a run
+    becomes an arc, in which a stop condition may be met. `control_jumps` are those of further
+    regions and the stop.
     """
 
     regions: Sequence[str]
@@ -66,7 +67,7 @@ class Recorder:
     controls: Key
     sticks: Bools
     again: str
-    forces: int | None
+    forces: Ints | None
     energy: Callable[[Array, Array], Array]
     coordinates: int
     modes: bool = True

@@ -42,12 +42,16 @@ from contacts.time_stepping.equations import (
 )
 from contacts.time_stepping.settling import settle, unsettle
 from contacts.time_stepping.step_contacts import (
+    LOADED,
+    LOADINGS,
     change_friction,
     clear_contacts,
     close_opposed,
     contact_problem,
+    coupling_loads,
     find_active,
     largest_energy_gain,
+    load_couplings,
     mixed_with_impacts,
     order_decides,
     share_forces,
@@ -509,11 +513,18 @@ def step_scene(
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            began, changes = np.zeros(len(which), np.bool_), True
+            began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
             last = memory.pushes[which]
             while changes:
                 missed, softened, pushes, least = solve_impacts(problem, last, allowed)
-                changes = change_friction(scene, tape, problem, least, pushes, began)
+                # Friction begins or turns under the limits that are there in the end.
+                loads = coupling_loads(scene, which, problem.columns, equations.change, pushes, h)
+                unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
+                rounds += 1
+                changes = unloaded > LOADED and rounds < LOADINGS
+                changes = changes or change_friction(scene, tape, problem, least, pushes, began)
+            if unloaded > LOADED:
+                missed = max(missed, unloaded)
             chunk.efforts[k, RESIDUAL], chunk.efforts[k, CALMED] = missed, softened
             answer = split_forces(scene, memory, problem, least, pushes, allowed)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed

@@ -231,6 +231,7 @@ class SteppedScene(SteppedSystem):
             source.held, source.slips, r, source.signs, self._near, self._still,
             ROUNDING * self._speed,
             self._speed, _SLOWEST * self._speed, self._negligible, self._soft, source.couplings,
+            source.carriers,
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
@@ -423,16 +424,18 @@ class SceneStepper(Stepper):
     ) -> None:
         contacts = mechanics.scene.contacts
         self._tapes = SteppedTapes(mechanics)
+        c, couplings = len(contacts), len(mechanics.scene.couplings)
+        rigid = np.arange(2 * c).reshape(-1, 2)
+        places = np.vstack([rigid, np.repeat(2 * c + np.arange(couplings)[:, None], 2, axis=1)])
         super().__init__(
             mechanics,
             stops,
             regions,
             self._tapes,
             again="jam",
-            forces=len(mechanics.a) + len(mechanics.joint_rows),
+            forces=len(mechanics.a) + len(mechanics.joint_rows) + places,
             sticks=np.array(
-                [{"pin", "slide"} <= c.kinds for c in contacts.values()]
-                + [True] * len(mechanics.scene.couplings),
+                [{"pin", "slide"} <= c.kinds for c in contacts.values()] + [True] * couplings,
                 bool,
             ),
         )

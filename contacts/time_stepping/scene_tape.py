@@ -10,6 +10,7 @@ import sympy as sp
 
 from contacts.dynamics.controllers import given, values_in
 from contacts.dynamics.mechanics import Mechanics
+from contacts.scene.couplings import Rolling
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
 from contacts.time_stepping.stability import StepLimits
@@ -62,6 +63,11 @@ class SteppedTape:
         self.scene = mechanics.scene
         self.names = tuple(mechanics.scene.frictional)
         self.couplings = len(mechanics.scene.couplings)
+        self.carriers = np.full(len(self.names), -1)
+        for i, name in enumerate(self.names):
+            rolling = mechanics.scene.couplings.get(name)
+            if isinstance(rolling, Rolling):
+                self.carriers[i] = self.names.index(rolling.contact)
         rigid = self.names[: len(self.names) - self.couplings]
         for name in self.names:
             geometry = mechanics.contact(name)

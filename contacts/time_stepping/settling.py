@@ -36,6 +36,10 @@ from contacts.time_stepping.equations import (
     solve_factored,
 )
 from contacts.time_stepping.step_contacts import (
+    LOADED,
+    LOADINGS,
+    coupling_loads,
+    coupling_mode,
     delassus_of,
     load_couplings,
     unit_responses,
@@ -216,7 +220,8 @@ def settle(
     m = len(which)
     modes = chunk.modes[k]
     if m > 0:
-        delassus = delassus_of(tape, which, unit_responses(tape, equations, which))
+        columns = unit_responses(tape, equations, which)
+        delassus = delassus_of(tape, which, columns)
         slips, slides, rounding = np.empty(m), np.zeros(m), SUM_ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
@@ -232,13 +237,21 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
-        load_couplings(scene, tape, which, 1.0, delassus, alone)
-        problem = delassus, alone, cones
-        solved, forces = solve_accelerations(*problem, slides, terms, forced, sums)
-        if solved and end_slips(slips, forced, against, terms, h, slides):
+        ended, solved, forces = False, False, np.zeros((m, 2))
+        loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
+        load_couplings(scene, tape, which, loads, delassus, alone)
+        for _ in range(LOADINGS):
+            solved, forces = solve_accelerations(
+                delassus, alone, cones, slides, terms, forced, sums
+            )
+            loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
+            if load_couplings(scene, tape, which, loads, delassus, alone) > LOADED:
+                continue
+            if ended or not (solved and end_slips(slips, forced, against, terms, h, slides)):
+                break
+            ended = True
             for a in range(m):
                 write_cone(scene, tape, which[a], int(slides[a]), cones[a])
-            solved, forces = solve_accelerations(*problem, slides, terms, forced, sums)
         for a in range(m):
             i = which[a]
             idle = forces[a, 0] == 0.0 and chunk.codes[k, i] == FREE
@@ -248,6 +261,9 @@ def settle(
                 if memory.settling[i] == LANDED or modes[i] != chunk.codes[k, i]:
                     clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
                     modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
+            if scene.carriers[i] >= 0:
+                found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
+                modes[i] = found if FREE in (found, modes[i]) else modes[i]
     _show(memory, n + scene.joints, k, chunk)
 
 

@@ -333,22 +333,67 @@ def delassus_of(tape: TapeValues, which: Ints, columns: Array) -> Array:
     return result
 
 
+# Rolling resistances are loaded so often, and until none changes by more than this part of itself.
+# Each time leaves the part length*dV/dM of the change.
+LOADINGS, LOADED = 40, 1e-10
+
+
+@kernel
+def coupling_loads(
+    scene: StepConstants, which: Ints, columns: Array, free: Array, pushes: Array, h: float
+) -> Array:
+    """Return the factors (m,) of limits: h; of rolling resistance, its contact's normal impulse.
+
+    Parameters
+    ----------
+    which : (m,) array of int
+    columns : (2 m, s) array
+        See `unit_responses`.
+    free : (s,) array
+        Changes of the rates, and impulses of constraints, without those of contacts.
+    pushes : (m, 2) array
+        Impulses of contacts.
+    h : float
+    """
+    loads = np.full(len(which), h)
+    for a in range(len(which)):
+        carrier = scene.carriers[which[a]]
+        if carrier < 0:
+            continue
+        loads[a] = 0.0
+        for b in range(len(which)):
+            if which[b] == carrier:
+                loads[a] = max(pushes[b, 0], 0.0)
+        if scene.held[carrier] > 0:
+            at = scene.size + scene.held[:carrier].sum()
+            load = free[at]
+            for b in range(2 * len(which)):
+                load += columns[b, at] * pushes[b // 2, b % 2]
+            loads[a] = max(load, 0.0)
+    return loads
+
+
 @kernel
 def load_couplings(
-    scene: StepConstants, tape: TapeValues, which: Ints, h: float, delassus: Array, free: Array
-) -> None:
-    """Load couplings, in place, with the impulse of their limit at rest in a time h.
+    scene: StepConstants, tape: TapeValues, which: Ints, loads: Array, delassus: Array, free: Array
+) -> float:
+    """Load couplings, in place, with the impulses of their limits at rest; return what changed.
 
     So their normal rows, which move nothing, have these impulses as their solution, and what is in
-    the cone of friction 1 is within the limit.
+    the cone of friction 1 is within the limit. The change is the largest, in parts of the impulse.
     """
+    changed = 0.0
     for a in range(len(which)):
         if is_coupling(scene, which[a]):
             # Of the size of velocities, as the other rows.
             own = delassus[2 * a + 1, 2 * a + 1]
             delassus[2 * a, 2 * a] = own if own > 0.0 else 1.0
             limit = tape.numbers[tape.first + tape.per * which[a] + 2 * tape.size + 2]
-            free[a, 0] = -delassus[2 * a, 2 * a] * h * limit
+            before, free[a, 0] = free[a, 0], -delassus[2 * a, 2 * a] * loads[a] * limit
+            if before != free[a, 0]:
+                size = max(abs(before), abs(free[a, 0]))
+                changed = max(changed, abs(free[a, 0] - before) / size)
+    return changed
 
 
 @kernel
@@ -434,6 +479,8 @@ def contact_problem(
         if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
             directions[a] = 1 if slip > 0.0 else -1
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
+        if scene.carriers[i] >= 0:
+            sudden[a] = met.hit[scene.carriers[i]]
         if scene.plastic and rebounds[a] and not _is_alone(groups, a):
             rebounds[a], met.wanted[i, 0] = False, 0.0
         write_cone(scene, tape, i, directions[a], cones[a])
@@ -444,7 +491,8 @@ def contact_problem(
         apart[a] = yields[a] or is_coupling(scene, i)
         if yields[a]:
             delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
-    load_couplings(scene, tape, which, h, delassus, free)
+    loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
+    load_couplings(scene, tape, which, loads, delassus, free)
     for a in range(m):
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
@@ -528,6 +576,20 @@ def mixed_with_impacts(
 
 
 @kernel
+def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int:
+    """Return the mode of a coupling that is not open: that of rolling resistance is its contact's.
+
+    `modes` (c,) are those of contacts.
+    """
+    carrier = scene.carriers[i]
+    if carrier >= 0 and scene.held[carrier] == 0 and modes[carrier] in (FREE, OFF_CODE):
+        return FREE
+    if slip == 0.0:
+        return LOCKED
+    return SLIP_PLUS if slip > 0.0 else SLIP_MINUS
+
+
+@kernel
 def write_modes(
     scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
     met: ContactRoles, k: int, chunk: Chunk,
@@ -544,9 +606,8 @@ def write_modes(
         memory.slid[i] = slip != 0.0
         if is_coupling(scene, i):
             memory.closed[i] = True
-            sign = SLIP_PLUS if slip > 0.0 else SLIP_MINUS
-            chunk.codes[k, i] = sign if slip != 0.0 else LOCKED
             modes[a] = FREE if slip != 0.0 else LOCKED
+            chunk.codes[k, i] = coupling_mode(scene, i, slip, chunk.codes[k])
             continue
         if of_group(sudden, problem.groups, problem.groups[a]):
             for d in range(2):

@@ -429,7 +429,7 @@ class Stepper(ABC):
         controllers: Controllers,
         *,
         again: str,
-        forces: int | None,
+        forces: Ints | None,
         sticks: Bools,
     ) -> None:
         self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions

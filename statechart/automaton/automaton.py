@@ -21,14 +21,7 @@ import sympy as sp
 from statechart.arrays import Ints
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
-from statechart.automaton.regions import (
-    Invariant,
-    Margin,
-    Mode,
-    Region,
-    StopCondition,
-    active_in,
-)
+from statechart.automaton.regions import Invariant, Margin, Mode, Region, StopCondition, active_in
 from statechart.automaton.time_stepper import TimeStepper
 from statechart.automaton.trace import Key, Role
 from statechart.errors import Unsupported

@@ -140,7 +140,7 @@ def _minimal(
     working = [u for u in automaton.unknowns if u not in absent | elimination.forces]
     motion = coordinates.motion(elimination, working)
     places, known = elimination.replaced, elimination.known
-    laws = [e for e in others if e not in places]
+    laws = [e.xreplace(elimination.accelerations) for e in others if e not in places]
     # Coefficients of forces that are zero need not be finite, as of a contact that is off.
     nothing = dict.fromkeys(absent, sp.S.Zero)
     follow = [automaton.equations[places[e]].xreplace(nothing) for e in others if e in places]
@@ -171,10 +171,7 @@ def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
     found = dict(elimination.positions)
     found |= {rates[q]: coordinates.rate(e) for q, e in elimination.positions.items()}
     places = {v: i for i, v in enumerate(automaton.variables)}
-    return {
-        "eliminated": {places[v]: e for v, e in found.items()},
-        "anchors": elimination.anchors,
-    }
+    return {"eliminated": {places[v]: e for v, e in found.items()}, "anchors": elimination.anchors}
 
 
 def captured(automaton: Automaton, mode: Mode, roles: Roles) -> Mode:

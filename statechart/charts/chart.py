@@ -18,6 +18,7 @@ from statechart.charts.transitions import (
     declared_transitions,
     nested,
 )
+from statechart.charts.wrapping import STATE, check_wrapping, counted
 from statechart.documents.declaration import TIME, Declaration
 from statechart.documents.fields import (
     FiniteText,
@@ -93,6 +94,21 @@ class Chart(Declaration):
         examples=[{"ball": {"initial": "flight", "states": {"flight": {}, "rest": {}}}}],
     )
 
+    @property
+    def expanded(self) -> Self:
+        """The chart with the regions that count periods (`statechart.charts.wrapping`)."""
+        chart, counts = counted(self)
+        if not counts:
+            return self
+        own = {name: getattr(chart, name) for name in type(self).model_fields}
+        variables = {count.variable: count.initial for count in counts.values()}
+        regions = {
+            name: Region(initial=STATE, states={STATE: State()}, transitions=count.transitions)
+            for name, count in counts.items()
+        }
+        own["variables"] = {**chart.variables, **variables}
+        return self.model_construct(**{**own, "regions": {**regions, **chart.regions}})
+
     @cached_property
     def flat(self) -> Mapping[str, FlatRegion]:
         """The regions as the executor knows them."""
@@ -117,6 +133,7 @@ class Chart(Declaration):
     def check_values(self, values: Mapping[str, float]) -> None:
         """Check the initial values and the times that transitions wait for, too."""
         super().check_values(values)
+        check_wrapping(self, values)
         check_periods(self.regions, values, self.parameters)
         for name, text in self.variables.items():
             value = value_of(text, values, "variables", name)

@@ -53,11 +53,12 @@ from statechart.formulas.writer import compile_tape
 
 def automaton(chart: Chart) -> Automaton:
     """Compose the automaton of a chart; modes are built when a run enters them."""
+    declared, chart = chart, chart.expanded
     symbols = _Symbols(chart)
     regions = tuple(_region(name, region, symbols) for name, region in chart.flat.items())
     return Automaton(
         name=chart.name,
-        declaration=chart,
+        declaration=declared,
         names=tuple(symbols.variables),
         variables=tuple(symbols.variables.values()),
         parameter_names=symbols.parameters.names,
@@ -73,7 +74,11 @@ def automaton(chart: Chart) -> Automaton:
         laws=ChartLaws(chart, symbols, regions),
         idle=True,
         switching=chart.switching,
-        components=tuple if chart.switching else cache(partial(components, chart, automaton)),
+        components=(
+            tuple
+            if chart.switching or chart is not declared
+            else cache(partial(components, chart, automaton))
+        ),
     )
 
 
@@ -158,9 +163,7 @@ class ChartLaws:
         self._of_states: dict[tuple[int, str], tuple[list[Guard], dict[sp.Symbol, sp.Expr]]] = {}
         self._updates: dict[tuple[tuple[tuple[str, FiniteText], ...], ...], Tape] = {}
         self._derivatives = MarginDerivatives(
-            tuple(symbols.variables.values()),
-            symbols.parameters.ordered,
-            symbols.time,
+            tuple(symbols.variables.values()), symbols.parameters.ordered, symbols.time
         )
         self._considered = tuple(map(considered, regions))
         self._listening = Listening(regions, chart.flat)

@@ -35,10 +35,7 @@ def check_folder(output: str | None) -> None:
         raise DeclarationError("--output: the name is empty", advice="name a folder; . is this one")
     path = Path(output).absolute()
     if is_store(output) and path.exists():
-        raise DeclarationError(
-            f"--output {output} exists already",
-            advice="name another store",
-        )
+        raise DeclarationError(f"--output {output} exists already", advice="name another store")
     if why := obstacle(path):
         raise DeclarationError(f"--output {output}: {why}", advice="name another folder")
 

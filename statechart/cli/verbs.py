@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import functools
 import gc
+import json
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterable
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -27,16 +29,17 @@ from statechart.cli.places import (
     shown_study,
     write_sweep,
 )
-from statechart.cli.terminal import print_json, show, warn
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.pieces import Pieces
+from statechart.tabular import Block, Table, plain
 
-if TYPE_CHECKING:  # verbs that run nothing do without them
+if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from statechart.automaton.trace import Trace
     from statechart.running.result import Result
     from statechart.running.runner import Runner
+
 
 Value = TypeVar("Value")
 
@@ -517,3 +520,44 @@ def _printer(arguments: argparse.Namespace, before: str = "") -> Callable[[str],
 def _print_left_out(pieces: Pieces) -> None:
     if pieces.failed:
         print(f"left out: {pieces.text()}", file=sys.stderr)
+
+
+def show(blocks: Iterable[Block]) -> None:
+    """Print a text."""
+    if not sys.stdout.isatty():
+        print(plain(blocks), end="")
+        return
+    from rich.console import Console
+
+    console = Console(markup=False, emoji=False, highlight=False)
+    for block in blocks:
+        if isinstance(block, Table):
+            console.print(_ruled(block))
+        else:
+            console.print(block, end="", soft_wrap=True)
+
+
+def _ruled(table: Table) -> object:
+    from rich.table import Table as Ruled
+    from rich.text import Text
+
+    rows = [[Text(cell) for cell in row] for row in table.rows]
+    head = rows.pop(0) if table.headed else [Text()] * len(rows[0])
+    ruled = Ruled(box=None, show_header=table.headed, pad_edge=False, header_style="bold")
+    for cell in head:
+        ruled.add_column(cell, overflow="fold")
+    for row in rows:
+        ruled.add_row(*row)
+    return ruled
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings to stderr."""
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+
+
+def print_json(value: object) -> None:
+    """Print plain data as JSON."""
+    # Floats are printed with the fewest digits that read back as the same float.
+    print(json.dumps(value, indent=2, allow_nan=False))

@@ -1,8 +1,8 @@
 """Statecharts as pictures and as text.
 
-`build` makes the `model` of a diagram from an automaton and perhaps a run, and `region` the chart
-of one region. `mermaid` and `scxml` render it as text. `dot` puts charts, each with its `layout`,
-on a page with their `legend`; `write` makes files of all formats.
+`build` makes the `model` of a diagram from an automaton and perhaps a run, region by region.
+`mermaid` and `scxml` render it as text. `dot` puts charts, each with its `layout`, on a page with
+their `legend`; `write` makes files of all formats.
 """
 
 from statechart.diagram.dot import dot

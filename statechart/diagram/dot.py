@@ -30,11 +30,6 @@ def dot(diagram: Diagram, guards: Guards = "legend") -> str:
 
     Links between the same two states share one arrow. All places are fixed, so that programs of
     Graphviz draw what was laid out (layout ``nop2``, as ``neato -n2``).
-
-    Raises
-    ------
-    StatechartError
-        If Graphviz cannot lay it out.
     """
     below = legend(diagram, guards)
     style = Style(identifiers(diagram), guards, below.reasons)

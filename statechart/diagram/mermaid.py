@@ -107,10 +107,7 @@ def _state(node: Node, chart: Chart, states: dict[str, str], guards: Guards) -> 
         return [f'state "{label}" as {identifier} {{', *block, "}"]
     if node.infeasible is not None:
         details.append(f"infeasible#58; {_escape(node.infeasible)}")
-    return [
-        f'state "{label}" as {identifier}',
-        *(f"{identifier} : {line}" for line in details),
-    ]
+    return [f'state "{label}" as {identifier}', *(f"{identifier} : {line}" for line in details)]
 
 
 def _label(links: list[Link], guards: Guards) -> str:

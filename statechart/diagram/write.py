@@ -19,13 +19,7 @@ SUFFIXES = (".svg", ".png", ".pdf", ".dot", ".mmd", ".scxml", ".graphml")
 
 
 def write(diagram: Diagram, path: Path, guards: Guards = "legend") -> None:
-    """Write a diagram; svg, png and pdf need no Graphviz program and no installed fonts.
-
-    Raises
-    ------
-    StatechartError
-        If the suffix is not known, the picture cannot be laid out, or the file not written.
-    """
+    """Write a diagram; svg, png and pdf need no Graphviz program and no installed fonts."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise StatechartError(
@@ -61,13 +55,7 @@ Diagram.svg = svg
 
 
 def graphml(diagram: Diagram) -> str:
-    """Return a diagram's graph as GraphML (Brandes et al. 2002), by networkx's own writer.
-
-    Raises
-    ------
-    StatechartError
-        If the diagram was not made of an automaton.
-    """
+    """Return a diagram's graph as GraphML (Brandes et al. 2002), by networkx's own writer."""
     import networkx as nx
 
     shown = diagram.graph

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from statechart.documents.fields import TIME as TIME
 from statechart.documents.fields import (
     ConstantText,
     FormulaText,
@@ -74,9 +75,6 @@ Units = Annotated[
     ),
 ]
 """Units of bases and of names; a word stands for those of all bases."""
-
-TIME = "time"
-"""The name of the time since the start in formulas."""
 
 
 class Declaration(Part):

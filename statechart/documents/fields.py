@@ -56,16 +56,26 @@ def _formula(value: Any) -> Any:
     return value
 
 
+TIME = "time"
+"""The name of the time since the start in formulas."""
+
+
 def _check_jumps(*formulas: Formula) -> None:
-    """Check that what is computed along a run has no function that jumps."""
+    """Check that what is computed along a run has no function that jumps but with the time.
+
+    Documents count whole periods of that (`statechart.charts.wrapping`).
+    """
     for formula in formulas:
         for node in nodes(formula.root):
             if isinstance(node, Call) and node.function in JUMPS:
+                if any(name.name == TIME for name in names_in(node.arguments[0])):
+                    continue
                 raise DeclarationProblem(
                     f"formula {formula.text!r}: {node.function} jumps, and is for what is "
                     "computed once",
                     advice="where it is of numbers, let a parameter be it: it stands in "
-                    "parameters, starts and copies; along a run, write a state for each piece",
+                    "parameters, starts and copies; along a run, write mod(time, T), or a state "
+                    "for each piece",
                     offset=node.offset,
                 )
 

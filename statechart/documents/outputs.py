@@ -94,9 +94,7 @@ EventText = Annotated[str, _that(parse_events)]
 class Value(Part):
     """A formula at a moment of the run; a list of its values at `each` event, or at some."""
 
-    OTHER_WORDS: ClassVar = {
-        "when": "at",
-    }
+    OTHER_WORDS: ClassVar = {"when": "at"}
 
     value: FiniteText = Field(
         description="Formula of variables, observables and parameters.",

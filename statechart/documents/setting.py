@@ -178,8 +178,7 @@ class Setting:
             return
         if self.record not in kinds:
             raise DeclarationProblem(
-                f"record must be one of {', '.join(kinds)}, not {self.record!r}",
-                loc=("record",),
+                f"record must be one of {', '.join(kinds)}, not {self.record!r}", loc=("record",)
             )
         if engine not in ("impulse", "auto"):
             self._refuse(

@@ -29,12 +29,7 @@ Written = Annotated[Real, BeforeValidator(_number, json_schema_input_type=float 
 class Stop(Part):
     """End of a run: at a time, or when a condition becomes true."""
 
-    OTHER_WORDS: ClassVar = {
-        "duration": "time",
-        "until": "time",
-        "end": "time",
-        "t": "time",
-    }
+    OTHER_WORDS: ClassVar = {"duration": "time", "until": "time", "end": "time", "t": "time"}
 
     time: FormulaText | None = Field(
         default=None,
@@ -52,11 +47,7 @@ class Stop(Part):
 class Settings(Part):
     """Computation of a run; everything has a sensible default."""
 
-    OTHER_WORDS: ClassVar = {
-        "dt": "step",
-        "solver": "engine",
-        "rtol": "tolerance",
-    }
+    OTHER_WORDS: ClassVar = {"dt": "step", "solver": "engine", "rtol": "tolerance"}
 
     engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
         default="auto",

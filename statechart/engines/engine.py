@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
@@ -14,9 +16,42 @@ from statechart.automaton.constraints import Constraints
 from statechart.automaton.modes import Reconstruction
 from statechart.automaton.regions import Mode
 from statechart.automaton.trace import LARGEST
-from statechart.engines.budget import Allowance
-from statechart.errors import StepFailure, TooLong
+from statechart.compiling import working_time
+from statechart.errors import OutOfBudget, StepFailure, TooLong
 from statechart.formulas.tape import Tape
+
+
+class Allowance:
+    """Seconds that several runs share. A mode that is being compiled is not interrupted."""
+
+    def __init__(self, seconds: float, clock: Callable[[], float] = working_time) -> None:
+        self.seconds, self.clock = seconds, clock
+        self._until = math.inf
+
+    def begin(self) -> None:
+        """Count from now on."""
+        self._until = self.clock() + self.seconds
+
+    def lift(self) -> None:
+        """Count no more."""
+        self._until = math.inf
+
+    def check_for(self, seconds: float) -> None:
+        """Raise where there is no time for what takes so many `seconds`."""
+        if self.clock() + seconds > self._until:
+            raise OutOfBudget(
+                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more "
+                "time, or take the engine scipy"
+            )
+
+    def check(self, now: float) -> None:
+        """Raise where the time is over; `now` is how far the run came."""
+        if self.clock() > self._until:
+            raise OutOfBudget(
+                f"the {self.seconds:g} s were used up at t = {now:.6g}; allow more time, "
+                "shorten the run, or take a looser tolerance"
+            )
+
 
 # Steps that a path has room for at first.
 _ROOM = 64
@@ -25,14 +60,8 @@ _ROOM = 64
 class Path:
     """The steps of the flow under way, in arrays that grow and are used again.
 
-    Attributes
-    ----------
-    times : (capacity + 1,) array
-        When every step ends, counted from where the flow starts; the first is 0.
-    coefficients : (capacity, n, d + 1) array
-        As in `Arc`.
-    count : int
-        Number of steps made; what lies behind them is void.
+    `times` (capacity + 1,) are the ends of steps, counted from where the flow starts;
+    `coefficients` (capacity, n, d + 1) are as in `Arc`. Beyond `count` steps both are void.
     """
 
     def __init__(self) -> None:
@@ -43,12 +72,7 @@ class Path:
     def room(self, steps: int, variables: int, terms: int) -> None:
         """Make room for so many steps more, of at least so many terms.
 
-        Raises
-        ------
-        TooLong
-            If the steps made fill what memory a trace may take.
-        StepFailure
-            If there is no memory for them.
+        Raise `TooLong` if a trace may not take as much memory, `StepFailure` if there is none.
         """
         capacity, _, width = self.coefficients.shape
         needed = self.count + steps
@@ -197,27 +221,7 @@ class Engine(ABC):
     ) -> bool:
         """Take up to `count` steps, and append them to `path`; whether the last ends at `until`.
 
-        Parameters
-        ----------
-        stepper : object
-            What `compile` returned.
-        path : Path
-            The steps of this flow so far.
-        watch : FlowWatch
-            The flow, and what it is watched for.
-        state : (n,) array
-            Where to start; not modified.
-        until : float
-            Do not step beyond this time of the flow; the last step ends there exactly.
-        count : int
-            At most so many steps.
-        begin : Begin
-            How `state` follows from the last call with this stepper.
-        end : (n,) array
-            Takes the state at the end of the last step.
-
-        Raises
-        ------
-        StepFailure, NonFinite
-            When not a single step can be made.
+        The flow stops at `until` exactly. `begin` says how `state` (n,), which is not modified,
+        follows from the last call with this stepper (see `compile`); `end` (n,) takes the last
+        state. An error means that not a single step can be made.
         """

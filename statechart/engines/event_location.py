@@ -39,11 +39,7 @@ class Verdict(Enum):
     NON_FINITE = "A polynomial or a margin is infinite or undefined."
 
 
-_VERDICTS = {
-    GRAZE: Verdict.GRAZE,
-    BUDGET: Verdict.BUDGET,
-    NON_FINITE: Verdict.NON_FINITE,
-}
+_VERDICTS = {GRAZE: Verdict.GRAZE, BUDGET: Verdict.BUDGET, NON_FINITE: Verdict.NON_FINITE}
 
 
 class Crossing(NamedTuple):
@@ -96,22 +92,9 @@ def search(
     that of lowest index. Others may fall at the same instant to within rounding: whoever acts
     on an event looks at all of them.
 
-    For inner loops: nothing is checked, and a wrong shape reads beyond the arrays.
-
-    Parameters
-    ----------
-    tape : Tape
-        Program of the margins.
-    tolerances : (n_out,) array
-        How far below zero each margin may go, >= 0, in the margin's unit; infinite for those
-        that are not watched.
-    path : Path
-        The steps.
-    parameters : (n_parameters,) array
-    start : float
-        Absolute time of the local time 0.
-    budget : int
-        Greatest number of boxes.
+    For inner loops: nothing is checked, and a wrong shape reads beyond the arrays. `tolerances`
+    (n_out,) are in the units of the margins, infinite for those that are not watched; `start` is
+    the absolute time of the local time 0, `budget` the greatest number of boxes.
     """
     code, guard, step, s, time, crossed, boxes = kernel(
         tape.parts,

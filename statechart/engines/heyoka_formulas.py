@@ -40,12 +40,8 @@ class Converter:
     What depends on parameters alone is computed once a flow and given to heyoka as a parameter of
     its own: as an operation it would be expanded into a series that is zero but for its first term,
     and multiplied with others, order by order. What is left of a product without such factors is
-    computed once, whatever they are.
-
-    Attributes
-    ----------
-    constants : list of expressions
-        What heyoka takes as its parameters, behind the time.
+    computed once, whatever they are. `constants` are those expressions: heyoka takes them as
+    parameters behind the time.
     """
 
     def __init__(
@@ -64,13 +60,7 @@ class Converter:
         self._moving: dict[sp.Expr, bool] = {}
 
     def __call__(self, expression: sp.Expr) -> Any:
-        """Return an expression of heyoka's.
-
-        Raises
-        ------
-        Unsupported
-            If a function in it has no series.
-        """
+        """Return an expression of heyoka's."""
         found = self.known.get(expression)
         if found is None:
             made = self._convert if self._moves(expression) else self._constant

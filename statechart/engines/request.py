@@ -25,16 +25,7 @@ _METHOD = "DOP853"
 def choose(setting: Setting) -> tuple[Engine, str]:
     """Return an integrator, and why it was picked.
 
-    Returns
-    -------
-    Engine
-    str
-        A sentence where `auto` could not take its first choice, else empty.
-
-    Raises
-    ------
-    DeclarationError
-        If there is no such engine or method, or the engine is not installed.
+    The sentence is empty unless `auto` could not take its first choice.
     """
     engine, method, tolerance = setting.engine or "auto", setting.method, setting.tolerance
     longest = setting.max_step or math.inf
@@ -146,11 +137,6 @@ def planned(
     """Return how to run a model as asked, by what its settings say and what was measured of it.
 
     `once`: see `Measured.choose`.
-
-    Raises
-    ------
-    DeclarationError
-        If what is asked for does not go together, or not with the model.
     """
     settings, given = model.settings, asked
     # A method asks for the engine that has methods, whatever the file says.

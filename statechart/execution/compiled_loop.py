@@ -154,13 +154,8 @@ class _Worth:
 class LoopModes:
     """The modes of a simulator for one set of zero parameters, as a `Program`; grows.
 
-    Attributes
-    ----------
-    kinds : list of (Key, Roles)
-        Of every row; those of other flows of the runs stand between them.
-    jumps : tuple of (str, str)
-        Regions and causes of the jumps that loops make.
-    laws : CompiledLaws
+    `kinds` has a row per mode and roles; rows of other flows of the runs stand between them.
+    `jumps` are the regions and causes of the jumps that loops make.
     """
 
     def __init__(self, laws: CompiledLaws, engine: Engine, automaton: Automaton) -> None:
@@ -243,21 +238,8 @@ class LoopModes:
     ) -> Batch | None:  # fmt: skip
         """Let the loop take a run on from a flow; None where it cannot.
 
-        Parameters
-        ----------
-        setup : Setup
-            The numbers of the run.
-        now : (6,) array
-            See `T_HIGH`.
-        counts : (int, int)
-            Of jumps so far, and the most of them.
-        state : (n,) array
-        buffer : TraceBuffer
-            Takes arcs and events.
-        series : (s, ..) array
-            Of jumps; brought up to date.
-        zeros : frozenset of int
-            Parameters that are exactly zero.
+        `now` (6,): see `T_HIGH`; `counts` are the jumps so far, and the most of them; `series` (s,
+        ..) of jumps is brought up to date; parameters `zeros` are exactly zero.
         """
         kind, floor = (flow.mode, flow.roles), self._engine.floor
         if not self.laws.takes(setup, flow, state, now.item(T_HIGH)):

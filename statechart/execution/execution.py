@@ -116,13 +116,7 @@ class Execution:
         self.outcome, self.message = outcome, message
 
     def stream(self, parameters: Mapping[str, float], sampling: Sampling) -> Iterator[Arc | Jump]:
-        """Yield arcs and jumps as they come; parameters may be set between samples.
-
-        Raises
-        ------
-        SimulationError
-            Where the run cannot go on, after all that it made.
-        """
+        """Yield arcs and jumps as they come; parameters may be set between samples."""
         values, end, count, seen = dict(parameters), self.until, 0, [0, 0]
 
         def fresh() -> Iterator[Arc | Jump]:
@@ -477,7 +471,7 @@ class Execution:
             if self.flow.settled and self._filippov is None:
                 break
         else:
-            raise looping(self.record.jumps[-6:], self.clock, self.automaton.label)
+            raise looping(self.record.jumps[-6:], self.clock, self.automaton)
         if fired and not moved:
             if self.failure is not None:
                 raise self.failure
@@ -505,12 +499,10 @@ class Execution:
     def counted(self) -> bool:
         """Return whether the run ends here, at the greatest number of jumps.
 
-        Raises
-        ------
-        TooLong, EventLoop
-            Where it is plain that they will be too many, or take no time.
+        Raise `TooLong` or `EventLoop` where it is plain that they will be too many, or take no
+        time.
         """
-        self._livelock.check(self.record.jumps, self.clock, self.automaton.label)
+        self._livelock.check(self.record.jumps, self.clock, self.automaton)
         if not self.automaton.stops:
             check_pace(self.record.jumps, self.clock, self.until, self.max_jumps)
         if many := len(self.record.jumps) >= self.max_jumps:

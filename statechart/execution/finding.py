@@ -69,12 +69,7 @@ def noise(
     return tolerances
 
 
-def decided(
-    found: Search,
-    compiled: CompiledMode,
-    watch: FlowWatch,
-    path: Path,
-) -> Crossing:
+def decided(found: Search, compiled: CompiledMode, watch: FlowWatch, path: Path) -> Crossing:
     """Return the event that a search found or must be taken for one; raise where it is neither."""
     where = found.crossing or found.undecided
     assert where is not None

@@ -71,26 +71,11 @@ class Advance:
     """A flow in one mode to the first event or to the end of `duration`; its steps are in the path.
 
     The integrator runs ahead by a few steps at a time; the search then proves, step by step, that
-    no margin fell, or finds the first that did. What was integrated beyond it is dropped.
-
-    Parameters
-    ----------
-    engine, compiled
-        Integrator and mode.
-    path : Path
-        Takes the steps.
-    watch : FlowWatch
-        The flow's guards and constraints, its parameters, when it starts.
-    initial : (n,) array
-        State there.
-    duration : float
-        Longest flow.
-    horizon : float
-        How far to look ahead at first; grows as the flow goes on. Where a flow is a polynomial
-        (free flight) one step could span all of `duration`, and an event soon after its start
-        would be lost in that step's rounding.
-    on_steps : callable or None
-        Called with the local time reached and the steps taken, now and then (progress).
+    no margin fell, or finds the first that did. What was integrated beyond it is dropped. `horizon`
+    is how far to look ahead at first; it grows as the flow goes on. Where a flow is a polynomial
+    (free flight) one step could span all of `duration`, and an event soon after its start would be
+    lost in that step's rounding. `on_steps` takes the local time reached and the steps taken, now
+    and then.
     """
 
     engine: Engine

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.trace import FAR_TOO_MANY, Jump, Key
+from statechart.automaton.trace import FAR_TOO_MANY, Jump
 from statechart.errors import EventLoop, TooLong
 from statechart.tabular import several
 
@@ -66,7 +67,7 @@ class Livelock:
                 "for ever"
             )
 
-    def check(self, jumps: Sequence[Jump], clock: Clock, label: Callable[[Key], str]) -> None:
+    def check(self, jumps: Sequence[Jump], clock: Clock, automaton: Automaton) -> None:
         """Raise `EventLoop` where the last `JUMPS_NEAR` jumps took no more than round-off.
 
         Looks whenever so many more have been made.
@@ -75,7 +76,7 @@ class Livelock:
         if count and count % JUMPS_NEAR == 0:
             first = jumps[count - JUMPS_NEAR].t
             if self._stays(Clock(first), clock):
-                raise looping(jumps[-6:], clock, label, JUMPS_NEAR)
+                raise looping(jumps[-6:], clock, automaton, JUMPS_NEAR)
 
 
 def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int) -> None:
@@ -96,8 +97,19 @@ def check_pace(jumps: Sequence[Jump], clock: Clock, until: float, max_jumps: int
 
 
 def looping(
-    last: Sequence[Jump], clock: Clock, label: Callable[[Key], str], count: int = JUMPS_AT_ONCE
+    last: Sequence[Jump], clock: Clock, automaton: Automaton, count: int = JUMPS_AT_ONCE
 ) -> EventLoop:
-    """Return the error of too many jumps at one instant, with the last ones."""
-    recent = ", ".join(f"{jump.cause} -> {label(jump.target)}" for jump in last)
-    return EventLoop(f"{count} jumps at t = {clock.high:.6g}: {recent}")
+    """Return the error of too many jumps at one instant: the last ones, and what to write."""
+    found = f"{count} jumps at t = {clock.high:.6g}: "
+    found += ", ".join(f"{jump.cause} -> {automaton.label(jump.target)}" for jump in last)
+    guards = {(r.name, e.cause): e.guard for r in automaton.regions for e in r.nesting.edges}
+    fired = [(jump.region, jump.cause) for jump in last]
+    if not guards or not {*fired} <= guards.keys():
+        return EventLoop(found)
+    held = [f"{event[1]} ({guards[event]})" for event in dict.fromkeys(fired)]
+    if len(held) == 1:
+        return EventLoop(f"{found}; the guard of {held[0]} holds after it too; let updates end it")
+    return EventLoop(
+        f"{found}; the guards of {' and '.join(held)} hold at once; add to one what is false where "
+        "the other holds, as in guard: [..., ...]"
+    )

@@ -62,13 +62,7 @@ class _Once:
 
 
 class Simulator:
-    """An automaton on an engine: modes are compiled when first entered and kept between runs.
-
-    Attributes
-    ----------
-    buffer : TraceBuffer
-        Takes what a run records, or many at a time, until it is copied.
-    """
+    """An automaton on an engine: modes are compiled when first entered and kept between runs."""
 
     def __init__(
         self,
@@ -99,12 +93,7 @@ class Simulator:
     ) -> Trace:
         """Run from the declared initial state.
 
-        Raises
-        ------
-        DeclarationError
-            If a parameter is unknown or the initial state is inconsistent.
-        SimulationError
-            With the trace so far, where the run cannot go on and `throw` is set.
+        An inconsistent start is a `DeclarationError`. A `SimulationError` has the trace so far.
         """
         trace = self._by_components(parameters or {}, until, max_jumps)
         if trace is None:
@@ -279,11 +268,7 @@ class Simulator:
         return replace(setup, modes=partial(self.modes.mode, zeros=setup.zeros))
 
     def _execution(
-        self,
-        setup: Setup,
-        until: float,
-        max_jumps: int,
-        batch: Batch | None = None,
+        self, setup: Setup, until: float, max_jumps: int, batch: Batch | None = None
     ) -> Execution:
         zeros = setup.zeros
         self.engine.sizes = setup.sizes
@@ -323,12 +308,7 @@ class Simulator:
 
 
 class BatchRunner:
-    """Runs rows of values of some parameters.
-
-    Attributes
-    ----------
-    simulator : Simulator
-    """
+    """Runs rows of values of some parameters."""
 
     def __init__(self, simulator: Simulator, names: Sequence[str]) -> None:
         self.simulator, self._names = simulator, tuple(names)

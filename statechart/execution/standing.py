@@ -37,12 +37,8 @@ class StandingStops:
     def judged(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
         """Return the condition that ends the run here, and the flow that begins where none does.
 
-        Returns
-        -------
-        met : str or None
-        flow : Flow
-            With room for the conditions that begin on their boundary and do not fall; without
-            those that its certificates do not need.
+        The flow has room for the conditions that begin on their boundary and do not fall; it is
+        without those that its certificates do not need.
         """
         atoms = _Atoms(self._automaton, self._derivatives, mode, guards, at)
         flow, tolerances = at.flow, dict[str, float]()

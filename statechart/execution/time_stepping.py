@@ -24,17 +24,7 @@ if TYPE_CHECKING:
 class SteppingSimulator:
     """An automaton run by its time stepper: what `Simulator` is to engines.
 
-    Parameters
-    ----------
-    automaton : Automaton
-        What to run; it has a stepper.
-    step : float
-        Length of a step; what is longer than a run is as long as it.
-    impulses : Impulses
-    record : Record
-        What is kept of runs.
-    progress : bool
-        Whether runs above about a second report to stderr.
+    A step that is longer than a run is as long as it.
     """
 
     def __init__(

@@ -330,10 +330,7 @@ def _eliminated(
 
 
 def _by_pairs(
-    rows: list[Equation],
-    unknowns: Sequence[sp.Symbol],
-    place: Mapping[sp.Symbol, int],
-    paired: int,
+    rows: list[Equation], unknowns: Sequence[sp.Symbol], place: Mapping[sp.Symbol, int], paired: int
 ) -> tuple[list[Definition], list[Equation], list[Definition]]:
     """Eliminate unknowns by the equations that belong to them, motions first.
 

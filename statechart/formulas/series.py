@@ -61,12 +61,7 @@ def expand(
 
 
 def sizes_at(
-    tape: Tape,
-    places: tuple[int, ...],
-    state: Array,
-    sizes: Array,
-    parameters: Array,
-    time: float,
+    tape: Tape, places: tuple[int, ...], state: Array, sizes: Array, parameters: Array, time: float
 ) -> list[float]:
     """Return how large the terms of outputs at these places are, given those of the state."""
     pairs = zip(state.tolist(), sizes.tolist(), strict=True)

@@ -162,11 +162,7 @@ class Source:
     def fail(self, message: str, offset: int = 0, advice: str = "", name: str = "") -> NoReturn:
         """Raise a `FormulaError` that points `offset` characters into the text."""
         raise FormulaError(
-            f"{self.named}: {message}",
-            advice=advice,
-            offset=offset,
-            name=name,
-            text=self.text,
+            f"{self.named}: {message}", advice=advice, offset=offset, name=name, text=self.text
         )
 
 

@@ -326,9 +326,7 @@ def _powers_joined(factors: Sequence[sp.Expr]) -> Sequence[sp.Expr]:
     return [sp.Pow(base, exponent) for base, exponent in exponents.items()]
 
 
-def exponential_joined(
-    factors: Sequence[sp.Expr],
-) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
+def exponential_joined(factors: Sequence[sp.Expr]) -> tuple[Sequence[sp.Expr], sp.Expr | None]:
     """Return the factors of a product without a number that is no float but for an exponential.
 
     SymPy makes exp(x + 3000.0) a product of two exponentials, whose first is beyond all floats.

@@ -31,19 +31,11 @@ def conditions(observer: Observer, trace: Trace) -> tuple[float | None, ...]:
         |dt| / T <= kappa eps,    kappa = sum_i |dm/dx_i| s_i / (T |dm/dt|).
 
     kappa is the condition of the event. A ball that hits the ground squarely has about 1; the
-    flatter the approach, the larger; in a graze, which touches without crossing, it is inf.
-    Errors that earlier events have magnified already are part of dx.
-
-    Returns
-    -------
-    tuple of float or None
-        One per jump. None where no margin fired it: a jump that follows another at once, the end
-        of a Zeno sequence, a run that was stepped through time.
-
-    Notes
-    -----
-    Gradients are central differences, right to about 1e-10 relative to the largest of their
-    terms; where a margin is undefined on one side, the condition is None.
+    flatter the approach, the larger; in a graze, which touches without crossing, it is inf. Errors
+    that earlier events have magnified already are part of dx. A condition is None where no margin
+    fired the jump (one that follows another at once, the end of a Zeno sequence, a run by steps),
+    and where a margin is undefined on one side. Gradients are central differences, right to about
+    1e-10 relative to the largest of their terms.
     """
     before = {arc.j: arc for arc in trace.arcs}
     groups: dict[Margin, list[int]] = {}

@@ -8,8 +8,7 @@ from dataclasses import replace
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.time_stepper import USUAL, Impulses
 from statechart.documents.setting import Record, Setting
-from statechart.engines.budget import Allowance
-from statechart.engines.engine import Engine
+from statechart.engines.engine import Allowance, Engine
 from statechart.engines.request import choose
 from statechart.execution.compiled_modes import SolvedModes
 from statechart.execution.perturbation import nudged

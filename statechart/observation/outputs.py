@@ -292,11 +292,7 @@ class Outputs:
         return self._tapes[key]
 
     def _taped(
-        self,
-        kinds: Sequence[Kind],
-        mode_of: Callable[[Kind], Mode | None],
-        *,
-        solved: bool = False,
+        self, kinds: Sequence[Kind], mode_of: Callable[[Kind], Mode | None], *, solved: bool = False
     ) -> OutputTapes:
         """Return the formulas for kinds of modes.
 

@@ -45,11 +45,7 @@ _NEARLY_ZERO = 1e-3
 _TRAVELLED: tuple[Dimension, ...] = ("length", "angle")
 """Kinds whose zero is anywhere: their scale is how far they change."""
 
-_TOLERANCES: Mapping[Dimension, str] = {
-    "length": "gap",
-    "length/time": "speed",
-    "force": "force",
-}
+_TOLERANCES: Mapping[Dimension, str] = {"length": "gap", "length/time": "speed", "force": "force"}
 """Kind -> the tolerance of a run below which it is zero."""
 
 

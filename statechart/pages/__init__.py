@@ -1,5 +1,5 @@
 """A run as one HTML file that needs nothing else: its motion, curves, chart and events.
 
-`content` makes of a run what the page shows, as one object; `page` puts it with `page.html`,
-`page.css`, `scene.js` and `page.js` into the file.
+`page` makes of a run what the page shows, as one object, and puts it with `page.html`, `page.css`,
+`scene.js` and `page.js` into the file.
 """

@@ -1,16 +1,361 @@
-"""The page of a run as a file."""
+"""The page of a run: its content as one plain object, with arrays as base64, and its file."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+import tempfile
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from statechart.arrays import Array
+from statechart.automaton.automaton import Automaton
+from statechart.automaton.trace import Key, Trace
+from statechart.diagram.build import active_states
+from statechart.diagram.layout.ring import MAX_STEPS, course
+from statechart.diagram.model import Chart, Diagram, identifiers
+from statechart.diagram.write import write as write_diagram
+from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
+from statechart.documents.quantities import beside, unit_of
 from statechart.errors import DeclarationError, StatechartError
+from statechart.loading.kind import kind
+from statechart.observation.observer import Observer
+from statechart.observation.sampling import Samples
+from statechart.palette import GRID, LINES
+from statechart.pictures.film import LONGEST, Film, Shape, strokes
+from statechart.reporting.curves import (
+    Line,
+    Panel,
+    busy_until,
+    curves,
+    impulse_label,
+    impulses_of,
+    largest,
+)
+from statechart.reporting.figure import banded, unbanded
+from statechart.reporting.film import filmed, stage_of
+from statechart.reporting.text import change, computed, explanation
+from statechart.tabular import MAX_LISTED, number
+
+# Pictures that a page has at most and at least, and numbers that all of them have.
+_MOST, _LEAST, _NUMBERS = 600, 120, 150_000
+MOST_EVENTS = 300
+"""Events of which a page says why, at most."""
+# At least, and regions that all of them change.
+_FEW, _CHANGED = 60, 9000
+# Points of a curve; a diagram of more modes is not looked at.
+_POINTS, _NODES = 1200, 40
+# How wide the moving scene is, in its own units.
+_PICTURE = 1000.0
+# Names of what changes alike at an event.
+_NAMES = 4
+
+
+def content(
+    observer: Observer, trace: Trace, report: Mapping[str, Any], diagram: Diagram | None
+) -> dict[str, Any]:
+    """Return the content of the page of a run."""
+    automaton = observer.automaton
+    declared = automaton.declaration.parameters
+    seen = kind(automaton.declaration.kind).stage is not None
+    stage = stage_of(automaton) if seen else None
+    drawn, panels = curves(observer, trace)
+    end = busy_until(trace, drawn, panels)
+    width = 3 * len(automaton.regions) + 9 if seen else 1
+    count = int(np.clip(_NUMBERS // max(width, 1), _LEAST, _MOST))
+    limit = int(np.clip(_CHANGED // max(len(automaton.regions), 1), _FEW, MOST_EVENTS))
+    events = [event for event in report["events"] if event["t"] <= end][:limit]
+    times = np.unique([*np.linspace(0.0, end, count), *(event["t"] for event in events)])
+    film = None if stage is None else filmed(stage, observer, trace, times)
+    samples = observer.sample(trace, automaton.names[:1], times=times)
+    keys = [samples.modes[place] for place in samples.mode]
+    rows = banded(automaton, trace)
+    return {
+        "title": trace.name,
+        "doc": automaton.declaration.doc,
+        "outcome": f"{report['outcome']}: {report['message']}",
+        "computed": computed(report),
+        "lines": list(LINES),
+        "unit": beside(automaton.declaration.unit(TIME)),
+        "cut": end < trace.t_end,
+        "end": trace.t_end,
+        "times": _packed(times, np.float64),
+        "regions": _regions(automaton, keys, rows),
+        "unbanded": list(unbanded(trace, rows)),
+        "mode": _packed(samples.mode, np.int32),
+        "film": None if film is None else _film(film, automaton.declaration.units),
+        "panels": _panels(trace, _until(observer, trace, drawn, end), panels),
+        "events": [_event(event, times) for event in events],
+        "more": len(trace.jumps) - len(events),
+        "chart": _chart(automaton, diagram, trace, samples),
+        "outputs": _measured(report["outputs"], report["units"]),
+        "parameters": _measured(
+            {name: value for name, value in report["parameters"].items() if name in declared},
+            report["units"],
+        ),
+        "warnings": list(report["warnings"]),
+    }
+
+
+def _regions(
+    automaton: Automaton, keys: Sequence[Key], rows: Sequence[int]
+) -> list[dict[str, Any]]:
+    unrecorded = len(automaton.regions) - len(keys[0])
+    colours = automaton.colours
+    named = zip(automaton.region_names, automaton.recorded_states(keys[0]), strict=True)
+    return [
+        {
+            "name": name,
+            "states": list(states),
+            "colours": [colours[name].get(state, GRID) for state in states],
+            "state": _packed(
+                np.array(
+                    [states.index(key[k - unrecorded]) if k >= unrecorded else 0 for key in keys]
+                ),
+                np.uint8,
+            ),
+            "shown": k - unrecorded in rows,
+        }
+        for k, (name, states) in enumerate(named)
+    ]
+
+
+def _film(film: Film, units: Mapping[str, str]) -> dict[str, Any]:
+    """Return a film whose lengths are parts of its picture: browsers draw none of a micrometre."""
+    part = _PICTURE / film.unit
+    place = np.array([part, part, 1.0])
+    return {
+        "half": [part * film.half[0], part * film.half[1]],
+        "unit": _PICTURE,
+        "length": film.unit,
+        "of": beside(unit_of("length", units)),
+        "arrow": part * film.arrow,
+        "usual": film.force,
+        "longest": LONGEST * film.force,
+        "trails": film.trails,
+        "frames": film.poses.shape[1],
+        "poses": _packed(film.poses * place, np.float32),
+        "centres": _packed(part * film.centres, np.float32),
+        "shapes": [_shape(film, shape, part) for shape in film.shapes],
+        "touches": [
+            {
+                "name": touch.name,
+                "region": touch.region,
+                "places": _packed(part * touch.places, np.float32),
+                "normals": _packed(touch.normals, np.float32),
+                "forces": _packed(touch.forces, np.float32),
+                "friction": _packed(touch.friction, np.float32),
+            }
+            for touch in film.touches
+        ],
+    }
+
+
+def _shape(film: Film, shape: Shape, part: float) -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "kind": shape.kind,
+        "points": _short(part * shape.points),
+        "frame": shape.frame,
+        "other": shape.other,
+        "radius": part * shape.radius,
+        "region": shape.region,
+        "name": shape.name,
+    }
+    if shape.kind == "ground":
+        made["strokes"] = _short(part * strokes(shape.points, film.spacing).reshape(-1, 4))
+    return made
+
+
+def _until(observer: Observer, trace: Trace, samples: Samples, end: float) -> Samples:
+    """Return samples of a run as far as it is shown, the last at the end of that."""
+    if end >= trace.t_end:
+        return samples
+    last = observer.sample(trace, tuple(samples.columns), times=[end])
+    kept = samples.t < end
+    columns = {
+        name: np.append(column[kept], last.columns[name] if largest(column) > 0.0 else 0.0)
+        for name, column in samples.columns.items()
+    }
+    return Samples(
+        np.append(samples.t[kept], end),
+        np.append(samples.j[kept], last.j),
+        np.append(samples.mode[kept], len(samples.modes) + last.mode),
+        (*samples.modes, *last.modes),
+        columns,
+    )
+
+
+def _panels(trace: Trace, samples: Samples, found: Sequence[Panel]) -> list[dict[str, Any]]:
+    end = float(samples.t[-1])
+    chosen = _sample_rows(samples, end)
+    line = Line.of(replace(samples, t=samples.t[chosen], j=samples.j[chosen]))
+
+    def drawn(values: Array) -> str:
+        return _packed(line.values(values[chosen]), np.float32)
+
+    made = []
+    for panel in found:
+        names = panel.names
+        cone = None
+        if panel.cone is not None:
+            name, friction = panel.cone
+            cone = drawn(np.broadcast_to(friction * samples.columns[name], samples.t.shape))
+        made.append(
+            {
+                "title": panel.label,
+                "t": _packed(line.times, np.float32),
+                "names": list(names),
+                "curves": [drawn(samples.columns[name]) for name in names],
+                "colours": list(LINES[: len(names)]),
+                "cone": cone,
+                "struck": [_impulses_of(trace, panel, region, end) for region in panel.impulses],
+                "remarks": list(panel.remarks),
+            }
+        )
+    return made
+
+
+def _impulses_of(trace: Trace, panel: Panel, region: str, end: float) -> dict[str, Any]:
+    """Return the impulses of a region: with sizes where no forces have the axis."""
+    times, sizes = impulses_of(trace, region)
+    seen = times <= end
+    return {
+        "name": impulse_label(panel, sizes) if panel.names else region,
+        "t": _packed(times[seen], np.float32),
+        "sizes": "" if panel.names else _packed(sizes[seen], np.float32),
+    }
+
+
+def _sample_rows(samples: Samples, end: float) -> NDArray[np.intp]:
+    """Return the rows that curves are drawn by: some, and both ends of every flow.
+
+    Without these a curve would end short of where it jumps. Of too many flows all rows, of which
+    `Line` draws the least and the greatest of every column.
+    """
+    inside = np.flatnonzero(samples.t <= end)
+    # One of every column, as far as there are any: a long flow looks as smooth as short ones.
+    columns = np.floor(samples.t[inside] * (_POINTS / end if end > 0.0 else 0.0))
+    chosen = inside[np.flatnonzero(np.diff(columns, prepend=-1.0))]
+    first = np.flatnonzero(np.diff(samples.j[inside])) + 1
+    if len(first) > _POINTS:
+        return inside
+    return np.unique(np.concatenate([chosen, inside[first - 1], inside[first], inside[-1:]]))
+
+
+def _event(event: Mapping[str, Any], times: Array) -> dict[str, Any]:
+    return {
+        "t": event["t"],
+        "instant": int(np.searchsorted(times, event["t"])),
+        "what": " ".join(filter(None, (event["contact"], event["cause"]))),
+        "change": change(event, _NAMES),
+        "why": explanation({"events": [event]}),
+    }
+
+
+def _chart(
+    automaton: Automaton, diagram: Diagram | None, trace: Trace, samples: Samples
+) -> dict[str, Any]:
+    """Return the drawn statechart, and which node each instant is; nothing of a large one."""
+    none: dict[str, Any] = {"svg": "", "nodes": [[]] * len(samples.modes), "states": []}
+    place = np.zeros(len(samples.t), dtype=np.intp)
+    if diagram is not None:
+        diagram, active = _followed(automaton, diagram, samples.modes)
+    if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
+        return {**none, "place": _packed(place, np.uint8)}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "chart.svg"
+        write_diagram(_bare(diagram), path)
+        svg = path.read_text(encoding="utf-8")
+    names = identifiers(diagram)
+    nodes = [[names[name] for name in active(key) if name in names] for key in samples.modes]
+    states = [names[node.name] for piece in diagram.pieces for node in piece.leaves]
+    if len(diagram.charts) == 1 and diagram.charts[0].path:
+        visits = _visits(diagram.charts[0].path, [active(jump.target) for jump in trace.jumps])
+        place = visits[samples.j]
+    return {
+        "svg": svg[svg.index("<svg") :],
+        "nodes": nodes,
+        "states": states,
+        "place": _packed(place, np.uint8),
+    }
+
+
+def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[np.intp]:
+    """Return which of the places of its mode a run is at (n + 1,), at the start and after jumps.
+
+    A path is drawn as a chain, or as rounds of a cycle, in which a mode may stand more than once.
+    """
+    found = course(path)
+    if found is None or len(found.order) > MAX_STEPS:
+        return np.zeros(len(entered) + 1, dtype=np.intp)
+    order, begin, step, places = found.order, found.back or 0, 0, [0]
+    for names in entered:
+        if step + 1 < len(path) and names == (path[step + 1],) != (path[step],):
+            step += 1
+        places.append(step if step < len(order) else begin + (step - begin) % (len(order) - begin))
+    return np.array([order[:k].count(order[k]) for k in places], dtype=np.intp)
+
+
+def _followed(
+    automaton: Automaton, diagram: Diagram, modes: Sequence[Key]
+) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
+    """Return a diagram that has every mode, and the nodes of it that are active in one.
+
+    Of a run through many modes a diagram shows the first ones; what it does after that is seen on
+    the charts of its regions.
+    """
+    shown = {node.name for node in diagram.nodes}
+
+    def of_modes(key: Key) -> tuple[str, ...]:
+        declared = tuple(r.declared(s) for r, s in zip(automaton.regions, key, strict=True))
+        return next(((name,) for name in (" ".join(key), " ".join(declared)) if name in shown), ())
+
+    if not diagram.explained or all(map(of_modes, modes)):
+        return diagram, of_modes
+    return replace(diagram, charts=diagram.explained, explained=()), active_states(automaton)
+
+
+def _bare(diagram: Diagram) -> Diagram:
+    """Return a diagram without its title, guards, conditions and actions, for the page."""
+
+    def bare(chart: Chart) -> Chart:
+        nodes = tuple(replace(node, invariants=(), actions=()) for node in chart.nodes)
+        links = tuple(replace(link, guard="", reset="") for link in chart.links)
+        axes = None if chart.axes is None else (bare(chart.axes[0]), bare(chart.axes[1]))
+        return replace(chart, nodes=nodes, links=links, axes=axes)
+
+    charts = tuple(map(bare, diagram.charts))
+    return replace(diagram, title="", charts=charts, notes=(), explained=())
+
+
+def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[str, Any]:
+    """Return values as text with their units; of a long list the numbers, for a sparkline."""
+
+    def shown(name: str, value: object) -> dict[str, Any]:
+        unit = "" if value is None else beside(units.get(name, ""))
+        many = value if isinstance(value, list) and len(value) > MAX_LISTED else []
+        return {"text": f"{number(value)} {unit}".rstrip(), "values": many}
+
+    return {name: shown(name, value) for name, value in values.items()}
+
+
+def _short(values: Array) -> list[Any]:
+    found: list[Any] = [[float(f"{x:.6g}") for x in row] for row in values.tolist()]
+    return found
+
+
+def _packed(values: Array | NDArray[np.integer[Any]], kind: type) -> str:
+    little = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
+    return b64encode(little.tobytes()).decode()
+
 
 _HERE = Path(__file__).parent
 # In this order: the moving scene, then all that moves along.
@@ -38,15 +383,7 @@ def html(shown: Mapping[str, Any]) -> str:
 
 
 def write(shown: Mapping[str, Any], path: Path) -> None:
-    """Write the page, whole or not at all.
-
-    Raises
-    ------
-    DeclarationError
-        If the suffix is not .html.
-    StatechartError
-        If the file cannot be written.
-    """
+    """Write the page, whole or not at all."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise DeclarationError(f"a page is .html, not {path.suffix or path.name!r}")
     try:

@@ -19,10 +19,9 @@ from statechart.arrays import Array
 from statechart.documents.files import write_atomic
 from statechart.errors import DeclarationError, StatechartError
 from statechart.palette import FAINT, FRAME, INK, PAPER, state_colours
-from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing
+from statechart.pictures.drawing import CLOSED, FORCE, TRAIL, Drawing, shaped
 from statechart.pictures.film import Film
 from statechart.pictures.scenery import BODY
-from statechart.pictures.snapshots import shaped
 from statechart.progress import counted
 
 if TYPE_CHECKING:

@@ -296,14 +296,7 @@ def _force_panels(automaton: Automaton, trace: Trace, samples: Samples) -> list[
         marked = (region,) if region in struck else ()
         unit = unit_of("impulse", model.units)
         found.append(
-            Panel(
-                "force",
-                drawn,
-                model.unit(normal),
-                cone=cone,
-                impulses=marked,
-                impulse_unit=unit,
-            )
+            Panel("force", drawn, model.unit(normal), cone=cone, impulses=marked, impulse_unit=unit)
         )
     kept, others = found[:_MAX_FORCES], found[_MAX_FORCES:]
     if others:

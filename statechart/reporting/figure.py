@@ -22,9 +22,9 @@ from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 from statechart.palette import GRID, INK, LINES, RUN
+from statechart.pictures.drawing import strip as draw_strip
+from statechart.pictures.drawing import strip_height
 from statechart.pictures.film import Film
-from statechart.pictures.snapshots import strip as draw_strip
-from statechart.pictures.snapshots import strip_height
 from statechart.reporting.curves import (
     COLUMNS,
     Line,
@@ -86,11 +86,7 @@ STYLE = {
 
 
 def figure(
-    observer: Observer,
-    trace: Trace,
-    path: Path | str | None = None,
-    *,
-    strip: Film | None = None,
+    observer: Observer, trace: Trace, path: Path | str | None = None, *, strip: Film | None = None
 ) -> Figure:
     """Draw a run.
 

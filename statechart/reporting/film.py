@@ -84,12 +84,7 @@ class Showing:
 
 
 def animate(
-    observer: Observer,
-    trace: Trace,
-    path: Path | str,
-    showing: Showing,
-    *,
-    progress: bool = False,
+    observer: Observer, trace: Trace, path: Path | str, showing: Showing, *, progress: bool = False
 ) -> Path:
     """Write a run as an animation, from its start until nothing moves any more."""
     path = Path(path)

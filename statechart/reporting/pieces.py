@@ -28,12 +28,7 @@ class Pieces:
     """Record of a work in parts: which of them are done, and which failed.
 
     A signal to end that comes now ends the piece at hand and leaves out those that follow; of those
-    to `keep` it leaves a short form.
-
-    Attributes
-    ----------
-    failed : dict of str to str
-        What could not be done, and why.
+    to `keep` it leaves a short form. `failed` says what could not be done, and why.
     """
 
     def __init__(self, *, strict: bool = False) -> None:

@@ -349,10 +349,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
             }
         )
         found.append(
-            {
-                "what": "guards and the location of events",
-                "why": "events are at steps, or half-way",
-            }
+            {"what": "guards and the location of events", "why": "events are at steps, or half-way"}
         )
         if trace.record is not Record.MODES:
             found.append(

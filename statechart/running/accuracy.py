@@ -20,7 +20,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
-from statechart.engines.budget import Allowance
+from statechart.engines.engine import Allowance
 from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
 from statechart.execution.flow import STIFF
@@ -415,24 +415,9 @@ def within(
 ) -> RunEstimate:
     """Return the most accurate run that a time allows.
 
-    Parameters
-    ----------
-    once : callable
-        Makes a run, and ends it with `Outcome.OUT_OF_BUDGET` once the time is up.
-    budget, spent : float
-        Seconds for all runs together, and how many of them passed before the first run.
-    floor : float
-        Least tolerance of the engine.
-    first : float, optional
-        Tolerance to begin with, where the time that runs take is known.
-    clock : callable
-        Tells the time in seconds.
-
-    Returns
-    -------
-    RunEstimate
-        Of the last run that ended in time. If none did, the first as far as it came; its outcome
-        says so.
+    `once` makes a run, and ends it with `Outcome.OUT_OF_BUDGET` once the time is up; `spent` of the
+    `budget` passed before the first. `first` is the tolerance to begin with, where the time of runs
+    is known, `floor` the least. If no run ended in time, the first is returned as far as it came.
     """
     tolerance, stride = (_FIRST, _STRIDE) if first is None else (first, TIGHTER)
     tolerance = max(tolerance, floor)

@@ -77,13 +77,7 @@ def draw(
 
 
 def draw_scene(model: Declaration | Runner | str | Path, path: str | Path) -> Path:
-    """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names.
-
-    Raises
-    ------
-    StatechartError
-        If the model is wrong or has no bodies, or the picture cannot be written.
-    """
+    """Draw a scene where its runs start: bodies, surfaces, contacts coloured by mode, and names."""
     from statechart.reporting.figure import write as write_figure
 
     write_figure(_scene(model if isinstance(model, Runner) else Runner(model)), path)
@@ -106,7 +100,7 @@ def notebook(model: Declaration) -> str:
 
 
 def _scene(runner: Runner) -> Figure:
-    from statechart.pictures.snapshots import picture
+    from statechart.pictures.drawing import picture
     from statechart.reporting.film import filmed, stage_of
 
     stage = stage_of(runner.automaton)

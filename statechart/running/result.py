@@ -377,14 +377,8 @@ def _restored(source: Callable[[], Outputs], trace: Trace, *parts: Any) -> Resul
 
 
 def _page_content(result: Result, study: Measured | None) -> dict[str, Any]:
-    """Return the content of the page of a run.
-
-    Raises
-    ------
-    StatechartError
-        If the study is of another model, or the run has kept nothing to show.
-    """
-    from statechart.pages.content import MOST_EVENTS, content
+    """Return the content of the page of a run."""
+    from statechart.pages.page import MOST_EVENTS, content
 
     trace, model = result.trace, result.observer.automaton.declaration
     if study is None:

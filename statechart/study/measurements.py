@@ -196,12 +196,8 @@ class Measurements(Record):
     def front(self, *, once: bool = False) -> tuple[Point, ...]:
         """Return the Pareto front: no other point is at least as accurate and faster.
 
-        Only of points that took the modes of the reference; from the fastest on.
-
-        Parameters
-        ----------
-        once : bool
-            Whether that is the first run of a process, or one that follows others.
+        Only of points that took the modes of the reference; from the fastest on. `once` asks for
+        the time of the first run of a process, not of one that follows others.
         """
         found: list[Point] = []
         least = math.inf
@@ -243,20 +239,8 @@ class Measurements(Record):
     def choose(self, asked: Setting, *, once: bool) -> Chosen | None:
         """Return the cheapest setting that was seen to reach an accuracy, or the best in a time.
 
-        The error that the reference itself may have counts on top.
-
-        Parameters
-        ----------
-        asked : Setting
-            With an accuracy, or a budget for the run and a coarser one to compare it with. A named
-            engine or method excludes all others.
-        once : bool
-            Whether the first run of a process is to be cheap, or those that follow it.
-
-        Returns
-        -------
-        Chosen or None
-            One with a tolerance; None where none was seen to do.
+        The error that the reference itself may have counts on top. A named engine or method
+        excludes all others. `once`: see `front`. None where no setting was seen to do.
         """
         best: tuple[float, Point] | None = None
         for point in self.points:

@@ -131,12 +131,7 @@ class References:
     def make(self, mark: str) -> tuple[Run, Study]:
         """Make the reference and the run that checks it; a third where these two disagree.
 
-        Returns
-        -------
-        Run
-            The reference.
-        Study
-            Of it, without points.
+        The study has no points.
         """
         failures: list[str] = []
         some = self._runs(failures)

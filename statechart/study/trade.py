@@ -99,15 +99,7 @@ class Bench:
         return lambda: planner.run({}, self.until)[0]
 
     def measure(self, setting: Setting, reference: Run) -> Point:
-        """Run a setting and compare it.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If the user interrupted it.
-        StatechartError
-            If the engine cannot run the model.
-        """
+        """Run a setting and compare it."""
         step = setting.step
         settings = (
             [setting] if step is None else [replace(setting, step=part * step) for part in _PARTS]

@@ -20,12 +20,7 @@ from statechart.arrays import Array, Bools, Ints32
 from statechart.automaton.trace import Key, Outcome
 from statechart.compiling import working_time
 from statechart.documents.declaration import Declaration
-from statechart.errors import (
-    DeclarationError,
-    DeclarationProblem,
-    FormulaError,
-    SimulationError,
-)
+from statechart.errors import DeclarationError, DeclarationProblem, FormulaError, SimulationError
 from statechart.execution.compiled_loop import EVENTS, EVENTS_END, FIRST_MODE, T_HIGH, Batch
 from statechart.execution.simulator import BatchRunner
 from statechart.formulas.formula import parse

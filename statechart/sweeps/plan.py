@@ -97,22 +97,9 @@ class Tile:
 class Plan:
     """A sweep: parameters, their values, and the task of every cell.
 
-    Parameters
-    ----------
-    model : Declaration
-        The model.
-    setting : Setting
-        Engine, and what that is told.
-    columns : mapping of str to (n,) array
-        The swept parameters: the values of each along its axis, or of all along a table.
-    grid : bool
-        Whether every value is combined with all of the others.
-    until : float, optional
-        End of the runs; `stop.time` of the model by default.
-    outputs : sequence of str, optional
-        Outputs to compute; all of the model by default.
-    accurate : bool
-        Whether runs estimate their error.
+    Columns have the values of each parameter along its axis (`grid`), or of all along a table. Runs
+    end at `until`, else at `stop.time` of the model; all outputs of the model are computed by
+    default. `accurate`: runs estimate their error.
     """
 
     def __init__(

@@ -432,8 +432,7 @@ class Store:
 
     def _damaged(self, name: str, words: str = "cannot be read") -> DeclarationError:
         return DeclarationError(
-            f"{self._path} is damaged: {name} {words}",
-            advice="remove it, and begin the sweep anew",
+            f"{self._path} is damaged: {name} {words}", advice="remove it, and begin the sweep anew"
         )
 
     def _problem(self, verb: str, error: OSError) -> StatechartError:

@@ -214,11 +214,7 @@ def examine(
             progress(item.name)
         results.append(_tested(subject, item, examples, seed))
     return CheckReport(
-        subject.model.name,
-        seed,
-        subject.engines,
-        ranges(subject.model),
-        tuple(results),
+        subject.model.name, seed, subject.engines, ranges(subject.model), tuple(results)
     )
 
 
@@ -279,11 +275,7 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
     if record.failing is not None:
         failure = _failure(subject.model, item, *record.failing)
     return PropertyReport(
-        item.name,
-        len(record.tested),
-        len(record.undecidable),
-        record.reason,
-        failure=failure,
+        item.name, len(record.tested), len(record.undecidable), record.reason, failure=failure
     )
 
 

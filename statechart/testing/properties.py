@@ -22,16 +22,12 @@ from functools import partial
 
 import numpy as np
 
+from statechart.arrays import ROUND_OFF, Array
+from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Outcome, Role, Trace
-from statechart.tabular import shortest
+from statechart.tabular import several, shortest
 from statechart.testing.agreement import Undecidable, assert_same
 from statechart.testing.guards import GOLDEN, assert_invariants, assert_margins, assert_relations
-from statechart.testing.hybrid_time import (
-    assert_continuous,
-    assert_edges,
-    assert_ordered,
-    projected,
-)
 from statechart.testing.subject import Case, Subject
 
 # A start that is inside a constraint by so little is brought onto it.
@@ -42,15 +38,8 @@ _START = 1e-8
 class Property:
     """Something that must hold for every choice of the parameters.
 
-    Attributes
-    ----------
-    name : str
-        What holds, in words.
-    holds : callable
-        Case -> None; raises AssertionError where it does not hold, `Undecidable` where that
-        cannot be told.
-    skipped : str
-        Why the model has nothing that it could be tested on; empty where it has.
+    `holds` raises AssertionError where it does not hold, `Undecidable` where that cannot be told.
+    `skipped` is why the model has nothing that it could be tested on, else empty.
     """
 
     name: str
@@ -59,13 +48,7 @@ class Property:
 
 
 def assert_ended(case: Case) -> None:
-    """Check that every run comes to an end that the model declares.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that every run comes to an end that the model declares."""
     for trace in case.traces.values():
         if not trace.outcome.succeeded:
             raise AssertionError(
@@ -74,13 +57,7 @@ def assert_ended(case: Case) -> None:
 
 
 def assert_start(case: Case) -> None:
-    """Check that runs start in the declared state, but for rounding on constraints.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that runs start in the declared state, but for rounding on constraints."""
     for trace in case.traces.values():
         declared = case.subject.automaton.setup(case.parameters, trace.tolerance).initial
         moved = projected(trace)
@@ -95,13 +72,7 @@ def assert_start(case: Case) -> None:
 
 
 def assert_engines_agree(case: Case) -> None:
-    """Check that all engines take the same modes at the same times through the same states.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that all engines take the same modes at the same times through the same states."""
     first, *others = case.sound
     for other in others:
         loosened = partial(case.loosened, other.tolerance)
@@ -109,13 +80,7 @@ def assert_engines_agree(case: Case) -> None:
 
 
 def assert_prefix(case: Case) -> None:
-    """Check that a shorter run is the beginning of the run: the future changes nothing.
-
-    Parameters
-    ----------
-    case : Case
-        A choice of parameters and its runs.
-    """
+    """Check that a shorter run is the beginning of the run: the future changes nothing."""
     trace = case.sound[0]
     if not trace.arcs:
         raise Undecidable("nothing flows")
@@ -157,13 +122,7 @@ def each(check: Callable[[Subject, Trace], None]) -> Callable[[Case], None]:
 
 
 def generic(subject: Subject) -> tuple[Property, ...]:
-    """Return what holds for every automaton.
-
-    Parameters
-    ----------
-    subject : Subject
-        The model.
-    """
+    """Return what holds for every automaton."""
     states = [(region, state) for region in subject.automaton.regions for state in region.states]
     of_states = any(region.build(Role(state)).invariants for region, state in states)
     no_invariants = not (of_states or subject.automaton.invariants)
@@ -191,3 +150,92 @@ def generic(subject: Subject) -> tuple[Property, ...]:
         Property("engines agree", assert_engines_agree, skipped=alone),
         Property("a shorter run is the beginning of a longer one", assert_prefix),
     )
+
+
+_CONTINUOUS = 100.0
+
+
+def assert_ordered(trace: Trace) -> None:
+    """Check that arcs and jumps follow one another on hybrid time (t, j)."""
+    t, j = 0.0, 0
+    # Steps of one length add up to it with their roundings.
+    allowed = ROUND_OFF * trace.t_end if trace.step is not None else 0.0
+    points = sorted(
+        [(arc.j, 1, arc.start.high, arc.end.high) for arc in trace.arcs]
+        + [(jump.j, 2, jump.t, jump.t) for jump in trace.jumps],
+        key=lambda point: point[:2],
+    )
+    for of, what, start, end in points:
+        place = f"{('arc', 'jump')[what - 1]} at t = {shortest(start)}, j = {of}"
+        off = abs(start - t)
+        assert off <= allowed, f"{place} does not begin where the run was, t = {shortest(t)}"
+        assert end >= start, f"{place} ends before it begins, at t = {shortest(end)}"
+        assert of == j, f"{place} comes after {several(j, 'jump')}"
+        t, j = end, of + (what == 2)
+    assert abs(t - trace.t_end) <= allowed, (
+        f"the run ends at t = {shortest(trace.t_end)}, its parts at {shortest(t)}"
+    )
+
+
+def assert_edges(automaton: Automaton, trace: Trace) -> None:
+    """Check that every jump is an edge of the automaton, region by region."""
+    mode = trace.start_mode
+    for jump in trace.jumps:
+        place = f"jump {jump.j} at t = {shortest(jump.t)} ({jump.region} {jump.cause})"
+        assert jump.source == mode, f"{place} leaves {jump.source}, but the mode was {mode}"
+        mode = jump.target
+        for region, before, after in zip(automaton.regions, jump.source, mode, strict=True):
+            edges = {(e.source, e.target, e.cause) for e in region.edges}
+            if region.name == jump.region:
+                known = (before, after, jump.cause) in edges
+            else:
+                known = before == after or any(e[:2] == (before, after) for e in edges)
+            assert known, f"{place}: {region.name} has no such edge from {before} to {after}"
+    assert mode == trace.final_mode, f"the run ends in {trace.final_mode}, its jumps in {mode}"
+    for arc in trace.arcs:
+        mode = trace.jumps[arc.j - 1].target if arc.j else trace.start_mode
+        assert arc.mode == mode, (
+            f"the arc at t = {shortest(arc.start.high)} shows {arc.mode}, not {mode}"
+        )
+
+
+def assert_continuous(trace: Trace) -> None:
+    """Check that states change only by jumps, and that steps of an arc join."""
+    visited = [arc.coefficients[:, :, 0] for arc in trace.arcs]
+    sizes = np.abs(np.concatenate([*visited, trace.initial[None], trace.final[None]])).max(axis=0)
+    error = ROUND_OFF if trace.step is not None else max(trace.tolerance, ROUND_OFF)
+    allowed = _CONTINUOUS * error * sizes + projected(trace)
+    state, j = trace.initial, 0
+    for arc in trace.arcs:
+        state = _through(trace, state, j, arc.j, allowed)
+        j = arc.j
+        starts, ends = arc.coefficients[:, :, 0], arc.coefficients.sum(axis=2)
+        before = np.concatenate([state[None], ends[:-1]])
+        _join(trace, before, starts, arc.start.high, allowed)
+        state = ends[-1]
+    state = _through(trace, state, j, len(trace.jumps), allowed)
+    _join(trace, state[None], trace.final[None], trace.t_end, allowed)
+
+
+def _through(trace: Trace, state: Array, first: int, last: int, allowed: Array) -> Array:
+    for jump in trace.jumps[first:last]:
+        _join(trace, state[None], jump.before[None], jump.t, allowed)
+        state = jump.after
+    return state
+
+
+def _join(trace: Trace, before: Array, after: Array, t: float, allowed: Array) -> None:
+    off = np.abs(after - before)
+    if not (off <= allowed).all():
+        step, variable = np.unravel_index(int(np.argmax(off / (allowed + 1e-300))), off.shape)
+        raise AssertionError(
+            f"{trace.variables[variable]} changes by {off[step, variable]:.3g} without a jump "
+            f"in the arc from t = {shortest(t)}"
+        )
+
+
+def projected(trace: Trace) -> float:
+    """Return how far states may be moved where they are brought back onto constraints."""
+    if trace.step is not None:
+        return 0.0
+    return trace.tolerances.get("gap", 0.0) + trace.tolerances.get("speed", 0.0)

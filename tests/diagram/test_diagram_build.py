@@ -8,11 +8,10 @@ import pytest
 from runs import automaton, run
 
 from statechart.automaton.product import feasibility
-from statechart.diagram.build import build, needs_run
+from statechart.diagram.build import build, mode_label, needs_run
 from statechart.diagram.dot import dot
 from statechart.diagram.legend import GUARDS, legend
 from statechart.diagram.mermaid import mermaid
-from statechart.diagram.region import mode_label
 from statechart.documents.yaml_reader import read_text
 from statechart.running.runner import Runner
 

@@ -495,9 +495,85 @@ def steps(text: str, h: float):
     return statechart.run(interpret(read_text(text)), engine="impulse", step=h)
 
 
-def test_steps_refuse_rolling_resistance() -> None:
-    with pytest.raises(statechart.Unsupported, match="steps have no rolling resistance"):
-        steps(ROLLING, 1e-3)
+@pytest.mark.parametrize("slope", [0.0, 0.005, -0.015])
+@pytest.mark.parametrize("contact", ["friction: 0.5\n    restitution: 0", "modes: [pin]"])
+def test_steps_roll_a_ball_to_rest_where_the_closed_form_does(slope: float, contact: str) -> None:
+    a = 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    text, h = ROLLING.replace("friction: 0.5\n    restitution: 0", contact), 4e-3
+    result = steps(text.replace("slope: 0", f"slope: {slope}"), h)
+    ((name, t),) = events(result.trace)
+    assert name == "rim_rolling lock"
+    assert t == pytest.approx(-2.0 / a, abs=h)
+    assert result.outputs["way"] == pytest.approx(-2.0 / a, abs=1e-2 * h)
+    assert result.trace.arcs[-1].mode == ("pin", "locked")
+
+
+@pytest.mark.parametrize(("part", "holds"), [(0.999, True), (1.001, False)])
+def test_steps_hold_a_disc_below_the_angle_of_its_length(part: float, holds: bool) -> None:
+    slope = part * math.atan(0.02)
+    text = ROLLING.replace("v0: 2", "v0: 0").replace("slope: 0", f"slope: {slope}")
+    result = steps(text, 4e-3)
+    assert result.trace.arcs[0].mode == ("pin", "locked" if holds else "slip-")
+    a = 0.0 if holds else 9.81 * (math.sin(slope) - 0.02 * math.cos(slope)) / 1.4
+    assert result.outputs["way"] == pytest.approx(a * 200, abs=EXACT)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.3, 0.6])
+def test_steps_resist_rolling_in_impacts(e: float) -> None:
+    text = ROLLING.replace("y: r, dx: v0, dangle: -v0/r", "y: 0.3, dx: 1, dangle: -5")
+    trace = steps(text.replace("restitution: 0\n", f"restitution: {e}\n"), 4e-3).trace
+    assert trace.arcs[0].mode == ("free", "free")
+    assert trace.arcs[-1].mode == ("pin", "locked")
+    spin = 1 * 0.1 * 1 + 0.4 * 0.1**2 * 5
+    assert trace.jumps[-1].t == pytest.approx(spin / (0.002 * 9.81), abs=8e-3)
+
+
+TRAILER = """
+kind: scene
+name: trailer
+gravity: 9.81
+parameters: {m: 1, r: 0.1, L: 0.03, v: 3}
+bodies:
+  cart: {mass: 2, inertia: 0.1, start: {y: 0.6, x: -0.5, dx: v}}
+  ball: {mass: m, inertia: 2*m*r**2/5, start: {y: r, dx: v, dangle: -v/r}}
+surfaces: {floor: {height: 0}}
+joints:
+  rail: {point: {body: cart}, to: {y: 0.6}}
+  hinge: {point: {body: ball}, to: {body: cart, at: [0.5, -0.5]}}
+contacts:
+  rim:
+    point: {body: ball}
+    radius: r
+    surface: floor
+    friction: 0.5
+    restitution: 0
+    rolling_resistance: L
+forces: {hold: {body: cart, moment: -20*cart.angle - 2*cart.dangle}}
+stop: {time: 6}
+outputs: {way: {value: ball.x}, load: {value: rim.V, at: first rim_rolling.lock}}
+"""
+
+
+def test_steps_find_the_normal_force_that_rolling_resistance_changes() -> None:
+    # The couple turns the cart through its wheel, which loads the wheel otherwise.
+    exact = run(TRAILER)
+    wrong = []
+    for h in (4e-3, 1e-3):
+        found = steps(TRAILER, h)
+        assert found.trace.arcs[-1].mode == ("pin", "locked")
+        wrong.append(abs(found.outputs["way"] - exact.outputs["way"]))
+        assert found.trace.jumps[-1].t == pytest.approx(exact.trace.jumps[-1].t, abs=h)
+    assert wrong[1] < 0.5 * wrong[0] < 4e-3
+
+
+@ENGINES
+def test_rolling_resistance_of_a_compliant_tyre_stops_it(engine: str) -> None:
+    # It sinks by m g/k at once, the normal force stays m g.
+    text = ROLLING.replace("restitution: 0\n", "stiffness: 2000\n")
+    result = run(text.replace("start: {y: r,", "start: {y: r - m*g/2000,"), engine)
+    ((name, t),) = events(result.trace)
+    assert (name, t) == ("rim_rolling lock", pytest.approx(2 * 1.4 / (0.02 * 9.81), abs=1e-8))
+    assert result.trace.arcs[-1].mode == ("pin", "locked")
 
 
 @pytest.mark.parametrize(("text", "h", "count"), [(ROTOR, 4e-3, 4), (RAMP, 4e-3, 1)])

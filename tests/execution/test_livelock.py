@@ -11,10 +11,12 @@ from statechart.automaton.clock import Clock
 from statechart.errors import EventLoop
 from statechart.execution.livelock import JUMPS_AT_ONCE, JUMPS_NEAR, Livelock
 
+MODEL: Any = SimpleNamespace(label="{}".format, regions=())
+
 
 def _jumps(start: float, interval: float, count: int = JUMPS_NEAR) -> list[Any]:
     return [
-        SimpleNamespace(t=start + k * interval, cause="enable", target=("free",))
+        SimpleNamespace(t=start + k * interval, region="foot", cause="enable", target=("free",))
         for k in range(count)
     ]
 
@@ -23,19 +25,19 @@ def _jumps(start: float, interval: float, count: int = JUMPS_NEAR) -> list[Any]:
 def test_jumps_within_the_round_off_of_time_are_a_loop(start: float, interval: float) -> None:
     jumps = _jumps(start, interval)
     with pytest.raises(EventLoop, match=r"1024 jumps at t = .*: enable -> .*free"):
-        Livelock(1.0).check(jumps, Clock(jumps[-1].t), "{}".format)
+        Livelock(1.0).check(jumps, Clock(jumps[-1].t), MODEL)
 
 
 @pytest.mark.parametrize(("start", "interval"), [(0.26, 1e-16), (0.0, 1e-17), (1e6, 1e-11)])
 def test_jumps_that_take_time_are_none(start: float, interval: float) -> None:
     # Intervals below an ulp of the start add up.
-    jumps = [SimpleNamespace(t=start, cause="", target=())] * JUMPS_NEAR
-    Livelock(1.0).check(jumps, Clock(start).later(JUMPS_NEAR * interval), "{}".format)
+    jumps = [SimpleNamespace(t=start, region="", cause="", target=())] * JUMPS_NEAR
+    Livelock(1.0).check(jumps, Clock(start).later(JUMPS_NEAR * interval), MODEL)
 
 
 def test_few_jumps_are_no_livelock() -> None:
     jumps = _jumps(1.0, 0.0, JUMPS_NEAR - 1)
-    Livelock(1.0).check(jumps, Clock(1.0), "{}".format)
+    Livelock(1.0).check(jumps, Clock(1.0), MODEL)
 
 
 def test_equations_that_change_while_time_creeps_are_a_loop() -> None:

@@ -11,7 +11,7 @@ from contacts.scene.scene import Scene
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.loading.load import interpret
-from statechart.testing.hybrid_time import assert_edges
+from statechart.testing.properties import assert_edges
 
 # A weight falls on one end of a board and throws up what lies on the other. As that comes down
 # again, it and the board's end strike in turn, ever sooner, without any restitution.

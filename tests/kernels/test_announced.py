@@ -6,7 +6,7 @@ import heyoka
 import pytest
 
 from statechart import compiling, run
-from statechart.engines.budget import Allowance
+from statechart.engines.engine import Allowance
 from statechart.errors import OutOfBudget
 
 KERNELS = """\

@@ -6,7 +6,7 @@ import base64
 
 import numpy as np
 
-from statechart.pages.content import _panels, _sample_rows
+from statechart.pages.page import _panels, _sample_rows
 from statechart.reporting.curves import COLUMNS, curves
 from statechart.running.runner import Runner
 

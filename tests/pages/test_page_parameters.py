@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from statechart.pages.content import content
+from statechart.pages.page import content
 from statechart.running.runner import Runner
 
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 import statechart
-from contacts.pictures.grounds import grounds
+from contacts.pictures.stage import grounds
 from contacts.scene.scene import Scene
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
+from statechart.pictures.drawing import crossing, picture
 from statechart.pictures.film import Film, arrows, cones, placed, strokes
-from statechart.pictures.names import crossing
-from statechart.pictures.snapshots import picture
 from statechart.reporting.film import filmed, stage_of, until_rest
 from statechart.running.drawing import draw_scene
 
@@ -235,7 +234,7 @@ def test_the_ground_below_a_body_with_a_shape_is_seen(tmp_path, monkeypatch):
         "stop: {time: 0.1}\n"
     )
     drawn = []
-    monkeypatch.setattr("statechart.pictures.snapshots.picture", drawn.append)
+    monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
     monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
     draw_scene(path, tmp_path / "scene.png")
     (film,) = drawn
@@ -334,7 +333,7 @@ def test_the_scene_at_the_start_has_the_forces_and_modes_of_the_first_step(
     name, tmp_path, monkeypatch
 ):
     drawn = []
-    monkeypatch.setattr("statechart.pictures.snapshots.picture", drawn.append)
+    monkeypatch.setattr("statechart.pictures.drawing.picture", drawn.append)
     monkeypatch.setattr("statechart.reporting.figure.write", lambda drawing, path: None)
     draw_scene(name, tmp_path / "scene.png")
     (film,) = drawn

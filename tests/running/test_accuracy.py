@@ -21,7 +21,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.cli.main import main
 from statechart.documents.setting import Setting
 from statechart.documents.yaml_reader import read_text
-from statechart.engines.budget import Allowance
+from statechart.engines.engine import Allowance
 from statechart.errors import OutOfBudget
 from statechart.observation.difference import compare, paired, parted
 from statechart.observation.observer import Observer

@@ -12,15 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart.diagram.layout.block import (
-    Arrow,
-    Block,
-    Box,
-    Look,
-    bounded,
-    covered,
-    polyline,
-)
+from statechart.diagram.layout.block import Arrow, Block, Box, Look, bounded, covered, polyline
 from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
 from statechart.diagram.layout.markup import (
     FRAMES,

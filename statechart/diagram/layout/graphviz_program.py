@@ -24,13 +24,7 @@ INCH = 72.0
 
 
 def render(source: str, form: str) -> bytes:
-    """Run Graphviz on DOT source.
-
-    Raises
-    ------
-    StatechartError
-        If Graphviz does not make it.
-    """
+    """Run Graphviz on DOT source."""
     import pygraphviz
 
     with tempfile.TemporaryFile() as output, _bundled_fonts():

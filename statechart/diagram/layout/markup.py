@@ -38,12 +38,7 @@ class Style:
 
 
 def text(
-    words: str,
-    *,
-    size: int = LABEL,
-    bold: bool = False,
-    italic: bool = False,
-    colour: str = INK,
+    words: str, *, size: int = LABEL, bold: bool = False, italic: bool = False, colour: str = INK
 ) -> str:
     """Return text as part of an HTML-like label."""
     lines = printable(words).split("\n")

@@ -1,0 +1,203 @@
+"""Wrapping: `mod` and `floor` of time along a run, by regions that count whole periods.
+
+mod(a, b) = a - b n with n = floor(a/b), a variable of a region: a transition counts it up where a
+reaches (n + 1) b, another down where a falls below n b.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeVar
+
+from pydantic import BaseModel
+
+from statechart.charts.transitions import Transition
+from statechart.documents.declaration import Declaration
+from statechart.documents.fields import TIME, value_of
+from statechart.errors import DeclarationProblem, Loc
+from statechart.formulas.formula import parse
+from statechart.formulas.tree import JUMPS
+
+Document = TypeVar("Document", bound=Declaration)
+
+STATE = "on"
+"""The only state of a region that counts."""
+
+_CALL = re.compile(rf"(?<![\w.])({'|'.join(sorted(JUMPS))})\s*\(")
+_TIME = re.compile(rf"(?<![\w.]){TIME}\b")
+_ATOM = re.compile(r"[\w.]+")
+# Those of what is computed once, and of what is read off a run.
+_APART = frozenset(("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings"))
+_EVENTS = {"mod": ("wrap", "unwrap"), "floor": ("rise", "fall")}
+
+
+class Call(NamedTuple):
+    """A call of `mod` or `floor` whose first argument uses the time."""
+
+    function: str
+    value: str
+    period: str
+    start: int  # Its place in the text, and the end of it.
+    end: int
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Its function and arguments: calls that are alike share a count."""
+        return self.function, self.value, self.period
+
+
+class Count(NamedTuple):
+    """A region that counts: its variable, and how that changes."""
+
+    variable: str
+    initial: str
+    transitions: tuple[Transition, ...]
+
+
+def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
+    """Return a document with counts in the place of `mod` and `floor`, and what counts them."""
+    regions: dict[tuple[str, str, str], str] = {}
+    taken: set[str] = set()
+    for part in type(document).model_fields:
+        names = getattr(document, part)
+        taken |= names.keys() if isinstance(names, Mapping) else set()
+
+    def name(call: Call) -> str:
+        if call.key not in regions:
+            own, number = call.function, 1
+            while own in taken:
+                number += 1
+                own = f"{call.function}{number}"
+            taken.add(own)
+            regions[call.key] = own
+        return regions[call.key]
+
+    def rewritten(value: Any) -> Any:
+        if isinstance(value, str):
+            for call in reversed(list(calls(value))):
+                count = f"{name(call)}.count"
+                if call.function == "mod":
+                    count = f"({call.value} - {_factor(call.period)}*{count})"
+                value = value[: call.start] + count + value[call.end :]
+            return value
+        if isinstance(value, BaseModel):
+            own = {field: getattr(value, field) for field in type(value).model_fields}
+            new = {f: made for f, part in own.items() if (made := rewritten(part)) is not part}
+            return value.model_copy(update=new) if new else value
+        if isinstance(value, Mapping):
+            found = {key: rewritten(part) for key, part in value.items()}
+            return value if all(found[key] is value[key] for key in found) else found
+        if isinstance(value, list | tuple):
+            parts = [rewritten(part) for part in value]
+            same = all(one is other for one, other in zip(parts, value, strict=True))
+            return value if same else type(value)(parts)
+        return value
+
+    fields = {part: getattr(document, part) for part in type(document).model_fields}
+    fields |= {part: rewritten(value) for part, value in fields.items() if part not in _APART}
+    if not regions:
+        return document, {}
+    counts = {own: _count(own, *key) for key, own in regions.items()}
+    return document.model_construct(**fields), counts
+
+
+def _count(region: str, function: str, value: str, period: str) -> Count:
+    count, period = f"{region}.count", _factor(period)
+    up, down = _EVENTS[function]
+    ways = [(up, f"{value} >= ({count} + 1)*{period}", f"{count} + 1")]
+    if value != TIME:
+        ways.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
+    return Count(
+        count,
+        f"floor({_TIME.sub('0', _factor(value))}/{period})",
+        tuple(
+            Transition(**{"name": event, "from": STATE, "guard": guard, "updates": {count: to}})
+            for event, guard, to in ways
+        ),
+    )
+
+
+def _factor(text: str) -> str:
+    return text if _ATOM.fullmatch(text) else f"({text})"
+
+
+def calls(text: str) -> Iterator[Call]:
+    """Yield the calls in a formula or a relation."""
+    for found in _CALL.finditer(text):
+        depth, places = 0, [found.end()]
+        for place in range(found.end() - 1, len(text)):
+            depth += {"(": 1, ")": -1}.get(text[place], 0)
+            if not depth:
+                break
+            if depth == 1 and text[place] == ",":
+                places.append(place + 1)
+        places.append(place + 1)
+        parts = [text[a : b - 1].strip() for a, b in pairwise(places)]
+        value, period = (*parts, "1")[:2]
+        if _TIME.search(value):
+            yield Call(found[1], value, period, found.start(), place + 1)
+
+
+def check_wrapping(
+    document: Declaration, values: Mapping[str, float], still: Collection[Loc] = ()
+) -> None:
+    """Check that `mod` and `floor` of time are of time and parameters alone, in their places.
+
+    `still` are the beginnings of places of formulas that may not jump. Raises
+    `DeclarationProblem` at the first that is not.
+    """
+    for loc, text in _texts(document, ()):
+        for call in calls(text):
+            _check(document, call, loc, values)
+            if loc[0] in _APART or any(loc[: len(part)] == part for part in still):
+                raise DeclarationProblem(
+                    f"{call.function} jumps, and is not for what stands here",
+                    advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
+                    "guards, or enabled",
+                    loc=loc,
+                    offset=call.start,
+                )
+
+
+def _check(document: Declaration, call: Call, loc: Loc, values: Mapping[str, float]) -> None:
+    used = parse(call.value).names | parse(call.period).names
+    others = sorted(used - {TIME, *document.parameters})
+    others += ["a formula that jumps"] if _CALL.search(call.value) else []
+    if others:
+        raise DeclarationProblem(
+            f"{call.function} of {others[0]} is not periodic in time",
+            advice=f"write {call.function} of {TIME} and parameters, as in mod({TIME}, T); of what "
+            "else changes, write a region whose transition to its own state counts",
+            loc=loc,
+            offset=call.start,
+        )
+    if TIME in parse(call.period).names:
+        problem = "changes"
+    else:
+        found = value_of(call.period, values, *loc)
+        problem = "" if 0.0 < found < math.inf else f"is {found:g}"
+    if problem:
+        raise DeclarationProblem(
+            f"the period of {call.function} {problem}",
+            advice="write a number above 0, or a formula of parameters",
+            loc=loc,
+            offset=call.start,
+        )
+
+
+def _texts(value: Any, loc: Loc) -> Iterator[tuple[Loc, str]]:
+    if isinstance(value, str):
+        if _CALL.search(value):
+            yield loc, value
+    elif isinstance(value, BaseModel):
+        for field in type(value).model_fields.keys() - {"doc"}:
+            yield from _texts(getattr(value, field), (*loc, field))
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _texts(part, (*loc, key))
+    elif isinstance(value, list | tuple):
+        for place, part in enumerate(value):
+            yield from _texts(part, (*loc, place))

@@ -1,0 +1,179 @@
+"""`mod` and `floor` of time: sums over periods in closed form, events where periods end."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from runs import run_chart
+
+from statechart.charts.wrapping import calls
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError, NoConsistentMode
+from statechart.loading.load import interpret
+from statechart.running.result import Result
+from statechart.running.runner import Runner
+
+G = 9.81
+T, V = 0.4, 1.2
+ENGINES = ("{engine: taylor}", "{engine: scipy}", "{engine: impulse, step: 1e-4}")
+engines = pytest.mark.parametrize("settings", ENGINES)
+
+SAW = """
+parameters: {T: 0.4, v: 1.2, mu: 0.3}
+gravity: 9.81
+bodies: {ball: {mass: 1}}
+surfaces: {table: {height: 0, displacement: [X, Y]}}
+contacts: {foot: {point: {body: ball}, surface: table, friction: mu, restitution: 0}}
+outputs:
+  lands: {value: time, at: each foot.touchdown}
+  sticks: {value: time, at: each foot.stick}
+  wraps: {value: time, at: each mod.wrap}
+"""
+
+
+def scene(x: str, y: str, settings: str, **further: Any) -> Result:
+    text = SAW.replace("X", f'"{x}"').replace("Y", f'"{y}"')
+    whole = f"kind: scene\nname: n\n{text}\nsettings: {settings}\n"
+    return Runner(interpret(read_text(whole))).run(until=1.5, **further)
+
+
+@engines
+def test_a_ball_on_a_saw_tooth_table_is_thrown_and_lands_in_every_period(settings: str) -> None:
+    near = 3e-4 if "impulse" in settings else 1e-12
+    result = scene("0", "v*mod(time, T)", settings)
+    assert result.outputs["wraps"] == pytest.approx([T, 2 * T, 3 * T], abs=1e-15)
+    # Against the table, which falls by v T and rises again at v, it has no velocity at first.
+    flight = math.sqrt(2 * V * T / G)
+    assert result.outputs["lands"][1:] == pytest.approx([T + flight, 2 * T + flight], abs=near)
+    since = 1.5 - 3 * T
+    expected = V * T + V * since - G * since**2 / 2
+    assert result.trace.final[1] == pytest.approx(expected, abs=30 * near)
+
+
+@engines
+def test_a_conveyor_that_jumps_back_carries_on(settings: str) -> None:
+    near = 1e-3 if "impulse" in settings else 1e-12
+    result = scene("v*mod(time, T)", "0", settings)
+    stuck = V / (0.3 * G)
+    assert result.outputs["sticks"] == pytest.approx([stuck], abs=near)
+    assert result.trace.final[0] == pytest.approx(V * (1.5 - stuck / 2), abs=near)
+
+
+@engines
+def test_a_cam_strikes_at_the_phase_at_which_it_turns_round(settings: str) -> None:
+    # It falls as slowly as the point can follow, and rises as fast from the next period on.
+    path = "0.02*sin(pi*mod(time + T/4, T)/T) - 0.02*sin(pi/4)"
+    result = scene("0", path, settings, parameters={"T": 0.5})
+    assert result.outputs["wraps"] == pytest.approx([0.375, 0.875, 1.375], abs=1e-15)
+    near = 1e-4 if "impulse" in settings else 1e-12
+    assert result.outputs["lands"][1:] == pytest.approx([0.375, 0.875, 1.375], abs=near)
+    assert result.trace.final[1] == pytest.approx(0.0, abs=20 * near)
+
+
+@pytest.mark.parametrize("settings", ENGINES)
+def test_a_table_that_jumps_into_a_ball_ends_the_run(settings: str) -> None:
+    with pytest.raises(NoConsistentMode, match=r"surface 'table' jumps 0\.48"):
+        scene("0", "-v*mod(time, T)", settings)
+
+
+FLOWS = """
+parameters: {T: 0.3, w: 2, p: 0.1}
+variables: {x: 0, y: 0, z: 0, r: 0}
+regions:
+  a:
+    initial: on
+    states:
+      on: {flows: {x: "mod(time, T)", y: "floor(w*time + p)", z: "mod(-time, T)"}}
+      late: {flows: {r: "max(0, mod(time, T) - 0.1)"}}
+    transitions:
+      - {name: go, from: on, to: late, guard: "mod(time, T) - floor(time/T)/10 <= -0.35"}
+outputs:
+  gone: {value: time, at: first a.go}
+"""
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_flows_and_guards_of_charts_have_the_sums_of_their_periods(
+    tmp_path: Path, engine: str
+) -> None:
+    result = run_chart(tmp_path, FLOWS + "stop: {time: 2}\n", engine)
+    gone = 1.2
+    assert result.outputs["gone"] == pytest.approx(gone, abs=1e-12)
+    x, y, z, r, *_ = result.trace.final
+    assert x == pytest.approx(4 * 0.3**2 / 2, abs=1e-12)
+    # From .45 on it is 1, from .95 on 2.
+    assert y == pytest.approx(0.5 + 2 * (gone - 0.95), abs=1e-12)
+    assert z == pytest.approx(4 * 0.3**2 / 2, abs=1e-12)
+    assert r == pytest.approx(2 * 0.2**2 / 2 + 0.1**2 / 2, abs=1e-12)
+
+
+LED = """
+gravity: 9.81
+bodies:
+  plate:
+    shape: {polygon: [[-1, -0.1], [1, -0.1], [1, 0], [-1, 0]]}
+    position: [0, "v*mod(time, T)"]
+  disc: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.1}}
+parameters: {T: 0.4, v: 1.2}
+collisions: {all: {bodies: [plate, disc], friction: 0.3, restitution: 0}}
+outputs: {lands: {value: time, at: each disc.touchdown}, wraps: {value: time, at: each mod.wrap}}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-3, 2.5e-4])
+def test_a_led_body_in_a_saw_tooth_throws_a_disc(step: float) -> None:
+    whole = f"kind: scene\nname: n\n{LED}\nsettings: {{engine: impulse, step: {step}}}\n"
+    result = Runner(interpret(read_text(whole))).run(until=1.1)
+    assert result.outputs["wraps"] == pytest.approx([T, 2 * T], abs=1e-12)
+    assert result.outputs["lands"][1] == pytest.approx(T + math.sqrt(2 * V * T / G), abs=2 * step)
+
+
+def test_names_of_regions_are_apart_from_those_of_the_model(tmp_path: Path) -> None:
+    text = FLOWS.replace("w: 2", "mod: 2").replace("w*time", "mod*time")
+    result = run_chart(tmp_path, text + "stop: {time: 1}\n")
+    assert {"mod2.count", "mod3.count", "floor.count"} <= {*result.trace.variables}
+
+
+def test_calls_are_found_with_their_arguments() -> None:
+    found = list(calls("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)"))
+    assert [call.key for call in found] == [
+        ("mod", "(time + min(p, q))", "T/2"),
+        ("floor", "w*time", "1"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("mod(time, -T)", "the period of mod is -0.4; write a number above 0"),
+        ("mod(time, time)", "the period of mod changes"),
+        ("mod(time + s, T)", "mod of s is not periodic in time; write mod of time"),
+        ("mod(mod(time, T), T)", "mod of a formula that jumps is not periodic"),
+        ("mod(T, 1)", "along a run, write mod(time, T)"),
+    ],
+)
+def test_what_is_not_periodic_is_refused(path: str, message: str) -> None:
+    moved = SAW.replace(
+        "outputs:", "regions: {r: {initial: a, variables: {s: 0}, states: {a: {}}}}\noutputs:"
+    )
+    text = moved.replace("X", "0").replace("Y", f'"{path}"')
+    with pytest.raises(DeclarationError, match=re.escape(message)):
+        interpret(read_text(f"kind: scene\nname: n\n{text}"))
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        "outputs: {o: {value: 'mod(time, 2)'}}",
+        "stop: {conditions: {late: 'mod(time, 2) >= 1'}}",
+        "joints: {pin: {point: {body: ball}, to: ['mod(time, 1)', 0]}}",
+    ],
+)
+def test_what_is_read_off_a_run_and_pins_of_points_have_none(section: str) -> None:
+    whole = f"kind: scene\nname: n\nbodies: {{ball: {{mass: 1}}}}\n{section}\n"
+    with pytest.raises(DeclarationError, match="mod jumps, and is not for what stands here"):
+        interpret(read_text(whole))
