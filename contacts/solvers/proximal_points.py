@@ -44,9 +44,9 @@ _FALLS, _GROWS = 0.5, 4.0
 # A centre that misses less than this part of what the one before did is worth another one; at the
 # least compliance, which impulses begin at that nearly solve the problem, the first is the last.
 _FURTHER = 0.9
-# Compliance of a status that is refined, and how often: each leaves the larger of it and of
-# round-off over its square, so that four of them end in round-off.
-_REFINING, _REFINEMENTS = 1e-5, 4
+# Compliance of a status that is refined, and how often at most: each leaves the larger of it, by
+# how much own compliances are above those of all together, and of round-off over its square.
+_REFINING, _REFINEMENTS = 1e-5, 32
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
@@ -378,7 +378,16 @@ def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tupl
             return math.inf, taken + 1
         impulses[:] = 0.0
         rates[:] = 0.0
+        left = math.inf
         for _ in range(_REFINEMENTS):
+            missed = 0.0
+            for i in range(count):
+                normal, slip = seen(contacts, i, least, rates)
+                if status[i] != OPEN:
+                    missed = max(missed, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
+            if not missed < _FALLS * left:
+                break
+            left = missed
             _take_step(
                 contacts, equations, least, impulses, impulses, _REFINING, rates, status, edges
             )

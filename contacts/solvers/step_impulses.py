@@ -136,12 +136,13 @@ def solve_impacts(
         share = 1.0 if left <= allowed else work_share(contacts, chosen, was, alone, 0.0)
         missed, softened = max(missed, left), softened or soft
         for a in range(len(which)):
-            # An impulse that changes a velocity by round-off presses nothing.
-            presses = contacts.own[a, 0] * chosen[a, 0] > _ROUNDING * size
-            normal = share * chosen[a, 0] if presses else 0.0
-            edge, tangential = slope(contacts.cones[a]) * normal, share * chosen[a, 1]
+            # An impulse that changes a velocity by round-off is none.
+            normal, tangential = share * chosen[a, 0], share * chosen[a, 1]
+            normal = normal if contacts.own[a, 0] * normal > _ROUNDING * size else 0.0
+            shears = contacts.own[a, 1] * abs(tangential) > _ROUNDING * size
+            edge = slope(contacts.cones[a]) * normal
             impulses[which[a], 0] = normal
-            impulses[which[a], 1] = min(max(tangential, -edge), edge)
+            impulses[which[a], 1] = min(max(tangential, -edge), edge) if shears else 0.0
     return missed, softened, impulses, least
 
 

@@ -55,6 +55,7 @@ from contacts.time_stepping.step_contacts import (
     mixed_with_impacts,
     order_decides,
     share_forces,
+    shared_impulses,
     split_forces,
     write_modes,
 )
@@ -378,7 +379,8 @@ def keep_leaving(
             # Gaps that landings have left move the point, too, to where it is to rest.
             if not met.hit[which[a]]:
                 problem.wanted[a, 0] = 0.0
-        missed, _, pushes, _ = solve_impacts(problem, memory.pushes[which], allowed)
+        missed, _, pushes, least = solve_impacts(problem, memory.pushes[which], allowed)
+        pushes = shared_impulses(scene, problem, least, pushes)
         for a in range(len(which)):
             bears[a] = missed <= allowed and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
         for j in range(n if at_rest else 0):

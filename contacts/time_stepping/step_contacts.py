@@ -686,6 +686,27 @@ def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: 
 
 
 @kernel
+def shared_impulses(
+    scene: StepConstants, problem: ContactProblem, least: Array, pushes: Array
+) -> Array:
+    """Return impulses (m, 2), shared out by all that touch where the motion leaves them open."""
+    m = len(pushes)
+    if m < 2 or problem.apart.any():
+        return pushes
+    modes = np.full(m, FREE)
+    for a in range(m):
+        slip = velocity_after(problem.delassus, least, pushes, a, 1)
+        sliding = slip != 0.0
+        if pushes[a, 0] > 0.0:
+            sliding = is_sliding(problem, least, pushes, a)
+        elif velocity_after(problem.delassus, least, pushes, a, 0) != 0.0:
+            continue
+        directed = scene.slips[problem.which[a]] == 2
+        modes[a] = mode_of_impulse(pushes[a], slip, sliding, problem.cones[a], directed)
+    return shared_forces(modes, problem.cones, problem.jacobians, pushes)[1]
+
+
+@kernel
 def share_forces(
     memory: ContactMemory, problem: ContactProblem, modes: Ints, steady: Array, k: int,
     chunk: Chunk,
