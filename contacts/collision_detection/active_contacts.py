@@ -7,13 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import Memory
+from contacts.collision_detection.body_numbers import (
+    DAMPING,
+    KINETIC,
+    ROLLING,
+    STIFFNESS,
+    BodyNumbers,
+    Memory,
+)
 from contacts.collision_detection.midpoint import Midpoint
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 # The cosine of the angle by which the normal of a contact that lasts turns in a step at most.
 _LASTS = 0.95
+ROLLS, RESISTS = 1, 2
+"""A disc rolls on two rows that share its load in halves: friction of the one is that of the
+contact, of the other the couple of rolling resistance. Twice the coefficients are of half a load.
+"""
 
 
 class ActiveContacts(NamedTuple):
@@ -26,7 +37,9 @@ class ActiveContacts(NamedTuple):
     # above the other; slip that the impulses of the step before may have missed; how far it is
     # above the level at which it was kept.
     memory: Array
-    materials: Array  # (c, 3): see `BodyNumbers`.
+    laws: Ints  # (c,): which of `BodyNumbers.materials`; -1: a joint.
+    materials: Array  # (c, 3): edge of the cone that holds now (2), restitution.
+    ways: Ints  # (c,): slip before, 1 or -1, where kinetic friction holds; 2 or -2: it begins.
     # (c, 2): velocities before the step, and after it without impulses; what these may not fall
     # below, negated.
     before: Array
@@ -34,6 +47,10 @@ class ActiveContacts(NamedTuple):
     wanted: Array
     pushes: Array  # (c, 2): impulses of the step before.
     hit: Bools  # (c,): who is struck.
+    # (c,): velocity per impulse of a compliant contact in a step; 0 of a rigid one.
+    yields: Array
+    # (c,): `ROLLS` of a contact with rolling resistance, `RESISTS` of the row of that behind it.
+    twins: Ints
     # (c, 2, 2): how far joints are left open in both directions, and by how much less with time.
     closing: Array
 
@@ -45,12 +62,16 @@ class ActiveContacts(NamedTuple):
             np.zeros((most, 2, 6)),
             np.empty((most, 2), np.int64),
             np.empty((most, 4)),
+            np.empty(most, np.int64),
             np.empty((most, 3)),
+            np.empty(most, np.int64),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty((most, 2)),
             np.empty(most, np.bool_),
+            np.zeros(most),
+            np.zeros(most, np.int64),
             np.empty((most, 2, 2)),
         )
 
@@ -119,6 +140,71 @@ def warm_start(
             active.memory[m, 2] = memory.contacts[at, 8]
         at += 1
     return level, lasting, place
+
+
+@kernel
+def has_two_coefficients(law: Array) -> bool:
+    """Return whether friction is larger at rest than in motion."""
+    return law[0] != law[KINETIC] or law[1] != law[KINETIC + 1]
+
+
+@kernel
+def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
+    """Write the cone of a contact that rests (0) or slips this `way`."""
+    law, at = numbers.materials[active.laws[i]], 0 if way == 0 else KINETIC
+    active.ways[i] = way
+    active.materials[i, 0] = law[at]
+    active.materials[i, 1] = law[at + 1] * (2.0 if active.twins[i] == ROLLS else 1.0)
+
+
+@kernel
+def write_compliance(
+    law: Array, gap: float, h: float, shift: float, m: int, active: ActiveContacts
+) -> bool:
+    """Write the compliance of contact m in a step; return whether it takes part.
+
+    Implicit Euler: the impulse is h times the force at the gap at the start plus h times the
+    velocity at the end, never below 0. It takes energy from steps longer than a contact lasts.
+    What would end inside takes part, too: a stiff spring would throw it out in the next step.
+    """
+    start = gap - 0.5 * h * active.before[m, 0]
+    softness = h * law[STIFFNESS] + law[DAMPING]
+    active.yields[m] = 1.0 / (h * softness)
+    active.wanted[m, 0], active.wanted[m, 1] = law[STIFFNESS] * start / softness, shift
+    return min(start, gap, start + h * active.free[m, 0]) <= 0.0
+
+
+@kernel
+def write_resistance(
+    numbers: BodyNumbers, memory: Memory, at_old: int, turns: tuple[float, float], h: float,
+    m: int, active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the row of the rolling resistance of the contact before m as contact m.
+
+    `turns`: rate at which what the body touches turns as prescribed, before and after the step.
+    """
+    i, length = m - 1, numbers.materials[active.laws[m - 1], ROLLING]
+    pair, feature = active.keys[i, 0], -1 - active.keys[i, 1]
+    warm_start(memory, at_old, pair, feature, h, m, active)
+    if active.hit[i] or active.pushes[i, 0] == 0.0:
+        active.pushes[m, 0] = active.pushes[m, 1] = 0.0
+    active.keys[m, 0], active.keys[m, 1] = pair, feature
+    for side in range(2):
+        active.bodies[m, side] = active.bodies[i, side]
+        turn = length * (1.0 - 2.0 * side) if active.bodies[i, side] >= 0 else 0.0
+        for k in range(3 * side, 3 * side + 3):
+            active.rows[m, 0, k], active.rows[m, 1, k] = active.rows[i, 0, k], 0.0
+        active.rows[m, 1, 3 * side + 2] = turn
+    for k in range(4):
+        active.memory[m, k] = active.memory[i, k]
+    active.before[m, 0], active.free[m, 0] = active.before[i, 0], active.free[i, 0]
+    active.wanted[m, 0], active.wanted[m, 1] = active.wanted[i, 0], 0.0
+    active.before[m, 1], active.free[m, 1] = -length * turns[0], -length * turns[1]
+    active.hit[m], active.yields[m], active.twins[m] = active.hit[i], active.yields[i], RESISTS
+    active.laws[m], active.ways[m] = -1, 0
+    # The couple is at most `length` times the whole load, which is twice that of this row.
+    active.materials[m, 0], active.materials[m, 1] = 1.0, 2.0
+    active.materials[m, 2] = active.materials[i, 2]
 
 
 @kernel

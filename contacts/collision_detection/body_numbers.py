@@ -7,12 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
+from contacts.solvers.contact_rows import PADDED
 from statechart.arrays import Array, Ints
 
-MEMORY = 9
+MEMORY = 10
 """What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
 nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
-its normal; slip that the impulses may have missed."""
+its normal; slip that the impulses may have missed; whether it slid (1)."""
+
+RESTITUTION, KINETIC, STIFFNESS, DAMPING, ROLLING = 2, 3, 5, 6, 7
+"""Places in `BodyNumbers.materials`."""
 
 BOTH, ALONG_X, ALONG_Y = range(3)
 """What a joint holds."""
@@ -61,8 +65,15 @@ class BodyNumbers(NamedTuple):
     kinds: Ints  # (b,): what bodies are copies of.
     # (k, k + s): which law kinds of bodies touch each other and surfaces by; -1: they do not.
     laws: Ints
-    materials: Array  # (m, 3): laws: edge of the cone (2), restitution.
+    # (m, 8): laws: edge of the cone at rest (2), restitution, edge in motion (2), stiffness and
+    # damping of compliant contacts, rolling resistance.
+    materials: Array
     joints: JointNumbers
+
+    @property
+    def sides(self) -> int:
+        """Blocks of rates that a row moves: of two bodies, and of a pad; see `island_rows`."""
+        return PADDED if self.materials[:, STIFFNESS:].any() else 2
 
 
 class Memory(NamedTuple):

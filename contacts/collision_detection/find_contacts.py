@@ -8,13 +8,25 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import (
+    ROLLS,
     ActiveContacts,
+    has_two_coefficients,
     take_motion_of,
     turning_change,
+    velocity,
     warm_start,
+    write_compliance,
     write_contact,
+    write_friction,
+    write_resistance,
 )
-from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import (
+    RESTITUTION,
+    ROLLING,
+    STIFFNESS,
+    BodyNumbers,
+    Memory,
+)
 from contacts.collision_detection.broad_phase import Grid, near_pairs
 from contacts.collision_detection.convex import FOUND, ConvexShape, between
 from contacts.collision_detection.ground import POINTS, Ground, carried_along, is_far, on_surface
@@ -42,7 +54,6 @@ from contacts.collision_detection.time_of_impact import (
 )
 from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 CROSSED = 0.5
@@ -69,6 +80,7 @@ class CandidatePair(NamedTuple):
     # is within its error; whether they turn much in it.
     slowly: bool
     turns: bool
+    rolls: bool  # Whether one is a disc.
     size: float  # Of the smaller one.
 
 
@@ -89,11 +101,17 @@ def candidate_pair(
             pieces.cores[p], pieces.cores[q]
         )
         slowly = not turns and nearby(mid.drifts, pieces.sizes, p, q, CROSSED / since)
-        return CandidatePair(p, q, b, other, key, material, True, discs, False, slowly, turns, size)
+        rolls = pieces.radii[p] + pieces.radii[q] > 0.0
+        return CandidatePair(
+            p, q, b, other, key, material, True, discs, False, slowly, turns, rolls, size
+        )
     other = surfaces.carriers[s]
     material = numbers.laws[numbers.kinds[b], len(numbers.laws) + s] if other != b else -1
     moves, size = other < 0 and surfaces.moves[s], pieces.sizes[p]
-    return CandidatePair(p, q, b, other, key, material, False, False, moves, True, False, size)
+    rolls = pieces.radii[p] > 0.0
+    return CandidatePair(
+        p, q, b, other, key, material, False, False, moves, True, False, rolls, size
+    )
 
 
 # Part of the radii within which a piece that has passed another since the last detection has missed
@@ -104,6 +122,8 @@ _CORE, _WHOLE = 0.9, 0.995
 _SUNK = 0.25
 # Penetration, relative to that size, that the first detection may find beyond the checked start.
 _STARTED = 1e-5
+# A new contact slips where that is faster than this part of what forces change in a step.
+_STUCK = 1e-6
 LANDED = 0.5
 """Largest depth of an impact in the step nearest to its arrival, in steps at fastest approach."""
 
@@ -196,8 +216,9 @@ def _met(
         s = pair.q - len(pieces.sizes)
         count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, found, features)
         _note(points, PASSED, crosses)
-    # How deep a piece is counts where no face of it is left to touch, too.
-    for at in range(count):
+    # How deep a piece is counts where no face of it is left to touch, too; not what may yield.
+    rigid = numbers.materials[pair.material, STIFFNESS] == 0.0
+    for at in range(count if rigid else 0):
         mid.gaps[pair.body] = min(mid.gaps[pair.body], found[at, 4])
         if pair.other >= 0:
             mid.gaps[pair.other] = min(mid.gaps[pair.other], found[at, 4])
@@ -311,6 +332,17 @@ def _takes_part(
         mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
+    law = numbers.materials[pair.material]
+    active.yields[m], active.laws[m] = 0.0, pair.material
+    active.twins[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
+    if law[STIFFNESS] > 0.0:
+        shift = turning_change(memory, place, m, active)[1] if lasting else 0.0
+        active.hit[m], active.materials[m, 2] = False, 0.0
+        active.keys[m, 0], active.keys[m, 1] = pair.key, feature
+        for k in range(4):
+            active.memory[m, k] = 0.0
+        _write_way(numbers, memory, place, lasting, gained, m, active)
+        return write_compliance(law, gap, h, 0.5 * h / times.since * shift, m, active)
     turned = 0.0
     if place >= 0 and memory.contacts[place, 1] == 0.0:
         # What has just rebounded comes back by turning as well: else it would at every step.
@@ -340,7 +372,7 @@ def _takes_part(
     if nearing > slow and -gap > max(memory.past[2], h * nearing):
         _note(points, SUNK, -gap)
     if role == HIT:
-        active.wanted[m, 0] = -numbers.materials[pair.material, 2] * nearing
+        active.wanted[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
         active.wanted[m, 1] = 0.0
         _note(points, CLOSING, -gap)
         if -gap > _SUNK * pair.size:
@@ -358,8 +390,42 @@ def _takes_part(
     active.keys[m, 0], active.keys[m, 1] = pair.key, feature
     active.memory[m, 0] = level
     active.memory[m, 1] = 0.0 if lasting and role != HIT else above
-    put(numbers.materials[pair.material], active.materials[m])
+    active.materials[m, 2] = law[RESTITUTION]
+    _write_way(numbers, memory, place, lasting, gained, m, active)
     return True
+
+
+@kernel
+def _write_way(
+    numbers: BodyNumbers, memory: Memory, place: int, lasting: bool, gained: float, m: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the friction of contact m: kinetic where it slipped, or comes with a slip."""
+    slip = active.before[m, 1]
+    one = not has_two_coefficients(numbers.materials[active.laws[m]])
+    stuck = lasting and place >= 0 and memory.contacts[place, 9] == 0.0
+    if one or stuck or abs(slip) <= _STUCK * gained:
+        write_friction(numbers, m, 0, active)
+    else:
+        write_friction(numbers, m, 1 if slip > 0.0 else -1, active)
+
+
+@kernel
+def _add_resistance(
+    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
+    times: _Times, at_old: int, m: int, active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the rolling resistance of the contact before m as contact m."""
+    before = after = 0.0
+    if pair.other >= len(numbers.inverse):
+        before, after = mid.old[pair.other, 2], mid.loose[pair.other, 2]
+    elif pair.moves:
+        frames = ground.frames
+        before = (frames[1, 2] - frames[0, 2]) / times.h
+        after = (frames[2, 2] - frames[1, 2]) / times.h
+    write_resistance(numbers, memory, at_old, (before, after), times.h, m, active)
+    active.before[m, 1] += velocity(active.bodies, active.rows, mid.old, m, 1)
+    active.free[m, 1] += velocity(active.bodies, active.rows, mid.loose, m, 1)
 
 
 @kernel
@@ -423,6 +489,11 @@ def find_contacts(
                     numbers, ground, memory, mid, pair, times, at, at_old, m, points, active
                 ):
                     m += 1
+                    if m < len(active.hit) and active.twins[m - 1] == ROLLS:
+                        _add_resistance(
+                            numbers, ground, memory, mid, pair, times, at_old, m, active
+                        )
+                        m += 1
                 if m == len(active.hit):
                     return DetectionResult(-1, worst[0], worst[1], worst[2], worst[3], worst[4])
     return DetectionResult(m if many >= 0 else -1, worst[0], worst[1], worst[2], worst[3], worst[4])

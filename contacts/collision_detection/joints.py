@@ -120,6 +120,8 @@ def add_joints(
         active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
         active.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
         active.materials[m, 1] = active.materials[m, 2] = 0.0
+        active.laws[m], active.ways[m] = -1, 0
+        active.yields[m], active.twins[m] = 0.0, 0
         active.hit[m] = False
         while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
             at_old += 1
@@ -153,7 +155,7 @@ def bent_on(
 
 @kernel
 def held(joints: JointNumbers, one: int, other: int) -> bool:
-    """Whether a joint holds two bodies together."""
+    """Return whether a joint holds two bodies together."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]
         if (a == one and b == other) or (a == other and b == one):

@@ -31,8 +31,9 @@ from contacts.event_driven.decision import cause, check_declared, decide
 from contacts.event_driven.handovers import Handovers
 from contacts.event_driven.impact_jump import Landing, Rules, flow_in, impact_jump, shown_roles
 from contacts.event_driven.switching import Switching, alike
-from contacts.impacts.bounces import opens_in_vain
-from contacts.impacts.jamming import Jam, listed, off_state, unbounded
+from contacts.impacts.bounces import opens_in_vain, rest_of_passages
+from contacts.impacts.jamming import Jam, listed, off_state, struck, unbounded
+from contacts.impacts.simultaneous import impacts
 from contacts.modes.classification import Before, Choice
 from contacts.modes.feasibility import scene_feasibility
 from contacts.scene.couplings import LIMIT_MARGINS
@@ -436,7 +437,27 @@ class SceneLaws:
             return None
         took = [name in took_part for name in self._names]
         period = jump.t - jumps[since[-1]].t
-        return self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+        jump, flow, beside = self._beside(setup, clock, flow, jump)
+        made = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
+        if made is None or not beside:
+            return made
+        jump, flow = made
+        _, flow = self._switching.watched(setup, jump.after, clock.high, made)
+        return (jump, flow) if all(flow.roles[i].captured for i in beside) else None
+
+    def _beside(
+        self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
+    ) -> tuple[Jump, Flow, list[int]]:
+        """Engage the contacts that are off in the corner where an impact has left their point."""
+        snapshot = self._tape.at(setup.values, jump.after, clock.high)
+        beside = self._switching.beside(setup, snapshot, jump.after, clock.high, flow.mode)
+        if beside:
+            mode = tuple("free" if i in beside else now for i, now in enumerate(flow.mode))
+            free = roles_in(mode)
+            roles = tuple(free[i] if i in beside else now for i, now in enumerate(flow.roles))
+            jump = dataclasses.replace(jump, target=mode)
+            flow = flow._replace(mode=mode, roles=roles)
+        return jump, flow, beside
 
     def _closed_at_once(
         self,
@@ -489,7 +510,38 @@ class SceneLaws:
             done = self._closed_at_once(setup, at.clock, flow, jump, closed, 0.0, jump.skipped)
             if done is not None:
                 return done
+        if jam is None and self.conditions.present and not jump.skipped:
+            return self._captured_in_corner(setup, here.at.clock, jump, flow) or (jump, flow)
         return jump, flow
+
+    def _captured_in_corner(
+        self, setup: SceneSetup, clock: Clock, jump: Jump, flow: Flow
+    ) -> tuple[Jump, Flow] | None:
+        """Stop a point that goes to and fro through a corner so slowly that round-off moves it.
+
+        Where a contact takes over is known to the round-off of its condition: falling so far gives
+        a point the speed that the impact takes.
+        """
+        engaged, following, beside = self._beside(setup, clock, flow, jump)
+        shut = [i for i, now in enumerate(flow.mode) if now not in OPEN]
+        at = partial(self._tape.at, setup.values, time=clock.high)
+        if len(beside) != 1:
+            return None
+        points, other = self.conditions.points, beside[0]
+
+        def strike(snapshot: Snapshot, closed: Sequence[bool]) -> Array:
+            closed = struck(setup.contacts, closed)
+            return impacts(snapshot, setup.contacts, closed, self._rules.simultaneous).velocity
+
+        for on in (i for i in shut if points[i] == points[other]):
+            rest = rest_of_passages(setup, at, strike, jump.after, on, other)
+            if rest is None:
+                continue
+            took = [i == other or i in shut for i in range(len(flow.mode))]
+            made = self._closed_at_once(setup, clock, following, engaged, took, 0.0, rest)
+            if made is not None and made[1].roles[other].captured:
+                return made
+        return None
 
 
 class Compliance:

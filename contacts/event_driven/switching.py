@@ -186,6 +186,25 @@ class Switching:
             for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
         )
 
+    def beside(
+        self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float, mode: Key
+    ) -> list[int]:
+        """Return the contacts that are off in a corner where another of their point is closed.
+
+        Round-off alone tells there which of them is on.
+        """
+        if not self._conditions.present:
+            return []
+        here, points = self._conditions.at(setup, state, time), self._conditions.points
+        near, every = _closed_below(setup, snapshot, here), range(len(points))
+        fails = self._conditions.first(here.kept_on(here.verdicts(), every, ()))
+        gaps = zip(snapshot.contacts, near, strict=True)
+        met = [abs(contact.gap) <= close for contact, close in gaps]
+        held = {points[i] for i in every if met[i] and mode[i] not in INACTIVE}
+        return [
+            i for i in every if mode[i] == OFF and met[i] and not fails[i] and points[i] in held
+        ]
+
     def jump(
         self, at: Instant, setup: SceneSetup, snapshot: Snapshot, switched: Mapping[int, str]
     ) -> tuple[Jump, Flow]:

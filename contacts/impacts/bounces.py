@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
@@ -92,7 +93,7 @@ def corrected(
 
 
 def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
-    """Whether contacts open, and none of them leaves the tolerance of its gap.
+    """Return whether contacts open, but none of them leaves the tolerance of its gap.
 
     Impacts in turn, each of which opens another contact, go on for ever there once they take no
     more energy than gaps get that are brought back onto their surfaces.
@@ -104,6 +105,51 @@ def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool])
     falling = _falling(setup, snapshot, _lying(setup, snapshot, closed))[opening]
     heights = setup.tolerances["gap"] * 2.0 * falling
     return bool((falling > 0.0).all() and (rates[opening] ** 2 < heights).all())
+
+
+def rest_of_passages(
+    setup: SceneSetup,
+    at: Callable[[Array], Snapshot],
+    strike: Callable[[Snapshot, Sequence[bool]], Array],
+    state: Array,
+    on: int,
+    other: int,
+) -> float | None:
+    """Sum how long a point goes to and fro through the corner of two contacts.
+
+    On one of them the rate u of the other gap falls by a, and by b once friction has turned: a
+    passage lasts ``u / a + u / sqrt(a b)`` and ends at ``-u sqrt(b / a)``. Two passages leave the
+    part r of the rate: all of them last as long as these over ``1 - r``. None where the point does
+    not go on so, or leaves the gap's tolerance faster than rebounds that are summed. `strike`
+    returns the velocities after an impact of contacts.
+    """
+    rates, total = [at(state).contacts[other].gap_rate], 0.0
+    size = len(state) // 2
+    for _ in range(2):
+        snapshot, count = at(state), len(setup.contacts)
+        back = np.concatenate([state[:size], -state[size:]])
+        lying = [i == on for i in range(count)]
+        a, b = (float(_falling(setup, now, lying)[other]) for now in (snapshot, at(back)))
+        if not (a > 0.0 and b > 0.0 and rates[-1] > 0.0):
+            return None
+        slow = max(rates[-1], abs(snapshot.contacts[other].slip)) <= setup.capture
+        if not (slow or rates[-1] ** 2 <= 2.0 * a * setup.tolerances["gap"]):
+            return None
+        part = math.sqrt(b / a)
+        total += rates[-1] / a * (1.0 + 1.0 / part)
+        back[size:] *= part
+        try:
+            velocity = strike(at(back), [i in (on, other) for i in range(count)])
+        except SimulationError:
+            return None
+        state = at(back).moved(back, velocity)
+        on, other = other, on
+        contacts = at(state).contacts
+        if contacts[on].gap_rate > setup.tolerances["speed"]:
+            return None
+        rates.append(contacts[other].gap_rate)
+    left = rates[-1] / rates[0]
+    return total / (1.0 - left) if left < 1.0 else None
 
 
 def _lying(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> list[bool]:
@@ -134,7 +180,7 @@ def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Ar
 def stands_for_bounces(
     rests: Collection[int], resolved: Snapshot, plastic: Snapshot, closed: Sequence[bool]
 ) -> bool:
-    """Whether plastic contacts take no more than their bounces from the impact.
+    """Return whether plastic contacts take no more than their bounces from the impact.
 
     Balls in a row pass a blow on through contacts that hardly open: what a rebound of next to
     nothing ends there is no bounce, and a plastic contact would keep the blow.

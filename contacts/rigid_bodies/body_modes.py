@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, Memory
 from contacts.collision_detection.surfaces import LINE, PLATE
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
@@ -27,7 +27,6 @@ from contacts.time_stepping.settling import (
     solve_accelerations,
 )
 from statechart.arrays import Array, Ints
-from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 # A normal this near to that of a plate is that of its face, not of its end.
@@ -84,7 +83,9 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
                 counts[numbers.joints.bodies[j, side]] = -1
     for i in range(count):
         b, other = active.bodies[i]
-        alone = other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
+        # What yields, and what resists rolling, has no such problem.
+        rigid = active.yields[i] == 0.0 and active.twins[i] == 0
+        alone = rigid and other < 0 and _is_straight(numbers, active.keys[i, 0], active.rows[i, 0])
         if other >= 0:
             counts[other] = -1
         if not alone:
@@ -205,6 +206,15 @@ def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
 
 
 @kernel
+def _write_cone(
+    numbers: BodyNumbers, active: ActiveContacts, i: int, direction: float, cone: Array
+) -> None:
+    """Write the edge of the friction of contact i that slips, or rests (0)."""
+    law, at = numbers.materials[active.laws[i]], 0 if direction == 0.0 else KINETIC
+    cone[0], cone[1] = law[at], law[at + 1]
+
+
+@kernel
 def _body_mode(
     numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, b: int,
     k: int, chunk: Chunk,
@@ -228,15 +238,18 @@ def _body_mode(
         if not (near and (presses or (shown != FREE and not active.hit[i]))):
             continue
         which[m] = i
-        put(active.materials[i, :2], cones[m])
+        _write_cone(numbers, active, i, 0.0, cones[m])
         slip = velocity(active.bodies, active.rows, rates, i, 1) + active.wanted[i, 1]
         slips[m] = slip
         if abs(slip) > space.known[i] and cones[m, 1] > 0.0:
             mu = cones[m, 1] / cones[m, 0]
             left = LEFT * h * (sizes[m, 1] + mu * sizes[m, 0])
             goes_on = shown == SLIDE and slip * active.before[i, 1] > 0.0
-            if shown == FREE or goes_on or abs(slip) > left:
+            # Two coefficients tell at once whether a slip has begun.
+            begins = active.ways[i] != 0
+            if shown == FREE or goes_on or begins or abs(slip) > left:
                 slides[m] = 1.0 if slip > 0.0 else -1.0
+        _write_cone(numbers, active, i, slides[m], cones[m])
         m += 1
     if m == 0:
         return FREE
@@ -254,6 +267,8 @@ def _body_mode(
     terms, forced, directions = sizes[:m], found[:m], slides[:m]
     solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if solved and end_slips(slips[:m], forced, against, terms, h, directions):
+        for a in range(m):
+            _write_cone(numbers, active, which[a], directions[a], cones[a])
         solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if not solved:
         return chunk.codes[k, b]

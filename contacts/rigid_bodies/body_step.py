@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts, velocity
+from contacts.collision_detection.active_contacts import RESISTS, ActiveContacts, velocity
 from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
@@ -99,7 +99,9 @@ def _store(
         slip = memory.contacts[i, 5] + active.wanted[i, 1]
         none = max(space.known[i], active.memory[i, 2], allowed * fall)
         memory.contacts[i, 8] = space.known[i]
-        sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none
+        memory.contacts[i, 9] = 1.0 if active.ways[i] != 0 else 0.0
+        resists = active.twins[i] == RESISTS
+        sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none and not resists
         for side in range(2):
             b = active.bodies[i, side]
             if b < 0:
@@ -107,7 +109,8 @@ def _store(
             if active.hit[i] and pn > 0.0:
                 chunk.struck[k, b] = True
                 chunk.impulses[k, b, 0] += pn
-                chunk.impulses[k, b, 1] += pt if side == 0 else -pt
+                if not resists:
+                    chunk.impulses[k, b, 1] += pt if side == 0 else -pt
             # An impulse below this part of the largest on its body is round-off: no contact.
             pulled = space.mid.pull[b] / numbers.inverse[b, 0]
             bears = lasts and pn > max(least * space.borne[b], LEAST * pulled)
@@ -119,7 +122,7 @@ def _store(
 
 @kernel
 def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
-    """Whether all that is struck in a step may land, after the middle of the step."""
+    """Return whether every contact struck in a step may close after the middle of the step."""
     found = False
     for i in range(count):
         if active.hit[i]:

@@ -20,6 +20,7 @@ from contacts.collision_detection.body_numbers import (
 )
 from contacts.collision_detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.dynamics.contact_law import edge
+from contacts.scene.friction import coefficients
 from contacts.scene.parts import Body, Point, Surface
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
@@ -373,7 +374,12 @@ def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, I
     laws = np.full((len(kinds), len(kinds) + len(surfaces)), -1, dtype=np.int64)
     materials = []
     for law, collision in enumerate(scene.collisions.values()):
-        materials.append((*edge(number(collision.friction)), number(collision.restitution)))
+        static, kinetic = (edge(number(text)) for text in coefficients(collision.friction))
+        others = (
+            number(0 if text is None else text)
+            for text in (collision.stiffness, collision.damping, collision.rolling_resistance)
+        )
+        materials.append((*static, number(collision.restitution or 0), *kinetic, *others))
         members = [kinds[owner] for owner in collision.bodies]
         others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
         for one in members:
@@ -384,5 +390,7 @@ def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, I
     return (
         np.array([kinds[owner] for owner in owners], dtype=np.int64),
         laws,
-        np.column_stack([smoothed(edges[:, :2]), edges[:, 2]]),
+        np.column_stack(
+            [smoothed(edges[:, :2]), edges[:, 2], smoothed(edges[:, 3:5]), edges[:, 5:]]
+        ),
     )

@@ -8,16 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts
+from contacts.collision_detection.active_contacts import (
+    RESISTS,
+    ROLLS,
+    ActiveContacts,
+    has_two_coefficients,
+    write_friction,
+)
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.joints import bent_on
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
     HELD,
+    PADDED,
     ContactRows,
     add,
+    along,
     complete,
     joint_work,
+    law_of,
     moved,
     scale,
     scale_beside,
@@ -119,7 +128,7 @@ def spread(members: Ints, spare: Ints) -> None:
 
 @kernel
 def island_rows(
-    members: Ints, bodies: Ints, rows: Array, inverse: Array, cones: Array, local: Ints,
+    members: Ints, active: ActiveContacts, inverse: Array, local: Ints, pads: Ints,
     space: ContactRows,
 ) -> ContactRows:  # fmt: skip
     """Return contacts as rows of their own, in the rates of the bodies that they move.
@@ -127,18 +136,19 @@ def island_rows(
     Parameters
     ----------
     members : (m,) array of int
-    bodies : (c, 2), rows : (c, 2, 6)
-        Of all contacts: which bodies touch; velocities, normal and tangential, per unit rates of
-        the two.
+    active : ActiveContacts
+        All contacts.
     inverse : (b, 3)
         See `contacts.collision_detection.body_numbers.BodyNumbers`.
-    cones : (c, 2)
     local : (b,) array of int
         Is overwritten.
+    pads : (c,) array of int
+        Is overwritten where contacts move pads: see `_add_pads`.
     space : ContactRows
         Of as many contacts; where they are written.
     """
-    count, moved = len(members), 0
+    count, moved, bodies, rows = len(members), 0, active.bodies, active.rows
+    cones, sides = active.materials, space.bodies.shape[1]
     for i in members:
         for side in range(2):
             if bodies[i, side] >= 0:
@@ -157,8 +167,10 @@ def island_rows(
                     space.rows[a, d, k] = row
                     space.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
         space.cones[a, 0], space.cones[a, 1] = cones[i, 0], cones[i, 1]
+    if sides == PADDED:
+        moved = _add_pads(members, active, moved, pads, space)
     for a in range(count):
-        for side in range(2):
+        for side in range(sides):
             if space.bodies[a, side] < 0:
                 space.bodies[a, side] = moved
     contacts = ContactRows(
@@ -167,6 +179,38 @@ def island_rows(
     )  # fmt: skip
     complete(contacts)
     return contacts
+
+
+@kernel
+def _add_pads(
+    members: Ints, active: ActiveContacts, moved: int, pads: Ints, space: ContactRows
+) -> int:
+    """Let contacts move pads, which have no part in the motion of bodies; return what now moves.
+
+    A compliant contact moves its pad by its compliance. The rows of a disc that rolls move one pad
+    against each other: so both are pressed only where their impulses are equal.
+    """
+    for i in members:
+        if active.twins[i] != RESISTS and (active.yields[i] > 0.0 or active.twins[i] == ROLLS):
+            pads[i] = moved
+            moved += 1
+    for a in range(len(members)):
+        i, own = members[a], 0.0
+        for d in range(2):
+            for k in range(6, 9):
+                space.rows[a, d, k] = space.columns[a, d, k] = 0.0
+        twin = active.twins[i]
+        space.bodies[a, 2] = -1
+        if twin != 0 or active.yields[i] > 0.0:
+            space.bodies[a, 2] = pads[i - 1 if twin == RESISTS else i]
+        if twin != 0:
+            for k in range(6):
+                own += space.rows[a, 0, k] * space.columns[a, 0, k]
+            sign = 1.0 if twin == ROLLS else -1.0
+            space.rows[a, 0, 6], space.columns[a, 0, 6] = sign, sign * own
+        if active.yields[i] > 0.0:
+            space.rows[a, 0, 7], space.columns[a, 0, 7] = 1.0, active.yields[i]
+    return moved
 
 
 @kernel
@@ -226,12 +270,11 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     if ratio * _VELOCITY_ROUND_OFF <= allowed or allowed < _VELOCITY_ROUND_OFF:
         return ()
     reached = max(ratio * _VELOCITY_ROUND_OFF, missed)
-    looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
+    looser = f", or an impulse_tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
-        f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "
-        f"together, are 1 to {ratio:.2g}: rounding of the heavy one's impulses moves the light one "
-        f"by more than the tolerance of impulses, {allowed:g}; they miss the contact laws by "
-        f"{missed:.2g} of the fastest approach. Take masses within 1 to "
+        f"bodies {names[int(light)]!r} and {names[int(heavy)]!r} are pressed together, and their "
+        f"masses are 1 to {ratio:.2g}: round-off leaves a residual of {missed:.2g} of the fastest "
+        f"approach, above impulse_tolerance, {allowed:g}. Take masses within 1 to "
         f"{allowed / _VELOCITY_ROUND_OFF:.0e}{looser}",
     )
 
@@ -303,6 +346,8 @@ def impacts_in_turn(
         i = island.members[a]
         pairs[a] = _pair(numbers, active, i)
         restitution[a], slow[a] = active.materials[i, 2], _slow(numbers, active, i, h)
+        if active.yields[i] > 0.0:
+            slow[a] = math.inf
         for d in range(2):
             now[a, d] = 0.5 * (island.start[a, d] + island.unforced[a, d])
     done, missed, left = in_turn(contacts, pairs, now, restitution, slow, allowed, island.sudden)
@@ -354,6 +399,8 @@ def is_ambiguous(
     return False
 
 
+# Slips of islands whose impulses are exact are known to this part of the fastest approach.
+_SLIP_ROUND_OFF = 1e-9
 # Fixed-point iterations that close joints; they end when the remaining work has not shrunk by this
 # factor in so many. Joints stay open where that work, or the work of their impulses, is more than
 # these parts of the kinetic energy.
@@ -488,6 +535,46 @@ def close_joints(
 
 
 @kernel
+def _change_friction(
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float
+) -> bool:
+    """Change the friction of contacts whose slip begins or turns; return whether there are.
+
+    A slip that would turn in the step is stopped, as long as static friction holds it. What that
+    does not hold slips under kinetic friction: each changes twice at most. A slip up to `none` is
+    what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
+    """
+    active, changes = space.active, False
+    rates = contacts.rates[0, : 3 * contacts.moving + 3]
+    moved(contacts, island.chosen, rates)
+    for a in range(len(island.members)):
+        i = island.members[a]
+        law, way = active.laws[i], active.ways[i]
+        if law < 0 or abs(way) == 2 or not has_two_coefficients(numbers.materials[law]):
+            continue
+        slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
+        if abs(slip) <= none or slip * way > 0.0 or not island.chosen[a, 0] > 0.0:
+            continue
+        write_friction(numbers, i, 0 if way != 0 else 2 if slip > 0.0 else -2, active)
+        contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
+        law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
+        changes = True
+    return changes
+
+
+@kernel
+def _end_slips(contacts: ContactRows, active: ActiveContacts, island: Island, none: float) -> None:
+    """Note which slips kinetic friction has ended: no more than `none` is left of them."""
+    rates = contacts.rates[0, : 3 * contacts.moving + 3]
+    moved(contacts, island.chosen, rates)
+    for a in range(len(island.members)):
+        i = island.members[a]
+        slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
+        if abs(slip) <= none:
+            active.ways[i] = 0
+
+
+@kernel
 def solve_islands(
     numbers: BodyNumbers, law: int, forces: bool, h: float, space: Workspace, count: int,
     allowed: float, effort: Array,
@@ -508,7 +595,7 @@ def solve_islands(
         See `Chunk.efforts`.
     """
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
-    bodies, rows, materials = active.bodies, active.rows, active.materials
+    bodies, materials = active.bodies, active.materials
     space.apart[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
@@ -520,12 +607,12 @@ def solve_islands(
         if size == 0:
             continue
         spread(members, space.spare)
-        contacts = island_rows(members, bodies, rows, inverse, materials, local, space.contacts)
+        contacts = island_rows(members, active, inverse, local, space.pads, space.contacts)
         start, unforced = space.island[0, :size], space.island[1, :size]
         asked, chosen = space.island[2, :size], space.island[3, :size]
         sudden, rebounds = space.island[4, :size], space.rebounds[:size]
         together = Island(members, start, unforced, asked, chosen, sudden, rebounds)
-        quiet, lively, touching = 0, False, 0
+        quiet, lively, touching, splits = 0, False, 0, False
         for a in range(size):
             touching += 1 if materials[members[a], 0] >= 0.0 else 0
         for a in range(size):
@@ -540,6 +627,8 @@ def solve_islands(
             space.bounces[i] = rebounds[a]
             lively = lively or (rebounds[a] and materials[i, 2] >= LIVELY)
             quiet += 0 if active.hit[i] else 1
+            used = active.laws[i]
+            splits = splits or (used >= 0 and has_two_coefficients(numbers.materials[used]))
         bound = 0.0
         for a in range(size):
             for side in range(2):
@@ -561,11 +650,20 @@ def solve_islands(
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
+        while splits and _change_friction(
+            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast
+        ):
+            missed, further, softened = island_impulses(
+                contacts, start, unforced, asked, rebounds, chosen, near, bound, True
+            )
+            done += further
         if touching < size:
             bounds, found = (near, bound, allowed), (missed, done, softened)
             missed, done, softened = close_joints(
                 numbers, space, contacts, together, h, sequential, bounds, found
             )
+        if splits:
+            _end_slips(contacts, active, together, max(missed, _SLIP_ROUND_OFF) * fast)
         missed, done = max(share * missed, missed_turn), done + turns
         if missed > allowed:
             note_worst(numbers.inverse, active.bodies, members, missed, space.worst)
@@ -618,8 +716,7 @@ def _island_forces(
             least[a, d] = active.free[others[a], d] + active.wanted[others[a], d]
         put(active.pushes[others[a]], alone[a])
     contacts = island_rows(
-        others, active.bodies, active.rows, numbers.inverse, active.materials, space.local,
-        space.contacts,
+        others, active, numbers.inverse, space.local, space.pads, space.contacts,
     )  # fmt: skip
     near = _near(allowed, scale(contacts, least), fast)
     solve_rows(contacts, least, alone, near, False, False)

@@ -36,6 +36,7 @@ class Workspace(NamedTuple):
     begins: Ints  # shape (b + 1,)
     order: Ints  # shape (c,)
     spare: Ints  # shape (c,)
+    pads: Ints  # shape (c,)
     borne: Array  # (b,): the largest impulse that presses a body.
     # (4,): what lasts: of all islands whose impulses missed what was allowed, that with the largest
     # ratio of masses: this ratio, its lightest and its heaviest body, the residual.
@@ -57,12 +58,13 @@ class Workspace(NamedTuple):
             np.empty((most, 2)),
             np.empty(most, np.int64),
             np.empty(most),
-            ContactRows.room(most, count),
+            ContactRows.room(most, count, numbers.sides),
             np.empty((5, most, 2)),
             np.empty(most, np.bool_),
             np.empty(count, np.int64),
             np.empty(count, np.int64),
             np.empty(count + 1, np.int64),
+            np.empty(most, np.int64),
             np.empty(most, np.int64),
             np.empty(most, np.int64),
             np.empty(count),

@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from contacts.scene.fields import SceneFields
-from contacts.scene.friction import AT_REST, Friction, check_sides, friction_law, friction_texts
+from contacts.scene.friction import (
+    AT_REST,
+    SLIP,
+    Friction,
+    check_sides,
+    friction_law,
+    friction_texts,
+)
 from contacts.scene.joints import Path
 from contacts.scene.parts import Point, Surface
 from contacts.scene.shapes import INDEX
@@ -35,10 +42,10 @@ _OF_CONTACTS = ("gap", "slip", "V", "H")
 # Advice on formulas that must not change along a run.
 _MOVED = "a surface that moves has a displacement, or a turn; a hill is a height, a formula of x"
 _SWITCHED = (
-    "it is constant as long as a state lasts: write a control, which states of a region set, with "
-    "transitions where it changes (guard: abs(tip.slip) >= v)"
+    "write a control, which the states of a region set, and transitions where it changes "
+    "(guard: abs(tip.slip) >= v)"
 )
-_PULLED = "write a force on the body, or let the ground move"
+_PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
 # Of what forces cannot use of a contact: why, and what to write.
 _PUSH = (
@@ -166,23 +173,28 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:
         return (
-            "a control changes at an instant, and moves nothing",
-            "let a variable of a region flow, and write that",
+            "a control jumps, and a path must not",
+            "write a variable of a region that has a flow",
         )
     if led and name in {*scene.controls, *scene.controlled.memory}:
         return (
-            "controllers move no joint of what touches by points",
-            f"write a formula of {TIME}, or give bodies shapes, and collisions",
+            "controllers cannot move the joints and surfaces of a scene without collisions",
+            f"write a formula of {TIME}, or give bodies shapes and declare collisions",
+        )
+    if name == SLIP and loc[0] == "collisions":
+        return (
+            "friction between bodies with shapes does not depend on the slip",
+            "write {static: s, kinetic: k} with formulas of parameters",
         )
     owner, _, quantity = name.rpartition(".")
     if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_CONTACTS:
         return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
-        return "it is the number of a copy", "say how many there are, beside start: copies: N"
+        return "it is the number of a copy", "add copies: N to the body"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):
         return (
-            "copies are alike but for their start",
-            "declare bodies that differ in more one by one",
+            "copies differ only in their start",
+            "declare bodies that differ in more than that one by one",
         )
     if TIME not in known and name in _changing(scene):
         switched = _is_coefficient(loc)
@@ -252,10 +264,6 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
         at, surface = ("contacts", name), scene.surfaces[contact.surface]
         if contact.radius is not None:
             yield Limit((*at, "radius"), contact.radius, *_POSITIVE)
-            if contact.rolling_resistance is not None:
-                yield Limit(
-                    (*at, "rolling_resistance"), contact.rolling_resistance, 0.0, _MAX_NUMBER
-                )
             if surface.hollow:
                 yield Limit(
                     (*at, "radius"),
@@ -266,16 +274,16 @@ def limits(scene: SceneFields) -> Iterator[Limit]:
                     "the circle has to be the larger one",
                     (contact.radius, surface.radius or 0),
                 )
-    for name, contact in scene.contacts.items():
-        if contact.stiffness is not None:
-            yield Limit(("contacts", name, "stiffness"), contact.stiffness, *_POSITIVE)
-        if contact.damping is not None:
-            yield Limit(("contacts", name, "damping"), contact.damping, 0.0, _MAX_NUMBER)
     for section, laws in (("contacts", scene.contacts), ("collisions", scene.collisions)):
         for name, law in laws.items():
             yield from _friction_limits(scene, (section, name, "friction"), law.friction)
             if law.restitution is not None:
                 yield Limit((section, name, "restitution"), law.restitution, *_PART)
+            if law.stiffness is not None:
+                yield Limit((section, name, "stiffness"), law.stiffness, *_POSITIVE)
+            for key in ("damping", "rolling_resistance"):
+                if (text := getattr(law, key)) is not None:
+                    yield Limit((section, name, key), text, 0.0, _MAX_NUMBER)
     for name, joint in scene.joints.items():
         for key in ("rod", "rope"):
             if (text := getattr(joint, key)) is not None:
@@ -312,7 +320,7 @@ def _friction_limits(
                 0.0,
                 math.inf,
                 "the static coefficient {:g} is below the kinetic one at rest, {:g}",
-                "what rests holds at least as much: exchange them, or write one number for both",
+                "exchange them, or write one number for both",
                 (law.static, law.kinetic),
                 slips,
             )
@@ -387,24 +395,24 @@ def check_rim(surface: Surface, loc: Loc) -> None:
     """Check that a disc touches a surface where there is a formula for it."""
     if surface.height is not None and "x" in parse(surface.height).names:
         raise DeclarationProblem(
-            "where a disc touches a height that depends on x there is no formula for",
-            advice="a slope is an incline, or a line; a hill or a valley a circle",
+            "a disc (a contact with a radius) cannot touch a height that depends on x",
+            advice="write a slope as an incline or a line, a hill or a valley as a circle",
             loc=loc,
         )
     if surface.edge is not None:
         raise DeclarationProblem(
-            "a disc touches the ends of an edge too",
-            advice="declare a line and for each end a small circle, each contact enabled on its "
+            "a disc (a contact with a radius) cannot touch an edge, which has ends",
+            advice="declare a line, and for each end a small circle; enable each contact on its "
             "side of the end",
             loc=loc,
         )
 
 
 _SURFACES = (
-    "declare a surface and a contact for each smooth piece: that is all for the higher of them "
-    "(max, abs); for the lower (min) each with enabled: a relation that holds on its side"
+    "declare a surface and a contact for each smooth piece; for min, which is the lower one, add "
+    "enabled: a relation that holds on its side"
 )
-_SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth formula"
+_SMOOTH = "write a smooth formula: a velocity that jumps would be an impact without cause"
 
 
 def check_kinks(scene: SceneFields) -> None:
@@ -430,7 +438,7 @@ def check_kinks(scene: SceneFields) -> None:
         check_named_infinity(text, *loc)
         if scene.collisions and switching(text, changing, ("sign",)):
             raise DeclarationProblem(
-                "sign is not for forces on bodies with shapes: steps cannot hold what it stops",
+                "a force on a body with a shape cannot use sign: a time step would jump past zero",
                 advice="write sat(v/e, -1, 1) with a small speed e",
                 loc=loc,
             )
@@ -736,6 +744,14 @@ def check_collisions(scene: SceneFields) -> None:
                     loc=("bodies", one),
                     key=True,
                 )
+        discs = (s.disc for one in collision.bodies for s in scene.bodies[one].shape)
+        if collision.rolling_resistance is not None and not any(discs):
+            raise DeclarationProblem(
+                "rolling resistance is of a disc that rolls, and no body has a disc",
+                advice="list a body with shape: {disc: r}, or remove it",
+                loc=(*at, "rolling_resistance"),
+                key=True,
+            )
         for place, one in enumerate(collision.surfaces):
             loc = (*at, "surfaces", place)
             if one not in scene.surfaces:

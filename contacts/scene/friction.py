@@ -85,9 +85,14 @@ def friction_law(
     if friction is None:
         return None
     slips = frozenset({SLIP, f"{contact}.{SLIP}"}.difference(known))
+    return FrictionLaw(*coefficients(friction), slips)
+
+
+def coefficients(friction: FormulaText | Friction) -> tuple[FormulaText, FormulaText]:
+    """Return the static and the kinetic coefficient."""
     if isinstance(friction, Friction):
-        return FrictionLaw(friction.static, friction.kinetic, slips)
-    return FrictionLaw(friction, friction, slips)
+        return friction.static, friction.kinetic
+    return friction, friction
 
 
 def friction_texts(

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
-from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes
+from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes, check_compliant
 from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
@@ -525,21 +525,7 @@ class Contact(Part):
                 advice="write friction: mu, or friction: 0",
                 loc=("friction",),
             )
-        if self.stiffness is None and self.damping is not None:
-            raise DeclarationProblem(
-                "damping is that of a compliant contact",
-                advice="give a stiffness, too",
-                loc=("damping",),
-                key=True,
-            )
-        for key in ("restitution", "impact"):
-            if self.stiffness is not None and key in self.model_fields_set:
-                raise DeclarationProblem(
-                    f"a compliant contact has no impacts, and no {key}",
-                    advice=f"remove {key}, or stiffness; damping takes energy out of a bounce",
-                    loc=(key,),
-                    key=True,
-                )
+        check_compliant(self, ("restitution", "impact"))
         if self.stiffness is None and "free" in self.kinds and self.restitution is None:
             raise DeclarationProblem(
                 "a contact that can be free needs a coefficient of restitution",

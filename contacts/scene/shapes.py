@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from contacts.scene.friction import DeclaredFriction
 from statechart.documents.fields import FormulaText, Part, unit
 from statechart.errors import DeclarationProblem
 
@@ -81,15 +82,34 @@ LAW_WORDS = {
 """Names of coefficients in other programs -> ours."""
 
 
+def check_compliant(law: Any, rigid: tuple[str, ...]) -> None:
+    """Check that what is compliant has no impacts, and nothing else has damping."""
+    if law.stiffness is None and law.damping is not None:
+        raise DeclarationProblem(
+            "damping is that of a compliant contact",
+            advice="give a stiffness, too",
+            loc=("damping",),
+            key=True,
+        )
+    for key in rigid:
+        if law.stiffness is not None and key in law.model_fields_set:
+            raise DeclarationProblem(
+                f"a compliant contact has no impacts, and no {key}",
+                advice=f"remove {key}, or stiffness; damping takes energy out of a bounce",
+                loc=(key,),
+                key=True,
+            )
+
+
 class Collision(Part):
     """Bodies with shapes that collide with each other and with surfaces, all by one law."""
 
     OTHER_WORDS: ClassVar = {
         **LAW_WORDS,
-        **dict.fromkeys(
-            ("mu_s", "mu_k", "static_friction", "kinetic_friction"),
-            "friction: a number for both; contacts of points have {static, kinetic}",
-        ),
+        "k": "stiffness",
+        "d": "damping",
+        "spring": "stiffness, and damping",
+        "rolling_friction": "rolling_resistance: LENGTH",
     }
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
@@ -104,16 +124,55 @@ class Collision(Part):
         description="Surfaces that the bodies collide with.",
         examples=[["floor", "wall"]],
     )
-    friction: FormulaText = Field(
-        description="Coulomb's friction coefficient, 0 to inf.",
+    friction: DeclaredFriction = Field(
+        description="Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one.",
         examples=[0.3],
         json_schema_extra=unit("1"),
     )
-    restitution: FormulaText = Field(
-        description="Coefficient of restitution of Moreau's law: 0 (plastic) to 1 (elastic).",
+    restitution: FormulaText | None = Field(
+        default=None,
+        description=(
+            "Coefficient of restitution of Moreau's law: 0 (plastic) to 1 (elastic); needed "
+            "without stiffness."
+        ),
         examples=[0.2],
         json_schema_extra=unit("1"),
     )
+    rolling_resistance: FormulaText | None = Field(
+        default=None,
+        description=(
+            "Of discs: a couple against the relative rotation of what touches, of at most this "
+            "length times the normal force."
+        ),
+        examples=["0.02*r"],
+        json_schema_extra=unit("length"),
+    )
+    stiffness: FormulaText | None = Field(
+        default=None,
+        description=(
+            "Makes contacts compliant: the normal force at each point is stiffness times depth, "
+            "plus damping times its rate, and never pulls. They have no impacts."
+        ),
+        examples=["k"],
+        json_schema_extra=unit("force/length"),
+    )
+    damping: FormulaText | None = Field(
+        default=None,
+        description="Of compliant contacts, 0 by default.",
+        examples=["d"],
+        json_schema_extra=unit("force time/length"),
+    )
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        check_compliant(self, ("restitution",))
+        if self.stiffness is None and self.restitution is None:
+            raise DeclarationProblem(
+                "bodies that collide need a coefficient of restitution",
+                advice="write restitution: 0 for impacts without rebound, or stiffness: k",
+                loc=("restitution",),
+            )
+        return self
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:

@@ -34,6 +34,9 @@ BEST, NOW, CHANGE, ALONG, LEAST, TRIED, KEPT = range(7)
 """What solvers have in `ContactRows.spare`: the best impulses, those of a sweep or a step, by how
 much they change, and how they went on; what is asked; impulses that are tried, and kept."""
 
+PADDED = 3
+"""Blocks of rates that rows of bodies move where some contacts have pads of their own, too."""
+
 # What a contact's own impulses do to its velocity is known to this part.
 _ROW_ROUND_OFF = 1e-13
 # Of the fastest slip: an approach below this is what rounding leaves of rest, and what impulses are
@@ -64,17 +67,18 @@ class ContactRows(NamedTuple):
     spare: Array  # shape (7, m, 2)
 
     @classmethod
-    def room(cls, most: int, bodies: int) -> ContactRows:
-        """Return place for so many contacts of two bodies each, of so many."""
+    def room(cls, most: int, bodies: int, sides: int = 2) -> ContactRows:
+        """Return place for so many contacts that move `sides` blocks each, of so many bodies."""
+        blocks = bodies + (most if sides == PADDED else 0)
         return cls(
-            np.empty((most, 2), np.int64),
+            np.empty((most, sides), np.int64),
             0,
-            np.empty((most, 2, 6)),
-            np.empty((most, 2, 6)),
+            np.empty((most, 2, 3 * sides)),
+            np.empty((most, 2, 3 * sides)),
             np.empty((most, 3)),
             np.empty((most, 2)),
             np.empty((most, LAW)),
-            np.empty((3, 3 * bodies + 3)),
+            np.empty((3, 3 * blocks + 3)),
             np.empty((7, most, 2)),
         )
 
@@ -163,13 +167,22 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
 
 
 @kernel
+def yields(contacts: ContactRows, i: int) -> bool:
+    """Return whether contact i is compliant: it moves a pad."""
+    return contacts.bodies.shape[1] == PADDED and contacts.rows[i, 0, 7] != 0.0
+
+
+@kernel
 def joint_work(contacts: ContactRows, impulses: Array, before: Array, free: Array) -> float:
-    """Return the work of joints in a step, if they do any: what they took, as their arms turn."""
+    """Return the work of joints and compliant contacts in a step, if they do any.
+
+    Joints give what they took, as their arms turn; a spring gives back what it stored.
+    """
     rates, work = rates_of(contacts, 0), 0.0
     moved(contacts, impulses, rates)
     for i in range(len(impulses)):
-        if slope(contacts.cones[i]) < 0.0:
-            for d in range(2):
+        if slope(contacts.cones[i]) < 0.0 or yields(contacts, i):
+            for d in range(1 if yields(contacts, i) else 2):
                 both = before[i, d] + free[i, d] + along(contacts, i, d, rates)
                 work += 0.5 * impulses[i, d] * both
     return max(work, 0.0)

@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from contacts.solvers.contact_rows import (
+    PADDED,
     PAIR,
     TRIED,
     ContactRows,
@@ -79,7 +80,7 @@ def solve_rows(
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
     # All contacts of coordinates move the same, so that Newton's equations are as small as that.
-    same = contacts.bodies.shape[1] != PAIR
+    same = contacts.bodies.shape[1] != PAIR and contacts.bodies.shape[1] != PADDED
     # Of coordinates they are solved anew at each step: what rests has no velocity at all.
     if not same and left <= (_AT_REST if rests else VERIFIED):
         return left, 0

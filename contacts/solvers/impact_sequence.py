@@ -51,18 +51,19 @@ def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) 
 @kernel
 def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
     """Return some of the contacts."""
-    count = len(chosen)
+    count, sides = len(chosen), contacts.bodies.shape[1]
     room = ContactRows(
-        np.empty((count, 2), np.int64), contacts.moving, np.empty((count, 2, 6)),
-        np.empty((count, 2, 6)), np.empty((count, 3)), np.empty((count, 2)),
+        np.empty((count, sides), np.int64), contacts.moving, np.empty((count, 2, 3 * sides)),
+        np.empty((count, 2, 3 * sides)), np.empty((count, 3)), np.empty((count, 2)),
         np.empty((count, LAW)), contacts.rates, contacts.spare,
     )  # fmt: skip
     for a in range(count):
         i = chosen[a]
-        for side in range(2):
+        for side in range(sides):
             room.bodies[a, side] = contacts.bodies[i, side]
-            put(contacts.rows[i, side], room.rows[a, side])
-            put(contacts.columns[i, side], room.columns[a, side])
+        for d in range(2):
+            put(contacts.rows[i, d], room.rows[a, d])
+            put(contacts.columns[i, d], room.columns[a, d])
         put(contacts.own[i], room.own[a])
         put(contacts.laws[i], room.laws[a])
         put(contacts.cones[i], room.cones[a])

@@ -21,6 +21,7 @@ from contacts.solvers.contact_rows import (
     moved,
     rates_of,
     slope,
+    yields,
 )
 from contacts.solvers.contact_solver import solve_rows
 from statechart.arrays import Array, Bools
@@ -195,7 +196,7 @@ def _rebounding(
 
 @kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
-    """Whether a contact is to be pushed out, or back along its surface."""
+    """Return whether a contact needs a correction out of penetration or along its surface."""
     asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 
@@ -287,19 +288,20 @@ def island_impulses(
     arms : bool
         Whether joints may do more, as their arms turn.
     """
-    count, pushed, joined = len(impulses), False, False
+    count, pushed, joined, stores = len(impulses), False, False, False
     fastest = slowest = 0.0
     for i in range(count):
         slowest = max(slowest, abs(free[i, 0] - before[i, 0]))
         fastest = max(fastest, abs(before[i, 0]), abs(before[i, 1]))
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
         joined = joined or slope(contacts.cones[i]) < 0.0
+        stores = stores or yields(contacts, i)
     other = contacts.spare[KEPT, :count]
     put_rows(impulses, other)
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed
     )
-    if joined and arms and left <= allowed:
+    if (stores or (joined and arms)) and left <= allowed:
         bound += joint_work(contacts, impulses, before, free)
     share = work_share(contacts, impulses, before, free, bound)
     if pushed and (left > allowed or share < 1.0):

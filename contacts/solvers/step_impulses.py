@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, PAIR, ContactRows, complete, slope
+from contacts.solvers.contact_rows import LAW, PADDED, PAIR, ContactRows, complete, slope
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses, work_share
 from contacts.solvers.saddle_point import largest_size
@@ -59,7 +59,8 @@ def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
     for i in which:
         soft += 1 if problem.apart[i] else 0
     threes, soft = (soft + 2) // 3, n
-    threes += 1 if threes == PAIR else 0
+    # As many blocks as rows of bodies have tell those of bodies.
+    threes = PADDED + 1 if PAIR <= threes <= PADDED else threes
     bodies, cones = np.empty((count, threes), np.int64), np.empty((count, 2))
     rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
     for a in range(count):
@@ -155,7 +156,7 @@ def smoothed(cones: Array) -> Array:
 
 @kernel
 def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
-    """Whether one of those chosen (m,) is of a group."""
+    """Return whether one of the chosen contacts (m,) belongs to a group."""
     found = False
     for a in range(len(groups)):
         found = found or (chosen[a] and groups[a] == label)

@@ -280,7 +280,7 @@ def properties(declared: Scene) -> tuple[Property, ...]:
     if declared.collisions:
         from contacts.testing.body_properties import body_properties
 
-        return (*body_properties(), *image_properties(declared))
+        return (*body_properties(declared), *image_properties(declared))
     scene = declared.expanded
     mechanics = Mechanics(scene)
     none = "" if scene.contacts else "the scene has no contacts"

@@ -167,7 +167,7 @@ class SteppedScene(SteppedSystem):
 
     @property
     def filled(self) -> bool:
-        """Whether coordinates without an inertia of their own were given one."""
+        """True if coordinates without an inertia of their own were given one."""
         return bool(self._memory.contacts.light[0])
 
     def press(self, closed: Bools) -> None:

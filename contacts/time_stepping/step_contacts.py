@@ -148,7 +148,7 @@ def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, dir
 
 @kernel
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
-    """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
+    """Return whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
     return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0
 
@@ -296,7 +296,7 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 @kernel
 def _is_alone(groups: Ints, a: int) -> bool:
-    """Whether a contact is the only one of its group."""
+    """Return whether a contact is the only one of its group."""
     alone = True
     for b in range(len(groups)):
         alone = alone and (b == a or groups[b] != groups[a])
@@ -717,12 +717,6 @@ def share_forces(
     if m < 2 or problem.yields.any():
         return steady
     alike, result = shared_forces(modes, problem.cones, problem.jacobians, steady)
-    if (modes == LOCKED).any():
-        # How couplings share a load with others is not determined; what these bear stays.
-        others = np.where(modes == LOCKED, FREE, modes)
-        result = steady
-        if not (alike & (modes == LOCKED)).any():
-            _, result = shared_forces(others, problem.cones, problem.jacobians, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]

@@ -214,7 +214,7 @@ def test_what_has_broken_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, rod: 2,", "a joint is a rod or a rope"),
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
         ("rope: 1,", "rope: -1,", "must be positive"),
-        ("rope: 1,", "rope: 0.1,", "too short for the start"),
+        ("rope: 1,", "rope: 0.1,", "shorter than the distance of its ends"),
         ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),

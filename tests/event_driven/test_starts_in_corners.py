@@ -52,3 +52,31 @@ def test_a_point_that_starts_in_a_corner_stays_there(
     assert trace.outcome is Outcome.HORIZON
     assert trace.final.tolist() == pytest.approx([*at, 0.0, 0.0], abs=1e-12)
     assert "free" not in trace.final_mode
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("left", "right", "mu"), [(0.4495, 1.0906, 0.0), (0.5, 1.05, 0.0), (0.6, 0.86, 0.02)]
+)
+def test_a_point_that_goes_to_and_fro_through_a_corner_comes_to_rest(
+    engine: str, left: float, right: float, mu: float
+) -> None:
+    # An impact leaves the part cos(turn) - mu sin(turn) of the speed, friction the root of
+    # (tan(slope) - mu) / (tan(slope) + mu).
+    speed, rest, slopes = 1.0, 0.0, (left, right)
+    text = _corner("edge", left, right, mu=mu).replace(
+        "dx: 0.0, dy: 0.0",
+        f"dx: {-speed * math.cos(left)!r}, dy: {speed * math.sin(left)!r}",
+    )
+    while speed > 1e-16:
+        normal, along = 9.81 * math.cos(slopes[0]), 9.81 * math.sin(slopes[0])
+        up, down = along + mu * normal, along - mu * normal
+        rest += speed / up + speed / math.sqrt(up * down)
+        left_over = math.cos(left + right) - mu * math.sin(left + right)
+        speed, slopes = speed * math.sqrt(down / up) * left_over, slopes[::-1]
+    trace = run(read_text(text.replace("time: 0.5", "time: 1.0")), engine=engine, throw=False).trace
+    assert trace.outcome is Outcome.HORIZON
+    assert trace.final.tolist() == pytest.approx([0.0] * 4, abs=1e-12)
+    assert trace.final_mode == (("pin", "pin") if mu else ("slide", "slide"))
+    assert trace.jumps[-1].t == pytest.approx(rest, abs=1e-9)
+    assert len(trace.jumps) < 40

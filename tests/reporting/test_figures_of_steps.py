@@ -1,4 +1,4 @@
-"""What figures show of runs by steps: what moves, and no rounding of impulses."""
+"""Figures of runs by steps: curves that move, without round-off of impulses."""
 
 from __future__ import annotations
 

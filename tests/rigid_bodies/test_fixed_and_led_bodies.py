@@ -284,7 +284,7 @@ settings: {{engine: impulse, step: 0.001}}
 """
     model = interpret(read_text(text))
     subject = Subject(model)
-    for item in body_properties():
+    for item in body_properties(model):
         item.holds(subject.case({}))
     trace, numbers, paths = (
         subject.case({}).trace,

@@ -1,4 +1,4 @@
-"""What travels to another process: models, settings, runners, and what a run gave."""
+"""Pickling: models, settings, runners and results travel to another process."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def test_runs_that_come_no_nearer_are_given_up_and_exit_with_1(
     assert code == 1
     assert not report["asked"]["reached"]
     assert "the accuracy 0.001 was not reached" in said.err
-    assert "reduce the difference; runs at two steps differ most in output distance (" in said.err
+    assert "reduce the difference. Runs at two steps differ most in output distance (" in said.err
 
 
 def test_a_force_that_falls_to_zero_is_judged_on_the_scale_of_forces() -> None:

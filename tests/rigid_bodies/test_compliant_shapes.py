@@ -1,0 +1,174 @@
+"""Compliant contacts between bodies with shapes, beside the damped spring."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+G = 9.81
+
+BALL = """
+kind: scene
+name: ball
+parameters: {r: 0.1, k: 4000, d: 10, y: 0.3, m: 2, end: 0.5}
+gravity: 9.81
+bodies:
+  ball: {mass: m, inertia: m*r**2/2, shape: {disc: r}, start: {y: y}}
+surfaces: {floor: {height: 0}}
+collisions:
+  all: {bodies: [ball], surfaces: [floor], friction: 0.4, stiffness: k, damping: d}
+stop: {time: end}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  y: {value: ball.y}
+  up: {maximum: ball.dy}
+  touches: {value: time, at: first ball.touchdown}
+  leaves: {value: time, at: first ball.liftoff}
+  deepest: {maximum: r - ball.y}
+"""
+
+BOX = """
+kind: scene
+name: box
+parameters: {a: 0.2, k: 4000, d: 400, m: 2}
+gravity: 9.81
+bodies:
+  box:
+    mass: m
+    inertia: m*a**2/6
+    shape: {polygon: [[-a/2, -a/2], [a/2, -a/2], [a/2, a/2], [-a/2, a/2]]}
+    start: {y: a/2}
+surfaces: {floor: {height: 0}}
+collisions:
+  all: {bodies: [box], surfaces: [floor], friction: 0.4, stiffness: k, damping: d}
+stop: {time: 3}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  y: {value: box.y}
+  angle: {value: box.angle}
+"""
+
+
+def run(text, parameters=None, **settings):
+    return Runner(interpret(read_text(text)), **settings).run(parameters)
+
+
+def test_a_ball_rests_at_its_weight_over_its_stiffness():
+    outputs = run(BALL, {"y": 0.1, "d": 400, "end": 2}).outputs
+    assert outputs["y"] == pytest.approx(0.1 - 2 * G / 4000, rel=1e-9)
+
+
+def test_a_box_shares_its_load_among_its_corners():
+    outputs = run(BOX).outputs
+    assert outputs["y"] == pytest.approx(0.1 - 2 * G / 8000, abs=1e-9)
+    assert outputs["angle"] == pytest.approx(0, abs=1e-12)
+
+
+def closed_form(k, d, m, speed):
+    """Return the time in contact, the velocity after, and the depth of a ball that lands."""
+    decay, rest = d / (2 * m), m * G / k
+    w = math.sqrt(k / m - decay**2)
+
+    def moved(t):
+        """Depth, and its rate, from that of the weight: a damped oscillation."""
+        e, c, s = math.exp(-decay * t), math.cos(w * t), math.sin(w * t)
+        begin, rate = -rest, speed
+        amp = (rate + decay * begin) / w
+        x = e * (begin * c + amp * s)
+        v = e * ((amp * w - decay * begin) * c - (begin * w + decay * amp) * s)
+        return x + rest, v
+
+    low, high = 0.75 * math.pi / w, 1.2 * math.pi / w
+    for _ in range(100):
+        t = 0.5 * (low + high)
+        x, v = moved(t)
+        low, high = (t, high) if k * x + d * v > 0 else (low, t)
+    return low, -moved(low)[1], max(moved(i * low / 2000)[0] for i in range(2000))
+
+
+def test_a_drop_follows_the_damped_spring_to_first_order():
+    speed = math.sqrt(2 * G * 0.2)
+    lasts, up, deepest = closed_form(4000, 10, 2, speed)
+    for step in (1e-3, 2.5e-4):
+        outputs = run(BALL, step=step).outputs
+        assert outputs["touches"] == pytest.approx(speed / G, abs=2 * step)
+        assert outputs["leaves"] - outputs["touches"] == pytest.approx(lasts, abs=3 * step)
+        assert outputs["up"] == pytest.approx(up, rel=60 * step)
+        assert outputs["deepest"] == pytest.approx(deepest, rel=60 * step)
+
+
+@pytest.mark.parametrize("d", [0, 1e3])
+def test_any_stiffness_is_stable(d):
+    """h^2 k = 1e6: most of the bounce is lost, and it rests where it should.
+
+    The place moves by the mean of both velocities: it is up to h v/2 inside after the step in which
+    it arrives, and comes back at v/2.
+    """
+    result = run(BALL, {"k": 1e12, "d": d, "end": 3}, step=1e-3)
+    assert result.outputs["up"] <= 0.5 * math.sqrt(2 * G * 0.2)
+    assert result.outputs["y"] == pytest.approx(0.1, abs=1e-6)
+    assert result.trace.warnings == ()
+
+
+def test_it_never_pulls():
+    """An overdamped ball comes back slowly: a linear damper would hold it, this one lets it go."""
+    result = run(BALL, {"d": 3000, "k": 4e5, "end": 0.6}, step=1e-4)
+    trace, column = result.trace, 4
+    for before, after in itertools.pairwise(trace.arcs):
+        if after.mode == ("free",):
+            assert after.states(np.zeros(1))[0, column] >= before.states(np.zeros(1))[0, column]
+    assert result.outputs["y"] == pytest.approx(0.1 - 2 * G / 4e5, abs=1e-6)
+
+
+def test_a_compliant_ball_sticks_and_slides_as_a_rigid_one():
+    """Thrown along the floor it slips until it rolls: at 2/3 of its velocity."""
+    text = BALL.replace("start: {y: y}", "start: {y: r - m*9.81/k, dx: 3}")
+    text = text.replace("outputs:", "outputs:\n  speed: {value: ball.dx}")
+    outputs = run(text, {"d": 400, "end": 1}).outputs
+    assert outputs["speed"] == pytest.approx(2, rel=1e-6)
+
+
+def test_rigid_neighbours_of_compliant_contacts_bounce_no_higher_than_they_fell():
+    text = """
+kind: scene
+name: mixed
+gravity: 9.81
+bodies:
+  pad: {mass: 5, inertia: 0.2, shape: {polygon: [[-1, -0.1], [1, -0.1], [1, 0.1], [-1, 0.1]]},
+    start: {y: 0.1 - 5*9.81/2e5}}
+  ball: {mass: 1, inertia: 0.002, shape: {disc: 0.05}, start: {y: 0.5}}
+surfaces: {floor: {height: 0}}
+collisions:
+  soft: {bodies: [pad], surfaces: [floor], friction: 0.4, stiffness: 1e5, damping: 10}
+  hard: {bodies: [ball, pad], friction: 0.4, restitution: 0.8}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-4}
+outputs:
+  up: {maximum: ball.dy}
+"""
+    outputs = run(text).outputs
+    fell = math.sqrt(2 * G * (0.45 - 0.2 + 5 * G / 2e5))
+    assert 0.4 * fell < outputs["up"] < 0.8 * fell
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ("damping: 3, restitution: 0", "damping is that of a compliant contact"),
+        ("stiffness: 3, restitution: 0", "no impacts, and no restitution"),
+        ("rolling_resistance: 0.1", "need a coefficient of restitution"),
+        ("stiffness: 0", "must be"),
+    ],
+)
+def test_mistakes(law, message):
+    text = BALL.replace("stiffness: k, damping: d", law)
+    with pytest.raises(DeclarationError, match=message):
+        run(text)

@@ -1,0 +1,138 @@
+"""Static and kinetic friction between bodies with shapes, beside closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+G = 9.81
+
+SLOPE = """
+kind: scene
+name: slope
+parameters: {alpha: 0.4, s: 0.5, k: 0.3, v: 0, a: 0.1}
+gravity: 9.81
+bodies:
+  block:
+    mass: 2
+    inertia: a**2/3
+    shape: {polygon: [[-a, -a/2], [a, -a/2], [a, a/2], [-a, a/2]]}
+    start: {x: -a/2*sin(alpha), y: a/2*cos(alpha), angle: alpha, dx: v*cos(alpha), dy: v*sin(alpha)}
+surfaces: {ramp: {incline: alpha}}
+collisions:
+  all: {bodies: [block], surfaces: [ramp], friction: {static: s, kinetic: k}, restitution: 0}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  way: {value: block.x*cos(alpha) + block.y*sin(alpha)}
+  slips: {count: block.slip}
+  sticks: {count: block.stick}
+"""
+
+DRAGGED = """
+kind: scene
+name: dragged
+parameters: {k: 50, v: 0.1, s: 0.9, kin: 0.2, a: 0.1}
+gravity: 9.81
+bodies:
+  block:
+    mass: 1
+    inertia: a**2/6
+    shape: {polygon: [[-a/2, -a/2], [a/2, -a/2], [a/2, a/2], [-a/2, a/2]]}
+    start: {y: a/2}
+surfaces: {floor: {height: 0}}
+collisions:
+  all: {bodies: [block], surfaces: [floor], friction: {static: s, kinetic: kin}, restitution: 0}
+forces:
+  spring: {body: block, force: [k*(v*time - block.x), 0], at: [0, -a/2]}
+stop: {time: 6}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  slips: {value: time, at: each block.slip}
+  sticks: {value: time, at: each block.stick}
+"""
+
+
+def run(text, parameters=None, **settings):
+    runner = Runner(interpret(read_text(text)), **settings)
+    return runner.run(parameters)
+
+
+def test_a_block_between_both_angles_of_friction_holds():
+    outputs = run(SLOPE).outputs
+    assert outputs["way"] == pytest.approx(0, abs=1e-9)
+    assert outputs["slips"] == 0
+
+
+@pytest.mark.parametrize("v", [-0.5, -1e-3])
+def test_it_slides_on_where_it_is_pushed_down(v):
+    """tan(0.4) = 0.42 is above the kinetic coefficient: it does not stop."""
+    pull = G * (math.sin(0.4) - 0.3 * math.cos(0.4))
+    outputs = run(SLOPE, {"v": v}).outputs
+    assert outputs["way"] == pytest.approx(v - pull / 2, abs=1e-4)
+    assert outputs["sticks"] == 0
+
+
+def test_it_slides_up_under_kinetic_friction_and_holds_where_it_stops():
+    v, pull = 2.0, G * (math.sin(0.4) + 0.3 * math.cos(0.4))
+    outputs = run(SLOPE, {"v": v}).outputs
+    assert outputs["way"] == pytest.approx(v**2 / (2 * pull), abs=1e-4)
+    assert (outputs["sticks"], outputs["slips"]) == (1, 0)
+
+
+def test_above_static_friction_it_slides():
+    pull = G * (math.sin(0.55) - 0.3 * math.cos(0.55))
+    assert run(SLOPE, {"alpha": 0.55}).outputs["way"] == pytest.approx(-pull / 2, abs=5e-3)
+
+
+def test_a_dragged_block_breaks_away_and_stops_as_with_points():
+    """The times of `static_kinetic` in docs/how-to/friction.md, of first order in the step."""
+    expected = {"slips": [1.7658, 4.985911], "sticks": [2.239111, 5.459222]}
+    for step in (4e-3, 1e-3, 2.5e-4):
+        outputs = run(DRAGGED, step=step).outputs
+        for name, times in expected.items():
+            assert list(outputs[name]) == pytest.approx(times, abs=2 * step)
+
+
+def test_one_number_twice_is_one_number():
+    both = run(DRAGGED, {"kin": 0.9}).outputs
+    one = run(DRAGGED.replace("{static: s, kinetic: kin}", "s")).outputs
+    assert both == one
+
+
+def test_what_is_struck_slips_under_kinetic_friction():
+    """A disc that falls with a slip: both bounds of its impulse are mu times the normal one."""
+    text = """
+kind: scene
+name: thrown
+parameters: {s: 0.6, kin: 0.2, v: 3, w: 2}
+gravity: 9.81
+bodies:
+  disc: {mass: 1, inertia: 0.005, shape: {disc: 0.1}, start: {y: 0.3, dx: v, dy: -w}}
+surfaces: {floor: {height: 0}}
+collisions:
+  all: {bodies: [disc], surfaces: [floor], friction: {static: s, kinetic: kin}, restitution: 0.5}
+stop: {time: 0.2}
+settings: {engine: impulse, step: 1e-4}
+outputs:
+  after: {value: disc.dx}
+"""
+    speed = math.sqrt(2**2 + 2 * G * 0.2)
+    assert run(text).outputs["after"] == pytest.approx(3 - 0.2 * 1.5 * speed, abs=1e-3)
+
+
+def test_the_kinetic_coefficient_is_no_formula_of_the_slip():
+    text = DRAGGED.replace("kinetic: kin", "kinetic: kin + exp(-abs(slip))")
+    with pytest.raises(DeclarationError, match="does not depend on the slip"):
+        interpret(read_text(text))
+
+
+def test_the_kinetic_coefficient_is_not_above_the_static_one():
+    with pytest.raises(DeclarationError, match=r"static coefficient 0\.1 is below the kinetic"):
+        run(DRAGGED, {"s": 0.1})
