@@ -50,6 +50,13 @@ _LEMKE = 64
 
 
 @kernel
+def _have_coordinates(contacts: ContactRows) -> bool:
+    """Return whether all contacts move the same coordinates, and not bodies of their own."""
+    sides = contacts.bodies.shape[1]
+    return sides != PAIR and sides != PADDED
+
+
+@kernel
 def solve_rows(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float, rests: bool, last: bool
 ) -> tuple[float, int]:
@@ -80,7 +87,7 @@ def solve_rows(
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
     # All contacts of coordinates move the same, so that Newton's equations are as small as that.
-    same = contacts.bodies.shape[1] != PAIR and contacts.bodies.shape[1] != PADDED
+    same = _have_coordinates(contacts)
     # Of coordinates they are solved anew at each step: what rests has no velocity at all.
     if not same and left <= (_AT_REST if rests else VERIFIED):
         return left, 0
@@ -158,8 +165,9 @@ def _by_lemke(
         )
         if not good:
             continue
-        exact = found.copy()
-        missed, steps = by_last_status(contacts, least, exact)
+        exact, missed, steps = found.copy(), math.inf, 0
+        if _have_coordinates(contacts):
+            missed, steps = by_last_status(contacts, least, exact)
         if missed <= allowed:
             put_rows(exact, found)
         else:
