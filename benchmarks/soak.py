@@ -32,8 +32,7 @@ import numpy as np
 from contacts.kind import automaton
 from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
 from contacts.scene.scene import Scene
-from statechart.automaton.dense_output import lowest
-from statechart.automaton.trace import Outcome, Trace
+from statechart.automaton.trace import Outcome, Trace, lowest
 from statechart.documents.setting import Setting
 from statechart.engines.request import choose
 from statechart.execution.simulator import Simulator

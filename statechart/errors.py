@@ -290,9 +290,13 @@ class Unsupported(SimulationError):
     """The model has what the engine lacks."""
 
 
+_NUMBERS = re.compile(r"(\D*)(\d*)")
+
+
 def close_matches(name: str, known: Iterable[str]) -> str:
     """Return advice: the names in `known` that `name` may have meant, and all of them."""
-    names = sorted(known, key=_numbers_in)
+    # Numbers in names count: grain2 is before grain10.
+    names = sorted(known, key=lambda one: [(a, len(n), n) for a, n in _NUMBERS.findall(one)])
     if numbered := _numbered(name, names):
         return numbered
     close = difflib.get_close_matches(name, names, n=3)
@@ -310,11 +314,6 @@ def _numbered(name: str, names: Sequence[str]) -> str:
     alike = re.compile(rf"{stem}\d+{part}")
     found = [one for one in names if alike.fullmatch(one)]
     return f"there are {found[0]} to {found[-1]}" if len(found) > 1 else ""
-
-
-def _numbers_in(name: str) -> list[tuple[str, int, str]]:
-    """Return a key by which numbers in names count: grain2 is before grain10."""
-    return [(text, len(digits), digits) for text, digits in re.findall(r"(\D*)(\d*)", name)]
 
 
 def undeclared(name: str, known: Iterable[str]) -> str:

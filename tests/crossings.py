@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from statechart.automaton.dense_output import checked_arc
+from statechart.automaton.trace import checked_arc
 from statechart.engines.engine import Path
 from statechart.engines.event_location import BOXES, Search, search
 from statechart.formulas.tape import Tape, contiguous

@@ -225,14 +225,8 @@ def against_faces(
 ) -> int:
     """Find the points where a polygon is near the faces of another; see `between`.
 
-    Corners of the first are not touched.
-
-    Parameters
-    ----------
-    one, other : (k, 2)
-    flip : bool
-        Whether the first is the second body.
-    found : (m, FOUND), features : (m,) array of int
+    Corners of the first are not touched. Polygons are (k, 2); `flip` says that the first is the
+    second body. Fills `found` (m, FOUND) and `features` (m,).
     """
     _, edge = _farthest(one, other)
     return _clipped(one, edge, other, within, flip, found, features)

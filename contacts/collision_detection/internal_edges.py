@@ -328,15 +328,9 @@ def near_obstacles(
 ) -> int:  # fmt: skip
     """List the obstacles at points of contact of one of a pair; return how many there are.
 
-    Parameters
-    ----------
-    pair : (int, int)
-        What is touched, and what touches it.
-    near_pieces : Neighbours
-        Its `covering` is filled with the first, and with pieces and surfaces that do not move
-        against it and touch the second.
-    found : (m, FOUND), count : int
-        Points of contact.
+    The first of the `pair` is touched by the second. The `covering` of `near_pieces` is filled with
+    the first, and with pieces and surfaces that do not move against it and touch the second;
+    `found` (m, FOUND) has `count` points of contact.
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1

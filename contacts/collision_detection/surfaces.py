@@ -127,18 +127,9 @@ def against_surface(
 ) -> int:
     """Find the points of a body near a surface; return their number.
 
-    Parameters
-    ----------
-    s : int
-        Which of them.
-    pose : (3,)
-        Its frame.
-    registers : (int, array)
-        Of the program; see `statechart.kernels.tapes.filled`.
-    within : float
-        Gaps up to this are found.
-    found : (m, FOUND), features : (m,) array of int
-        To be filled.
+    `pose` (3,) is the frame of surface `s`, `registers` are those of the program
+    (`statechart.kernels.tapes.filled`). Gaps up to `within` are found; fills `found` (m, FOUND) and
+    `features` (m,).
     """
     body, centre, radius = shape
     moved = pose[0] != 0.0 or pose[1] != 0.0 or pose[2] != 0.0

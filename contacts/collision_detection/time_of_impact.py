@@ -89,20 +89,9 @@ def _met(
 ) -> tuple[float, float]:  # fmt: skip
     """Return how two pieces touch that have moved on as they do: gap, cosine to a normal.
 
-    The gap is inf, and the cosine 1, where they are far apart.
-
-    Parameters
-    ----------
-    mid : Midpoint
-        Where their bodies are, and how fast, at the time zero.
-    pair : (int, int)
-        Which pieces.
-    later : float
-        How long they move.
-    normal : (float, float)
-        Which of their normals then is nearest to this one.
-    found : (p, FOUND) array
-        Is overwritten.
+    The gap is inf, and the cosine 1, where they are far apart. Bodies are at `mid` at the time
+    zero, and move on for `later`; of the normals then the one nearest to `normal` counts. `found`
+    (p, FOUND) is overwritten.
     """
     one, other = numbers.pieces.bodies[pair[0]], numbers.pieces.bodies[pair[1]]
     fastest = np.abs(mid.old[one]).max() + np.abs(mid.old[other]).max()

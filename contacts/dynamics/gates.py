@@ -306,19 +306,10 @@ def margin_bands(
 ) -> None:
     """Write how far below zero a flow lets the margins of conditions fall.
 
-    That is their round-off; infinitely far, if no certificate needs a margin.
-
-    Parameters
-    ----------
-    nodes : (m, 3) array of int64
-        See `contacts.dynamics.gates.tree`.
-    values : (4 (k + c),) array
-        From `conditions_at`.
-    relative, near : float
-        Relative round-off; tolerance of gaps.
-    verdicts : (k,) array of int64
-    bands : (2 k + c,) array
-        To be filled: margins of atoms that hold, of atoms that fail, and of gaps of contacts.
+    That is their round-off; infinitely far, if no certificate needs a margin. `nodes` (m, 3) are
+    from `tree`, `values` (4 (k + c),) from `conditions_at`, `verdicts` (k,); `relative` is a
+    round-off, `near` the tolerance of gaps. Fills `bands` (2 k + c,): margins of atoms that hold,
+    of atoms that fail, and of gaps of contacts.
     """
     count = verdicts.shape[0]
     found = np.empty(nodes.shape[0], np.int64)

@@ -18,6 +18,7 @@ from contacts.dynamics.joints import JointRow
 from contacts.dynamics.parameters import (
     GAP_OFFSET,
     HELD_FORCE,
+    cone_edge,
     friction_cones,
     friction_symbols,
     kinetic_friction,
@@ -398,7 +399,7 @@ class Mechanics(Geometry):
         found: list[sp.Expr] = []
         for direction in (1, -1):
             mu = kinetic_friction(law, direction, self.known, sp.Abs(contact.slip))
-            found += [1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)]
+            found += cone_edge(mu)
         return tuple(found)
 
     def limits(self, name: str) -> tuple[sp.Expr, sp.Expr]:

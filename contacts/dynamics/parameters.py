@@ -96,6 +96,11 @@ def friction_cones(
     return FrictionSymbols(edges, values)
 
 
+def cone_edge(mu: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    """Return the unit edge ``(1, mu) / hypot(1, mu)`` of a cone, for any mu from 0 to inf."""
+    return 1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2)
+
+
 def kinetic_friction(
     law: FrictionLaw, direction: int, known: Mapping[str, sp.Expr], speed: sp.Expr
 ) -> sp.Expr:
@@ -153,9 +158,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
                     coefficients_of(law), (law.static, law.kinetic), strict=False
                 ):
                     mu = parse(text).to_sympy({**seen, **at_rest})
-                    # 1 / hypot(1, mu) and mu / hypot(1, mu), right at mu = 0 and at mu = inf.
-                    edge = (1 / sp.sqrt(1 + mu**2), 1 / sp.sqrt(1 + (1 / mu) ** 2))
-                    for key, value in zip(keys, (mu, *edge), strict=True):
+                    for key, value in zip(keys, (mu, *cone_edge(mu)), strict=True):
                         result[f"{name}.{key}{state}"] = value
         if contact.restitution is not None:
             for state, seen in in_states(contact.restitution):

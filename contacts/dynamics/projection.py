@@ -125,7 +125,8 @@ class Projection:
                     raise self._broken(rows, near, slow, time)
             return projected
 
-        room = unseen_room(tolerances, scales)
+        # At a loose tolerance a state may be off that far without being projected.
+        room = max(UNSEEN * scales.length, tolerances["gap"])
         constraints = Constraints(self.tape, targets, weights, project, self.unseen(flow), room)
         return constraints
 
@@ -174,12 +175,6 @@ class Projection:
             f"the joints {', '.join(dict.fromkeys(self._joints))} cannot all hold at t = "
             f"{time:.6g}: {self._joints[k]!r} {apart}"
         )
-
-
-def unseen_room(tolerances: Mapping[str, float], scales: Scales) -> float:
-    """Return how far a step may be off a surface before it counts as blind."""
-    # At a loose tolerance a state may be off that far without being projected.
-    return max(UNSEEN * scales.length, tolerances["gap"])
 
 
 def landing(tolerances: Mapping[str, float]) -> tuple[float, float]:

@@ -245,9 +245,7 @@ def _extents(mechanics: Mechanics) -> list[sp.Expr]:
     return [extent for extent in found if extent != 0]
 
 
-def _prescribed(
-    mechanics: Mechanics,
-) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
+def _prescribed(mechanics: Mechanics) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
     """Return prescribed displacements, angles of surfaces that turn, and levers to their pivots."""
     scene = mechanics.scene
     shifts: dict[sp.Expr, None] = {}
@@ -302,15 +300,9 @@ def measure(
 ) -> bool:
     """Read the scales off a scene's numbers at the start; False where some are out of range.
 
-    Parameters
-    ----------
-    numbers, begins, places, gravity, paths
-        See `ScaleTape`.
-    ranges : (m, 2) array
-        Of the outputs of `ScaleTape.motions`, over the run.
-    scales : (5,), sizes : (2 n,) array
-        To be filled: length, speed, acceleration, force, round-off of positions; the sizes of
-        coordinates and rates.
+    `ranges` (m, 2) of the outputs of `ScaleTape.motions` are over the run; for the other inputs see
+    `ScaleTape`. Fills `scales` (5,) with length, speed, acceleration, force and round-off of
+    positions, and `sizes` (2 n,) of coordinates and rates.
     """
     n = sizes.shape[0] // 2
     groups = begins.shape[0] - 1

@@ -13,7 +13,7 @@ from statechart.automaton.laws import Setup
 # Force margins may fall below zero by this much of the force scale before a mode is left: the
 # size of rounding in a solved mode, with room; entering asks for half of it (hysteresis). It does
 # not grow with the tolerance of the integration: events are those of the trajectory computed.
-FORCE_BAND = 1e-12
+FORCE_BAND = 4e-13
 # Of that, for bounds of static friction: kinetic friction is less, and nothing comes back from
 # slip. More than the part of a tie that is nearly none (`contacts.modes.classification`).
 HOLD_PART = 0.1

@@ -18,14 +18,7 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
-from contacts.dynamics.setup import (
-    HOLD_PART,
-    ROUNDING,
-    SHORT,
-    SceneSetup,
-    doubtful,
-    tolerated,
-)
+from contacts.dynamics.setup import HOLD_PART, ROUNDING, SHORT, SceneSetup, doubtful, tolerated
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
@@ -93,9 +86,7 @@ class SceneNumbers:
         rows = [row for row in mechanics.joint_rows if row.closed is None]
         self._joint_names = tuple(row.joint for row in rows)
         self._redundant = [self.places[f"{r.joint}.redundant_{r.component.lower()}"] for r in rows]
-        self._joint_tape = mechanics.tape(
-            [entry for row in rows for entry in row.jacobian],
-        )
+        self._joint_tape = mechanics.tape([entry for row in rows for entry in row.jacobian])
         # Bodies, and the places of their moments of inertia among the values.
         self.inertias = [(name, self.places.get(f"{name}.inertia")) for name in scene.bodies]
         self.lint = (*lint(scene), *_unpressed(mechanics))
@@ -376,19 +367,9 @@ def run_numbers(
 ) -> bool:
     """Write the numbers of a run; False where something is wrong with them, or to be told.
 
-    Parameters
-    ----------
-    program : Program
-        Holds the tapes.
-    tapes : (4, 9) array of int64
-        Limits, scales, motions, stops.
-    rules : Rules
-    code, constants, outputs
-        Tape of the parameters, the initial state and the levers of bodies.
-    inputs : (i,) array
-        What it takes.
-    made : Numbers
-        To be filled.
+    The program holds the `tapes` (4, 9) of limits, scales, motions and stops; `code`, `constants`
+    and `outputs` are the tape of the parameters, the initial state and the levers of bodies, which
+    takes `inputs` (i,). Fills `made`.
     """
     values, initial, bodies = made.values, made.initial, rules.inertias.shape[0]
     found = np.empty(outputs.shape[0])

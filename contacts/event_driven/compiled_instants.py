@@ -182,24 +182,11 @@ def hit(
 ) -> tuple[int, int, int]:
     """Compute an impact of the closed contacts that approach.
 
-    Parameters
-    ----------
-    run : RunState
-        Its state is brought up to date.
-    numbers : (o,) array
-        The scene's, there; brought up to date.
-    impulse : (c, 2), taken : (c,) array
-        To be filled: the impulse on the bodies at every contact, and its state after it.
-
-    Returns
-    -------
-    contact : int
-        The first that strikes; -1, and nothing changed but the numbers, where this is not so
-        simple.
-    path : int
-        Code of its path, or of the states of several (see `strike_group`).
-    group : int
-        These several, a bit each; 0 where it is alone.
+    Brings the state of the run and the numbers (o,) of the scene there up to date; fills `impulse`
+    (c, 2) on the bodies at every contact, and its state `taken` (c,) after it. Returns the first
+    contact that strikes (-1, and nothing changed but the numbers, where this is not so simple); the
+    code of its path, or of the states of several (`strike_group`); and these several, a bit each, 0
+    where it is alone.
     """
     state, kept = run.state, run.kept
     n, contacts = state.shape[0] // 2, kept.shape[0]
@@ -290,22 +277,12 @@ def switched(
 ) -> int:  # fmt: skip
     """Take contacts off or back whose conditions say so; return the first, -1 where there is none.
 
-    -2 where further derivatives of a condition decide.
-
-    Parameters
-    ----------
-    values : (4 k,) array
-        Numbers of the conditions.
-    numbers : (o,) array
-        The scene's, those of contacts from `first` on.
-    fired : int
-        Number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides
-        where the first derivative does not: a flow on whose way a margin falls did not begin on
-        its boundary.
-    kept, taken : (c,) array
-        State of every contact; the latter is to be filled.
-
-    See `contacts.dynamics.conditions.ConditionsAt.failing`.
+    -2 where further derivatives of a condition decide. `values` (4 k,) are the numbers of the
+    conditions, `numbers` (o,) those of the scene, of contacts from `first` on. `fired` is the
+    number of the atom that ceased to hold, from 1 on; minus it, if it began to. That decides where
+    the first derivative does not: a flow on whose way a margin falls did not begin on its boundary.
+    Each contact was in its state `kept` (c,), and `taken` (c,) is to be filled. See
+    `contacts.dynamics.conditions.ConditionsAt.failing`.
     """
     place, unsure, leaves, stays, beside = -1, False, False, False, False
     count = (scene.slots.shape[0] - scene.allowed.shape[0]) // 2
@@ -394,21 +371,10 @@ def instant(
 ) -> tuple[int, int, float]:
     """Jump, where that is as simple as most jumps are.
 
-    Parameters
-    ----------
-    run : RunState
-        Brought up to date.
-    margin : int
-        That fell; -1 where the instant goes on after a jump.
-    fired : int
-        Condition that fell, see `switched`; 0 for none, and after an impact.
-    flowed : bool
-        Whether time has passed since the last instant.
-
-    Returns
-    -------
-    As the loop; `GOES_ON` where that can, with what is asked next in `place`, and
-    in the place of the margin `fired`, if the mode goes on, else 0.
+    Brings the run up to date. `margin` fell (-1 where the instant goes on after a jump), and the
+    condition `fired` (see `switched`; 0 for none, and after an impact); `flowed`: time has passed
+    since the last instant. Returns what the loop does; `GOES_ON` where that can, with what is asked
+    next in `place`, and in the place of the margin `fired`, if the mode goes on, else 0.
     """
     now, place, state, kept = run.now, run.place, run.state, run.kept
     contacts, n = kept.shape[0], state.shape[0] // 2

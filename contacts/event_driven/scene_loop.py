@@ -71,9 +71,7 @@ from statechart.engines.compiled_flow import (
     stands,
 )
 from statechart.execution import compiled_loop as runs
-from statechart.execution.compiled_loop import (
-    LOOK_AHEAD as NEXT_LOOK,
-)
+from statechart.execution.compiled_loop import LOOK_AHEAD as NEXT_LOOK
 from statechart.execution.compiled_loop import BatchInputs, BatchResult, Loop
 from statechart.execution.execution import FARTHEST
 from statechart.execution.finding import AT_END
@@ -263,12 +261,7 @@ def _record_arc(
 
 @kernel
 def _hold(
-    program: Program,
-    watch: Watch,
-    scene: SceneWatch,
-    states: Ints,
-    state: Array,
-    time: float,
+    program: Program, watch: Watch, scene: SceneWatch, states: Ints, state: Array, time: float
 ) -> None:
     """Write targets and weights of the constraints of a flow that begins here."""
     watch.weights[:] = 0.0
@@ -419,20 +412,11 @@ def run_batch(
 ) -> int:
     """Take runs to their ends, from their start or on; return how many before the block was full.
 
-    Parameters
-    ----------
-    program, memory
-        See `statechart.engines.compiled_flow`.
-    scene : SceneBatch
-    first_watch, first_instants
-        Buffers. Where the numbers of a run are known, they stand in `scene.numbers`, and the
-        tolerances in `first_watch.kinds`.
-    rows : BatchInputs
-    block : TraceBuffer
-        Takes arcs and events of all runs.
-    found : BatchResult
-        To be filled, a row for each; a run that ends as `UNUSUAL` or `OTHER` leaves nothing else.
-        Of a run that has begun it says where that is.
+    For program and memory see `statechart.engines.compiled_flow`. `first_watch` and
+    `first_instants` are buffers: where the numbers of a run are known, they stand in
+    `scene.numbers`, and the tolerances in `first_watch.kinds`. The block takes arcs and events of
+    all runs. Fills `found`, a row for each; a run that ends as `UNUSUAL` or `OTHER` leaves nothing
+    else. Of a run that has begun it says where that is.
     """
     used, before, numbers = block.used, np.empty(4, np.int64), scene.numbers
     contacts = scene.places.shape[0]

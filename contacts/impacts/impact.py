@@ -144,30 +144,11 @@ def strike(
 ) -> tuple[int, float, float, int, float, float]:
     """Let one contact be hit.
 
-    Parameters
-    ----------
-    mass : (n, n), jacobian : (2, n) array
-    rates : (float, float)
-        Of the gap, and along the surface.
-    cone : (6,) array
-        Unit edges of the cone at rest, which hold a stick, and in slip+ and slip-.
-    meaning : int
-        NEWTON, POISSON or STRONGE.
-    restitution : float
-    braking : bool
-        Slip is stopped first, though the contact does not approach.
-    velocity : (n,) array
-        Rates of the coordinates; brought up to date.
-
-    Returns
-    -------
-    status : int
-    normal, tangential : float
-        Impulse on the body.
-    path : int
-        Code of its pieces.
-    u_n, u_t : float
-        Rates of the gap and along the surface where it ended.
+    With mass (n, n) and jacobian (2, n); `rates` of the gap and along the surface; unit edges (6,)
+    of the cone at rest, which hold a stick, and in slip+ and slip-; `meaning` NEWTON, POISSON or
+    STRONGE. If `braking`, slip is stopped first, though the contact does not approach. Brings
+    `velocity` (n,) up to date. Returns a status, the normal and tangential impulse on the body, the
+    code of the pieces of the path, and the rates of the gap and along the surface where it ended.
     """
     size = len(velocity)
     before, change = velocity.copy(), np.empty(len(velocity))

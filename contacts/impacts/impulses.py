@@ -402,10 +402,7 @@ def coupled(snapshot: Snapshot, group: Sequence[int]) -> Ints:
 
 
 def _problem(
-    snapshot: Snapshot,
-    laws: Sequence[ContactLaw],
-    group: list[int],
-    restitution: Sequence[float],
+    snapshot: Snapshot, laws: Sequence[ContactLaw], group: list[int], restitution: Sequence[float]
 ) -> tuple[ImpactProblem, Ints]:
     """Return the problem of a group, and the coordinates that its contacts move."""
     labels, jacobians = coupled(snapshot, group), snapshot.jacobians[group]

@@ -175,13 +175,12 @@ def _solved_combinations(
         tie,
     )
     found: list[Candidate] = []
-    for k, (states, outcome) in enumerate(zip(combinations, status.tolist(), strict=True)):
-        violation, contact, which, number = verdicts[k].tolist()
+    judged = zip(combinations, status.tolist(), verdicts.tolist(), strict=True)
+    for k, (states, outcome, (violation, contact, which, number)) in enumerate(judged):
+        why = "" if outcome in _DETERMINED else _UNSOLVED.get(outcome, SINGULAR)
         broken = (laws[int(contact)].name if laws else "", int(which), number)
-        one = Candidate(states, accelerations[k], forces[k], violation, broken)
-        if outcome not in _DETERMINED:
-            one = _refused(one, _UNSOLVED.get(outcome, SINGULAR))
-        found.append(one)
+        violation = math.inf if why else violation
+        found.append(Candidate(states, accelerations[k], forces[k], violation, broken, None, why))
     if several:
         _explain(case, edges, codes, found, np.flatnonzero(status == REDUNDANT).tolist())
     return found
@@ -201,11 +200,15 @@ def _explain(
     """Replace candidates judged by their motion alone, by whether forces explain it."""
     snapshot, scales, tie = case.snapshot, case.scales, case.tie
     inward = 0.25 * max(tie, _EXACT) * scales.force
-    moving = [(k, found[k]) for k in redundant if found[k].violation <= max(tie, _SAME_MOTION)]
-    taken: list[Candidate] = []
+    bound = max(tie, _SAME_MOTION)
+    moving = [(k, found[k]) for k in redundant if found[k].violation <= bound]
+    moving.sort(key=lambda item: openness(item[1]))
+    motions = np.array([one.accelerations for _, one in moving]).reshape(len(moving), -1)
+    largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
+    known = np.zeros(len(moving), np.bool_)
     failed: list[tuple[Candidate, Ints]] = []
-    for k, candidate in sorted(moving, key=lambda item: openness(item[1])):
-        if any(same_motion(one, candidate, scales) for one in taken):
+    for place, (k, candidate) in enumerate(moving):
+        if known[place]:
             found[k] = _refused(candidate, _LESS)
             continue
         given = None
@@ -227,7 +230,7 @@ def _explain(
         if outside > shared.violation:
             shared = shared._replace(violation=outside, broken=("", _NOWHERE, outside))
         found[k] = shared
-        taken.append(shared)
+        known |= np.abs(motions - motions[place]).max(1, initial=0.0) <= largest
 
 
 def _within(code: Ints, other: Ints) -> bool:
@@ -609,10 +612,11 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
     laws, coefficients = case.laws, _coefficients(case)
     found = {_label(laws, c.states): _verdict(c, case.tie) + coefficients(c.states) for c in tried}
     if taken is not None:
+        firmer = _firmer(case)
         found |= {
             _label(laws, c.states): c.reason + coefficients(c.states)
             for c in tried
-            if c.violation > _NEARLY * case.tie and _held(c, taken, case)
+            if c.violation > _NEARLY * case.tie and _held(c, taken, firmer)
         }
         found[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return found
@@ -756,9 +760,11 @@ def _continuing(
         left = next((c for c in tried if c.states == before.mode and not c.undetermined), None)
     if left is None or (left.share is not None and not _bearing(left) <= before.bearing):
         return agreeing
-    if left.violation > _NEARLY * case.tie and any(_held(left, c, case) for c in agreeing):
-        # Static friction has just been exceeded, and kinetic friction is less.
-        return agreeing
+    if left.violation > _NEARLY * case.tie:
+        firmer = _firmer(case)
+        if any(_held(left, c, firmer) for c in agreeing):
+            # Static friction has just been exceeded, and kinetic friction is less.
+            return agreeing
     return [c for c in agreeing if same_motion(c, left, case.scales, _GOES_ON)] or agreeing
 
 
@@ -776,14 +782,17 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         if one.share is not None and one.states == before.mode:
             return _without_new_loads(one, clear, case, before.bearing)
     # What static friction holds does not begin to slip because something else does.
-    held = [c for c in clear if not any(_held(d, c, case) > _held(c, d, case) for d in clear)]
+    firmer, held = _firmer(case), clear
+    if firmer:
+        lost = [any(_held(d, c, firmer) > _held(c, d, firmer) for d in clear) for c in clear]
+        held = [c for c, slips in zip(clear, lost, strict=True) if not slips]
     taken = min(held or clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     others = [
         c
         for c in sure
-        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, case)
+        if c is not taken and not same_motion(c, taken, scales) and not _held(taken, c, firmer)
     ]
     if not others and taken.share is not None:
         # What lies along a surface is on its edge wherever it goes.
@@ -813,16 +822,21 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     )
 
 
-def _held(taken: Candidate, other: Candidate, case: Case) -> bool:
+def _held(taken: Candidate, other: Candidate, firmer: Sequence[int]) -> bool:
     """Return whether static friction holds what kinetic friction would let slip."""
+    return any(
+        taken.states[k] in STICKING and other.states[k] not in (*STICKING, *OPEN) for k in firmer
+    )
+
+
+def _firmer(case: Case) -> Sequence[int]:
+    """Return the contacts and couplings whose static friction exceeds their kinetic friction."""
     edges = bounds(case.laws, case.snapshot)
     mu = edges[:, 1::2] / np.maximum(edges[:, ::2], np.finfo(float).tiny)
-    return any(
-        one in STICKING
-        and two not in (*STICKING, *OPEN)
-        and (edges[k, 0] > edges[k, 1] if law.coupling else (mu[k, 0] > mu[k, 1:]).any())
-        for k, (law, one, two) in enumerate(zip(case.laws, taken.states, other.states, strict=True))
-    )
+    coupled = np.array([law.coupling for law in case.laws], np.bool_)
+    more = np.where(coupled, edges[:, 0] > edges[:, 1], (mu[:, :1] > mu[:, 1:]).any(1))
+    firmer: list[int] = np.flatnonzero(more).tolist()
+    return firmer
 
 
 def _without_new_loads(

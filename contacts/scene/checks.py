@@ -339,7 +339,7 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
                 if least <= value <= most or loc in wrong:
                     continue
                 wrong.add(loc)
-                if not math.isfinite(value):
+                if not math.isfinite(value) and not shown:
                     words = "must be finite, not {:g}"
                 where = f" in state {state!r} of {region!r}" if state else ""
                 numbers = [value_of(formula, seen, *loc) for formula in shown] or [value]

@@ -8,19 +8,11 @@ from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeVar
 
-from pydantic import Field
-
 from statechart.charts.flatten import FlatRegion, flatten
 from statechart.charts.transitions import BaseRegion, BaseState, check_changes, nested
 from statechart.charts.wrapping import STATE, Count
-from statechart.documents.fields import (
-    FiniteText,
-    FormulaText,
-    NameText,
-    ValueName,
-    check_names,
-    unit,
-)
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, check_names
 from statechart.errors import DeclarationProblem, Loc, close_matches
 from statechart.formulas.formula import Formula, parse
 
@@ -30,33 +22,29 @@ Value = TypeVar("Value")
 class ControlState(BaseState):
     """One state of a controller, and what it sets."""
 
-    sets: dict[str, FormulaText] = Field(
+    sets: dict[str, FormulaText] = declare(
+        "Values of controls while the state is active; inner states may override them.",
+        {"torque": "-k*leg.angle"},
+        unit="that of the control",
         default={},
-        description=(
-            "Values of controls while the state is active; inner states may override them."
-        ),
-        examples=[{"torque": "-k*leg.angle"}],
-        json_schema_extra=unit("that of the control"),
     )
-    states: dict[NameText, ControlState] = Field(
+    states: dict[NameText, ControlState] = declare(
+        "States in it, of which one is active with it.",
+        {"push": {"sets": {"torque": 1}}, "pull": {"sets": {"torque": -1}}},
         default={},
-        description="States in it, of which one is active with it.",
-        examples=[{"push": {"sets": {"torque": 1}}, "pull": {"sets": {"torque": -1}}}],
     )
-    regions: dict[NameText, ControlRegion] = Field(
+    regions: dict[NameText, ControlRegion] = declare(
+        "Regions in it, of each of which one state is active with it.",
+        {"grip": {"initial": "open", "states": {"open": {}, "shut": {}}}},
         default={},
-        description="Regions in it, of each of which one state is active with it.",
-        examples=[{"grip": {"initial": "open", "states": {"open": {}, "shut": {}}}}],
     )
 
 
 class ControlRegion(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, ControlState] = Field(
-        min_length=1,
-        description="Name to state.",
-        examples=[{"hold": {}, "thrust": {"sets": {"push": 20}}}],
+    states: dict[NameText, ControlState] = declare(
+        "Name to state.", {"hold": {}, "thrust": {"sets": {"push": 20}}}, min_length=1
     )
 
 
@@ -67,11 +55,11 @@ ControlState.model_rebuild()
 class Controller(ControlRegion):
     """A region of the scene beside its contacts: forces and coefficients jump with its state."""
 
-    variables: dict[ValueName, FiniteText] = Field(
+    variables: dict[ValueName, FiniteText] = declare(
+        "Variables of the controller and their initial values.",
+        {"seen": 0},
+        unit="that of each",
         default={},
-        description="Variables of the controller and their initial values.",
-        examples=[{"seen": 0}],
-        json_schema_extra=unit("that of each"),
     )
 
     @classmethod
@@ -227,8 +215,8 @@ class Controls:
                     see=there,
                 )
         for region, flat in self.flat.items():
-            for words, given in (("set", _set), ("give a flow to", lambda state: state.flows)):
-                shared = flat.shared(given)
+            for words, part in (("set", "sets"), ("give a flow to", "flows")):
+                shared = flat.shared(part)
                 if shared is not None:
                     raise DeclarationProblem(
                         f"{shared.one!r} and {shared.other!r}, which may be active together, both "
@@ -306,7 +294,3 @@ class Controls:
             for state, at in self.states(region):
                 for control, text in state.sets.items():
                     yield region, str(at[-1]), control, text, (*at, "sets", control)
-
-
-def _set(state: BaseState) -> Collection[str]:
-    return state.sets if isinstance(state, ControlState) else ()

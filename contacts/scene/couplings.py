@@ -10,7 +10,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
-from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part
 from statechart.errors import DeclarationProblem
 from statechart.formulas.relation import conjunction
 
@@ -28,15 +29,13 @@ _DIRECTIONS = {"slip+": 1, "slip-": -1}
 class StaticKinetic(Part):
     """A bound of friction at rest, and in motion."""
 
-    static: FiniteText = Field(
-        description="Bound at rest: what it takes to start a slip.",
-        examples=["1.1*M_max"],
-        json_schema_extra=unit("force length; force along a guide"),
+    static: FiniteText = declare(
+        "Bound at rest: what it takes to start a slip.",
+        "1.1*M_max",
+        unit="force length; force along a guide",
     )
-    kinetic: FiniteText = Field(
-        description="Bound in motion.",
-        examples=["M_max"],
-        json_schema_extra=unit("force length; force along a guide"),
+    kinetic: FiniteText = declare(
+        "Bound in motion.", "M_max", unit="force length; force along a guide"
     )
 
 
@@ -59,33 +58,31 @@ class Coupling(Part):
         **dict.fromkeys(("static", "kinetic"), "limit: {static: s, kinetic: k}"),
     }
 
-    bodies: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)] | None = Field(
+    bodies: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)] | None = declare(
+        "Two bodies, or one that turns against the world.",
+        ["motor", "load"],
+        ["wheel"],
         default=None,
-        description="Two bodies, or one that turns against the world.",
-        examples=[["motor", "load"], ["wheel"]],
     )
-    joint: str | None = Field(
+    joint: str | None = declare(
+        "A joint instead of bodies: those that it holds; a guide's free direction.",
+        "pivot",
         default=None,
-        description="A joint instead of bodies: those that it holds; a guide's free direction.",
-        examples=["pivot"],
     )
-    limit: FormulaText | StaticKinetic = Field(
-        description=(
-            "Largest couple, a formula of time, parameters, coordinates, rates and controls; "
-            "or its bounds at rest and in motion."
-        ),
-        examples=["mu*N*r", {"static": 11, "kinetic": 10}],
-        json_schema_extra=unit("force length; force along a guide"),
+    limit: FormulaText | StaticKinetic = declare(
+        "Largest couple, a formula of time, parameters, coordinates, rates and controls; "
+        "or its bounds at rest and in motion.",
+        "mu*N*r",
+        {"static": 11, "kinetic": 10},
+        unit="force length; force along a guide",
     )
     enabled: Annotated[
         tuple[OneRelation, ...],
         BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
-    ] = Field(
+    ] = declare(
+        "Relation, or several that must all hold; while it fails, the coupling is open.",
+        "time >= 0.4",
         default=(),
-        description=(
-            "Relation, or several that must all hold; while it fails, the coupling is open."
-        ),
-        examples=["time >= 0.4"],
     )
 
     @model_validator(mode="after")

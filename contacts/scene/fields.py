@@ -7,7 +7,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
 from contacts.scene.controls import Controller, Controls
 from contacts.scene.couplings import Coupling
@@ -26,7 +26,8 @@ from contacts.scene.parts import (
 from contacts.scene.shapes import INDEX, Collision
 from statechart.charts.flatten import timed
 from statechart.documents.declaration import TIME, Declaration
-from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, unit, value_of
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, NameText, ValueName, value_of
 from statechart.documents.quantities import (
     POWERS,
     Dimension,
@@ -85,120 +86,99 @@ class SceneFields(Declaration):
         ),
     }
 
-    kind: Literal["scene"] = Field(
-        default="scene", description="What is declared.", examples=["scene"]
-    )
-    gravity: Gravity = Field(
+    kind: Literal["scene"] = declare("What is declared.", "scene", default="scene")
+    gravity: Gravity = declare(
+        "Acceleration downwards, or its components: [0, -9.81] is downwards.",
+        9.81,
+        ["g*sin(slope)", "-g*cos(slope)"],
+        unit="length/time**2",
         default=0,
-        description="Acceleration downwards, or its components: [0, -9.81] is downwards.",
-        examples=[9.81, ["g*sin(slope)", "-g*cos(slope)"]],
-        json_schema_extra=unit("length/time**2"),
     )
-    coordinates: dict[ValueName, Coordinate] = Field(
+    coordinates: dict[ValueName, Coordinate] = declare(
+        "Coordinates, by which positions of bodies are given.",
+        {"theta": {"start": 0.2}},
         default={},
-        description="Coordinates, by which positions of bodies are given.",
-        examples=[{"theta": {"start": 0.2}}],
     )
-    bodies: dict[NameText, Body] = Field(
+    bodies: dict[NameText, Body] = declare(
+        "Name to body.",
+        {"rod": {"mass": "m", "inertia": "m*L**2/3", "start": {"y": "h"}}},
         min_length=1,
-        description="Name to body.",
-        examples=[{"rod": {"mass": "m", "inertia": "m*L**2/3", "start": {"y": "h"}}}],
     )
-    surfaces: dict[NameText, Surface] = Field(
-        default={},
-        description="Surfaces that points and bodies may touch.",
-        examples=[{"floor": {"height": 0}}],
+    surfaces: dict[NameText, Surface] = declare(
+        "Surfaces that points and bodies may touch.", {"floor": {"height": 0}}, default={}
     )
-    contacts: dict[NameText, Contact] = Field(
-        default={},
-        description=(
-            "Contacts: points of bodies that may touch a surface. Each is a region "
-            "of the statechart."
-        ),
-        examples=[
-            {
-                "tip": {
-                    "point": {"body": "rod", "at": [0, "-L"]},
-                    "surface": "floor",
-                    "friction": "mu",
-                    "restitution": 0,
-                }
+    contacts: dict[NameText, Contact] = declare(
+        "Contacts: points of bodies that may touch a surface. Each is a region of the statechart.",
+        {
+            "tip": {
+                "point": {"body": "rod", "at": [0, "-L"]},
+                "surface": "floor",
+                "friction": "mu",
+                "restitution": 0,
             }
-        ],
-    )
-    joints: dict[NameText, Joint] = Field(
+        },
         default={},
-        description="Joints: points of bodies that are held.",
-        examples=[{"pivot": {"point": {"body": "arm"}, "to": [0, 0]}}],
     )
-    couplings: dict[NameText, Coupling] = Field(
+    joints: dict[NameText, Joint] = declare(
+        "Joints: points of bodies that are held.",
+        {"pivot": {"point": {"body": "arm"}, "to": [0, 0]}},
         default={},
-        description=(
-            "Dry friction as a couple between bodies, in a joint or along a guide. Each is a "
-            "region of the statechart."
-        ),
-        examples=[{"brake": {"bodies": ["wheel"], "limit": "M_max"}}],
     )
-    forces: dict[NameText, Force] = Field(
+    couplings: dict[NameText, Coupling] = declare(
+        "Dry friction as a couple between bodies, in a joint or along a guide. Each is a "
+        "region of the statechart.",
+        {"brake": {"bodies": ["wheel"], "limit": "M_max"}},
         default={},
-        description="Forces and moments on bodies.",
-        examples=[{"spring": {"body": "rod", "force": ["-k*rod.x", 0]}}],
     )
-    collisions: dict[NameText, Collision] = Field(
+    forces: dict[NameText, Force] = declare(
+        "Forces and moments on bodies.",
+        {"spring": {"body": "rod", "force": ["-k*rod.x", 0]}},
         default={},
-        description=("Lists of bodies with shapes that collide; by steps only (engine impulse)."),
-        examples=[
-            {"all": {"bodies": ["die"], "surfaces": ["floor"], "friction": 0.3, "restitution": 0}}
-        ],
     )
-    simultaneous: Simultaneous = Field(
+    collisions: dict[NameText, Collision] = declare(
+        "Lists of bodies with shapes that collide; by steps only (engine impulse).",
+        {"all": {"bodies": ["die"], "surfaces": ["floor"], "friction": 0.3, "restitution": 0}},
+        default={},
+    )
+    simultaneous: Simultaneous = declare(
+        "Law for contacts that are hit together: plastic; Moreau's law reduced until energy does "
+        "not rise (capped); or one after another by their own laws (sequential).",
+        "sequential",
         default="capped",
-        description=(
-            "Law for contacts that are hit together: plastic; Moreau's law reduced "
-            "until energy does not rise (capped); or one after another by their own "
-            "laws (sequential)."
-        ),
-        examples=["sequential"],
     )
-    paradox: Resolution = Field(
+    paradox: Resolution = declare(
+        "Reaction to Painleve's paradox (no mode of a sliding contact agrees "
+        "with the state): an impact without collision, or the end of the run.",
+        "stop",
         default="impact",
-        description=(
-            "Reaction to Painleve's paradox (no mode of a sliding contact agrees "
-            "with the state): an impact without collision, or the end of the run."
-        ),
-        examples=["stop"],
     )
-    controls: dict[ValueName, FormulaText] = Field(
+    controls: dict[ValueName, FormulaText] = declare(
+        "Controls, which states of regions set, and which forces and "
+        "coefficients of contacts use: the value where no state sets it.",
+        {"torque": 0},
+        unit="that of each",
         default={},
-        description=(
-            "Controls, which states of regions set, and which forces and "
-            "coefficients of contacts use: the value where no state sets it."
-        ),
-        examples=[{"torque": 0}],
-        json_schema_extra=unit("that of each"),
     )
-    regions: dict[NameText, Controller] = Field(
-        default={},
-        description="Controllers: regions that run in parallel to the contacts.",
-        examples=[
-            {
-                "leg": {
-                    "initial": "hold",
-                    "states": {"hold": {}, "thrust": {"sets": {"push": 20}}},
-                    "transitions": [
-                        {"name": "go", "from": "hold", "to": "thrust", "on": "foot.touchdown"}
-                    ],
-                }
+    regions: dict[NameText, Controller] = declare(
+        "Controllers: regions that run in parallel to the contacts.",
+        {
+            "leg": {
+                "initial": "hold",
+                "states": {"hold": {}, "thrust": {"sets": {"push": 20}}},
+                "transitions": [
+                    {"name": "go", "from": "hold", "to": "thrust", "on": "foot.touchdown"}
+                ],
             }
-        ],
+        },
+        default={},
     )
     initial_modes: dict[
         str, Literal["free", "closed", "slide", "slide+", "slide-", "pin", "off"]
-    ] = Field(
+    ] = declare(
+        "Modes of contacts at the start; checked, and computed where not given.",
+        {"tip": "pin"},
         default={},
         alias="modes",
-        description="Modes of contacts at the start; checked, and computed where not given.",
-        examples=[{"tip": "pin"}],
     )
 
     @property

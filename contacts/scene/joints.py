@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Tag, model_validator
 
 from contacts.scene.parts import Pair, Point, Relations
-from statechart.documents.fields import FiniteText, FormulaText, Part, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, FormulaText, Part
 from statechart.errors import DeclarationProblem
 
 JOINT_WORDS = {
@@ -35,24 +36,15 @@ class Force(Part):
         "fy": "force: [fx, fy]",
     }
 
-    body: str = Field(description="What it acts on.", examples=["rod"])
-    force: Pair = Field(
-        default=(0, 0),
-        description="Components along x and y.",
-        examples=[["-k*rod.x", 0]],
-        json_schema_extra=unit("force"),
+    body: str = declare("What it acts on.", "rod")
+    force: Pair = declare(
+        "Components along x and y.", ["-k*rod.x", 0], unit="force", default=(0, 0)
     )
-    at: Pair = Field(
-        default=(0, 0),
-        description="Point of application in the body's frame.",
-        examples=[[0, "L"]],
-        json_schema_extra=unit("length"),
+    at: Pair = declare(
+        "Point of application in the body's frame.", [0, "L"], unit="length", default=(0, 0)
     )
-    moment: FiniteText = Field(
-        default=0,
-        description="Counter-clockwise.",
-        examples=["-c*rod.dangle"],
-        json_schema_extra=unit("force length"),
+    moment: FiniteText = declare(
+        "Counter-clockwise.", "-c*rod.dangle", unit="force length", default=0
     )
 
     @model_validator(mode="after")
@@ -67,17 +59,11 @@ class Force(Part):
 class Path(Part):
     """A place in the world, or one component of it, as formulas of time."""
 
-    x: FiniteText | None = Field(
-        default=None,
-        description="A formula of time; not held where not given.",
-        examples=["v*time"],
-        json_schema_extra=unit("length"),
+    x: FiniteText | None = declare(
+        "A formula of time; not held where not given.", "v*time", unit="length", default=None
     )
-    y: FiniteText | None = Field(
-        default=None,
-        description="A formula of time; not held where not given.",
-        examples=[0],
-        json_schema_extra=unit("length"),
+    y: FiniteText | None = declare(
+        "A formula of time; not held where not given.", 0, unit="length", default=None
     )
 
     @model_validator(mode="after")
@@ -128,58 +114,54 @@ class Joint(Part):
         **JOINT_WORDS,
     }
 
-    point: Point = Field(
-        description="Point of a body that the joint holds.",
-        examples=[{"body": "arm", "at": ["-L", 0]}],
+    point: Point = declare(
+        "Point of a body that the joint holds.", {"body": "arm", "at": ["-L", 0]}
     )
-    to: _End = Field(
-        description=(
-            "Point of another body, or a path in the world: [x, y], {x: ...} or {y: ...}."
-        ),
-        examples=[[0, 0], {"body": "rod", "at": [0, "L"]}],
+    to: _End = declare(
+        "Point of another body, or a path in the world: [x, y], {x: ...} or {y: ...}.",
+        [0, 0],
+        {"body": "rod", "at": [0, "L"]},
     )
 
-    angle: Literal["held"] | None = Field(
+    angle: Literal["held"] | None = declare(
+        "Holds the relative angle, too, as it is when the joint closes: a weld.",
+        "held",
         default=None,
-        description="Holds the relative angle, too, as it is when the joint closes: a weld.",
-        examples=["held"],
     )
-    rod: FormulaText | None = Field(
+    rod: FormulaText | None = declare(
+        "Holds the two points at this distance instead of together.",
+        "L",
+        unit="length",
         default=None,
-        description="Holds the two points at this distance instead of together.",
-        examples=["L"],
-        json_schema_extra=unit("length"),
     )
-    rope: FormulaText | None = Field(
+    rope: FormulaText | None = declare(
+        "Keeps the two points within this distance: a rope, taut or slack.",
+        "L",
+        unit="length",
         default=None,
-        description="Keeps the two points within this distance: a rope, taut or slack.",
-        examples=["L"],
-        json_schema_extra=unit("length"),
     )
-    limits: Pair | None = Field(
+    limits: Pair | None = declare(
+        "Least and greatest relative angle of the bodies: stops of the joint.",
+        [0, "pi/2"],
+        unit="rad",
         default=None,
-        description="Least and greatest relative angle of the bodies: stops of the joint.",
-        examples=[[0, "pi/2"]],
-        json_schema_extra=unit("rad"),
     )
-    restitution: FormulaText | None = Field(
+    restitution: FormulaText | None = declare(
+        "Coefficient of restitution of a rope, or of limits, 0 to 1; 0 by default.",
+        0.5,
+        unit="1",
         default=None,
-        description="Coefficient of restitution of a rope, or of limits, 0 to 1; 0 by default.",
-        examples=[0.5],
-        json_schema_extra=unit("1"),
     )
-    enabled: Relations = Field(
+    enabled: Relations = declare(
+        "Relation, or several that must all hold; while it fails, the joint is off. One that "
+        "uses the joint's own forces breaks it: it stays off.",
+        "hypot(hook.X, hook.Y) <= 25",
         default=(),
-        description=(
-            "Relation, or several that must all hold; while it fails, the joint is off. One that "
-            "uses the joint's own forces breaks it: it stays off."
-        ),
-        examples=["hypot(hook.X, hook.Y) <= 25"],
     )
-    rest: Literal["captured"] | None = Field(
+    rest: Literal["captured"] | None = declare(
+        "Keeps the place that the points have when the joint closes; needs enabled.",
+        "captured",
         default=None,
-        description="Keeps the place that the points have when the joint closes; needs enabled.",
-        examples=["captured"],
     )
 
     @property

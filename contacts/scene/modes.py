@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from pydantic import Field
 
 from statechart.automaton.regions import Hold, Loads, Margin, MarginKind, State
+from statechart.documents.documented import declare
 from statechart.documents.fields import Part
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ class ContactSymbols:
 class Free(Part):
     """No force: V = 0, H = 0, as long as the gap is not closed."""
 
-    mode: Literal["free"] = Field(default="free", description="Its name.", examples=["free"])
+    mode: Literal["free"] = declare("Its name.", "free", default="free")
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""
@@ -99,7 +100,7 @@ class Free(Part):
 class Slide(Part):
     """The gap stays closed and the force lies on the edge of the cone that opposes the slip."""
 
-    mode: Literal["slide"] = Field(default="slide", description="Its name.", examples=["slide"])
+    mode: Literal["slide"] = declare("Its name.", "slide", default="slide")
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins for slip in `direction` (+1, -1; 0: frictionless).
@@ -121,7 +122,7 @@ class Slide(Part):
 class Pin(Part):
     """The contact point does not move, as long as the force that this takes is in the cone."""
 
-    mode: Literal["pin"] = Field(default="pin", description="Its name.", examples=["pin"])
+    mode: Literal["pin"] = declare("Its name.", "pin", default="pin")
 
     def state(self, contact: ContactSymbols, direction: int) -> State:
         """Return the equations and margins of the mode."""

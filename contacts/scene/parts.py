@@ -10,13 +10,13 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 from contacts.scene.friction import DeclaredFriction, Friction
 from contacts.scene.modes import ContactMode, Free, Pin, Slide, as_mode
 from contacts.scene.shapes import INDEX, LAW_WORDS, Shapes, check_compliant
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteConstantText,
     FiniteText,
     FormulaText,
     OneRelation,
     Part,
-    unit,
 )
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -51,17 +51,11 @@ _DeclaredMode = Annotated[
 class Coordinate(Part):
     """A generalised coordinate that positions of bodies are formulas of."""
 
-    start: FiniteConstantText = Field(
-        default=0,
-        description="Value at the start.",
-        examples=["pi/6"],
-        json_schema_extra=unit("length, or rad"),
+    start: FiniteConstantText = declare(
+        "Value at the start.", "pi/6", unit="length, or rad", default=0
     )
-    rate: FiniteConstantText = Field(
-        default=0,
-        description="Rate at the start.",
-        examples=[-0.5],
-        json_schema_extra=unit("length/time, or rad/time"),
+    rate: FiniteConstantText = declare(
+        "Rate at the start.", -0.5, unit="length/time, or rad/time", default=0
     )
 
 
@@ -86,71 +80,57 @@ class Body(Part):
         "density": "mass, and inertia: of a disc m*r**2/2, of a box m*(width**2 + height**2)/12",
     }
 
-    mass: FormulaText = Field(
+    mass: FormulaText = declare(
+        "Above 0; bodies that are fixed, or led along a path, have none.",
+        "m",
+        unit="mass",
         default=0,
-        description="Above 0; bodies that are fixed, or led along a path, have none.",
-        examples=["m"],
-        json_schema_extra=unit("mass"),
     )
-    inertia: FormulaText | None = Field(
+    inertia: FormulaText | None = declare(
+        "Moment of inertia about the centre of mass; without one the body is a particle.",
+        "m*L**2/12",
+        unit="mass length**2",
         default=None,
-        description=(
-            "Moment of inertia about the centre of mass; without one the body is a particle."
-        ),
-        examples=["m*L**2/12"],
-        json_schema_extra=unit("mass length**2"),
     )
-    position: Pair | None = Field(
+    position: Pair | None = declare(
+        "Position of the centre of mass: x and y as formulas of the scene's coordinates; of a body "
+        "that collides, its path: formulas of time, controls and what controllers remember.",
+        ["-l*sin(theta)", "l*cos(theta)"],
+        ["v*time", 0],
+        unit="length",
         default=None,
-        description=(
-            "Position of the centre of mass: x and y as formulas of the scene's coordinates; of a "
-            "body that collides, its path: formulas of time, controls and what controllers "
-            "remember."
-        ),
-        examples=[["-l*sin(theta)", "l*cos(theta)"], ["v*time", 0]],
-        json_schema_extra=unit("length"),
     )
-    angle: FiniteText | None = Field(
+    angle: FiniteText | None = declare(
+        "Angle, counter-clockwise, as a formula of what the position may use; only with position.",
+        "theta",
+        "omega*time",
+        unit="rad",
         default=None,
-        description=(
-            "Angle, counter-clockwise, as a formula of what the position may use; only with "
-            "position."
-        ),
-        examples=["theta", "omega*time"],
-        json_schema_extra=unit("rad"),
     )
-    fixed: bool = Field(
+    fixed: bool = declare(
+        "Whether a body that collides stands where it starts, whatever touches it: a crate, a "
+        "wall, a funnel. It has a shape and no mass.",
+        True,
         default=False,
-        description=(
-            "Whether a body that collides stands where it starts, whatever touches it: a crate, a "
-            "wall, a funnel. It has a shape and no mass."
-        ),
-        examples=[True],
     )
-    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteConstantText] = Field(
+    start: dict[Literal["x", "y", "angle", "dx", "dy", "dangle"], FiniteConstantText] = declare(
+        "Initial position and velocity of a free body; 0 where not given.",
+        {"y": "h", "angle": 0.3, "dx": 1},
+        unit="length, length/time; of angles rad, rad/time",
         default={},
-        description="Initial position and velocity of a free body; 0 where not given.",
-        examples=[{"y": "h", "angle": 0.3, "dx": 1}],
-        json_schema_extra=unit("length, length/time; of angles rad, rad/time"),
     )
-    shape: Shapes = Field(
+    shape: Shapes = declare(
+        "Outline for collisions and pictures: a shape, or a list of shapes, which may overlap.",
+        {"disc": "r"},
+        [{"disc": "r", "at": ["-L/2", 0]}, {"disc": "r", "at": ["L/2", 0]}],
         default=(),
-        description=(
-            "Outline for collisions and pictures: a shape, or a list of shapes, which may overlap."
-        ),
-        examples=[
-            {"disc": "r"},
-            [{"disc": "r", "at": ["-L/2", 0]}, {"disc": "r", "at": ["L/2", 0]}],
-        ],
     )
-    copies: FiniteConstantText | None = Field(
+    copies: FiniteConstantText | None = declare(
+        "Number of equal bodies NAME0, NAME1, ... Their start, or path, may use index, "
+        "which counts from 0; mod(index, 20) and floor(index/20) make rows of 20.",
+        100,
+        unit="1",
         default=None,
-        description=(
-            "Number of equal bodies NAME0, NAME1, ... Their start, or path, may use index, "
-            "which counts from 0; mod(index, 20) and floor(index/20) make rows of 20."
-        ),
-        examples=[100],
-        json_schema_extra=unit("1"),
     )
 
     def numbered(self, index: int) -> Body:
@@ -273,75 +253,50 @@ class Surface(Part):
 
     OTHER_WORDS: ClassVar = {"slope": "incline", "velocity": "displacement: [v*time, 0]"}
 
-    height: FiniteText | None = Field(
+    height: FiniteText | None = declare(
+        "Height y as a formula of x; the solid is below.",
+        0,
+        "0.1*sin(x)",
+        unit="length",
         default=None,
-        description="Height y as a formula of x; the solid is below.",
-        examples=[0, "0.1*sin(x)"],
-        json_schema_extra=unit("length"),
     )
-    incline: FiniteText | None = Field(
+    incline: FiniteText | None = declare(
+        "Angle of slope, upwards to the right.", "10*pi/180", unit="rad", default=None
+    )
+    through: Pair = declare("A point of the incline.", [0, 1], unit="length", default=(0, 0))
+    line: tuple[Pair, Pair] | None = declare(
+        "Two points of an endless line; the solid is on the right of the way "
+        "from the first to the second.",
+        [[0, 1], [0, 0]],
+        unit="length",
         default=None,
-        description="Angle of slope, upwards to the right.",
-        examples=["10*pi/180"],
-        json_schema_extra=unit("rad"),
     )
-    through: Pair = Field(
+    edge: tuple[Pair, Pair] | None = declare(
+        "Two points of a line that ends there.", [[0, 0], [2, 0]], unit="length", default=None
+    )
+    circle: Pair | None = declare(
+        "Centre of a circle; the solid is inside.", [0, 0], unit="length", default=None
+    )
+    radius: FiniteText | None = declare("Of the circle.", "r", unit="length", default=None)
+    hollow: bool = declare(
+        "Whether the solid is outside the circle, as in a drum.", True, default=False
+    )
+    body: str | None = declare(
+        "Body that carries the surface; the surface is given in its frame.", "cart", default=None
+    )
+    displacement: Pair = declare(
+        "Displacement of the surface: two formulas of time, and of what controllers remember "
+        "(of points, also of what they set).",
+        ["v*time", 0],
+        unit="length",
         default=(0, 0),
-        description="A point of the incline.",
-        examples=[[0, 1]],
-        json_schema_extra=unit("length"),
     )
-    line: tuple[Pair, Pair] | None = Field(
-        default=None,
-        description=(
-            "Two points of an endless line; the solid is on the right of the way "
-            "from the first to the second."
-        ),
-        examples=[[[0, 1], [0, 0]]],
-        json_schema_extra=unit("length"),
-    )
-    edge: tuple[Pair, Pair] | None = Field(
-        default=None,
-        description="Two points of a line that ends there.",
-        examples=[[[0, 0], [2, 0]]],
-        json_schema_extra=unit("length"),
-    )
-    circle: Pair | None = Field(
-        default=None,
-        description="Centre of a circle; the solid is inside.",
-        examples=[[0, 0]],
-        json_schema_extra=unit("length"),
-    )
-    radius: FiniteText | None = Field(
-        default=None, description="Of the circle.", examples=["r"], json_schema_extra=unit("length")
-    )
-    hollow: bool = Field(
-        default=False,
-        description="Whether the solid is outside the circle, as in a drum.",
-        examples=[True],
-    )
-    body: str | None = Field(
-        default=None,
-        description=("Body that carries the surface; the surface is given in its frame."),
-        examples=["cart"],
-    )
-    displacement: Pair = Field(
-        default=(0, 0),
-        description=(
-            "Displacement of the surface: two formulas of time, and of what controllers remember "
-            "(of points, also of what they set)."
-        ),
-        examples=[["v*time", 0]],
-        json_schema_extra=unit("length"),
-    )
-    turn: FiniteText = Field(
+    turn: FiniteText = declare(
+        "Angle of rotation, counter-clockwise, as a formula of what the displacement may use; "
+        "about a circle's centre, the point of an incline, else the origin.",
+        "omega*time",
+        unit="rad",
         default=0,
-        description=(
-            "Angle of rotation, counter-clockwise, as a formula of what the displacement may use; "
-            "about a circle's centre, the point of an incline, else the origin."
-        ),
-        examples=["omega*time"],
-        json_schema_extra=unit("rad"),
     )
 
     @property
@@ -385,13 +340,8 @@ class Surface(Part):
 class Point(Part):
     """A point of a body, in the body's own frame (origin: centre of mass)."""
 
-    body: str = Field(description="Whose point.", examples=["rod"])
-    at: Pair = Field(
-        default=(0, 0),
-        description="Position in the body's frame.",
-        examples=[[0, "-L"]],
-        json_schema_extra=unit("length"),
-    )
+    body: str = declare("Whose point.", "rod")
+    at: Pair = declare("Position in the body's frame.", [0, "-L"], unit="length", default=(0, 0))
 
 
 def _as_list(value: Any) -> Any:
@@ -418,80 +368,62 @@ class Contact(Part):
         "rolling_friction": "rolling_resistance: LENGTH",
     }
 
-    point: Point = Field(
-        description="Point of a body that may touch the surface.",
-        examples=[{"body": "rod", "at": [0, "-L"]}],
+    point: Point = declare(
+        "Point of a body that may touch the surface.", {"body": "rod", "at": [0, "-L"]}
     )
-    radius: FiniteText | None = Field(
+    radius: FiniteText | None = declare(
+        "Radius of a disc about the point, which touches with its rim and rolls: "
+        "a wheel, a ball, a round foot.",
+        "r",
+        unit="length",
         default=None,
-        description=(
-            "Radius of a disc about the point, which touches with its rim and rolls: "
-            "a wheel, a ball, a round foot."
-        ),
-        examples=["r"],
-        json_schema_extra=unit("length"),
     )
-    rolling_resistance: FiniteText | None = Field(
+    rolling_resistance: FiniteText | None = declare(
+        "Of a disc that rolls: a couple against its rolling of at most this length times the "
+        "normal force V.",
+        "0.02*r",
+        unit="length",
         default=None,
-        description=(
-            "Of a disc that rolls: a couple against its rolling of at most this length times the "
-            "normal force V."
-        ),
-        examples=["0.02*r"],
-        json_schema_extra=unit("length"),
     )
-    surface: str = Field(description="What it may touch.", examples=["floor"])
-    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = Field(
+    surface: str = declare("What it may touch.", "floor")
+    modes: Annotated[tuple[_DeclaredMode, ...], Field(min_length=1)] = declare(
+        "Allowed modes among free, slide and pin; all by default, but no pin with friction: 0.",
+        ["slide", "pin"],
         default=(Free(), Slide(), Pin()),
-        description=(
-            "Allowed modes among free, slide and pin; all by default, but no pin with friction: 0."
-        ),
-        examples=[["slide", "pin"]],
     )
-    friction: DeclaredFriction | None = Field(
+    friction: DeclaredFriction | None = declare(
+        "Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one; needed with "
+        "slide.",
+        "mu",
+        unit="1",
         default=None,
-        description=(
-            "Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one; needed with "
-            "slide."
-        ),
-        examples=["mu"],
-        json_schema_extra=unit("1"),
     )
-    restitution: FormulaText | None = Field(
+    restitution: FormulaText | None = declare(
+        "Coefficient of restitution, 0 (plastic) to 1 (elastic); needed with free.",
+        0,
+        unit="1",
         default=None,
-        description=("Coefficient of restitution, 0 (plastic) to 1 (elastic); needed with free."),
-        examples=[0],
-        json_schema_extra=unit("1"),
     )
-    stiffness: FormulaText | None = Field(
+    stiffness: FormulaText | None = declare(
+        "Makes the contact compliant: the normal force is stiffness times depth, plus damping "
+        "times its rate, and never pulls. It has no impacts.",
+        "k",
+        unit="force/length",
         default=None,
-        description=(
-            "Makes the contact compliant: the normal force is stiffness times depth, plus damping "
-            "times its rate, and never pulls. It has no impacts."
-        ),
-        examples=["k"],
-        json_schema_extra=unit("force/length"),
     )
-    damping: FormulaText | None = Field(
-        default=None,
-        description="Of a compliant contact, 0 by default.",
-        examples=["d"],
-        json_schema_extra=unit("force time/length"),
+    damping: FormulaText | None = declare(
+        "Of a compliant contact, 0 by default.", "d", unit="force time/length", default=None
     )
-    impact: ImpactLaw = Field(
+    impact: ImpactLaw = declare(
+        "Impact law: restitution is a ratio of energies (stronge), impulses "
+        "(poisson) or normal velocities (newton, moreau).",
+        "newton",
         default="stronge",
-        description=(
-            "Impact law: restitution is a ratio of energies (stronge), impulses "
-            "(poisson) or normal velocities (newton, moreau)."
-        ),
-        examples=["newton"],
     )
-    enabled: Relations = Field(
+    enabled: Relations = declare(
+        "Relation, or several that must all hold; while it fails, the contact is off.",
+        "rod.x >= 0",
         default=(),
-        description=(
-            "Relation, or several that must all hold; while it fails, the contact is off."
-        ),
-        examples=["rod.x >= 0"],
     )
 
     @property

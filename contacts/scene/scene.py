@@ -314,13 +314,15 @@ class Scene(SceneFields):
     @model_validator(mode="after")
     def _uses_exist(self) -> Self:
         quantities = ("gap", "slip", "V", "H")
-        names = self.kinematic_names | {f"{c}.{q}" for c in self.contacts for q in quantities}
+        whole = self.expanded
+        # Those of limits are not: their gaps are angles times a length.
+        touching = [*self.contacts, *(n for n, x in self.joints.items() if x.rope is not None)]
+        names = self.kinematic_names | {f"{c}.{q}" for c in touching for q in quantities}
         names |= {f"{name}.{force}" for name, x in self.joints.items() for force in x.forces}
         names |= {f"{name}.{quantity}" for name in self.couplings for quantity in ("M", "slip")}
         names |= {"energy", *self.controls} | self.placed_names
         kept = {v for region in self.regions.values() for v in region.variables}
         changing = names - {*self.parameters, *(kept - {*self.controlled.flowing})}
-        whole = self.expanded
         gates = {c: whole.gate(c) for c in whole.contacts}
         found = {c: {*_active(states(x, gate=gates[c]))} for c, x in whole.contacts.items()} | {
             name: {*region.named} for name, region in whole.controlled.flat.items()

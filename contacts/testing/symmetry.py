@@ -50,7 +50,15 @@ _OUTLINES = ("polygon", "line", "edge")
 def mirrored(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene seen in a mirror, x -> -x, and how to read its runs.
 
-    A formula too long to be wrapped is an error.
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+
+    Raises
+    ------
+    DeclarationError
+        If a formula is too long to be wrapped.
     """
     change = _Change(scene, x=-1.0)
     return change.scene(), change.reading(
@@ -61,8 +69,17 @@ def mirrored(scene: Scene) -> tuple[Scene, Reading]:
 def rescaled(scene: Scene) -> tuple[Scene, Reading]:
     """Return the scene in units `LENGTH`, `TIMES` and `MASS` smaller, and how to read its runs.
 
-    Coordinates that the scene names keep their values: what their unit is only positions say. A
-    formula too long to be wrapped is an error.
+    Coordinates that the scene names keep their values: what their unit is only positions say.
+
+    Parameters
+    ----------
+    scene : Scene
+        What was declared.
+
+    Raises
+    ------
+    DeclarationError
+        If a formula is too long to be wrapped.
     """
     change = _Change(scene, x=LENGTH, y=LENGTH, time=TIMES, mass=MASS)
     return change.scene(), change.reading({})

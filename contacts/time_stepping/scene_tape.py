@@ -10,6 +10,7 @@ import sympy as sp
 
 from contacts.dynamics.controllers import given, values_in
 from contacts.dynamics.mechanics import Mechanics
+from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
 from contacts.scene.scene import Scene
 from contacts.time_stepping.equations import CONTACT, JOINT
@@ -164,9 +165,9 @@ class SteppedTape:
         )
 
     def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
-        """Return gap, gap rate, slip and condition (c, 4) in a state, which may be the start."""
+        """Return gap, its rate, slip and two conditions (c, 5); see `equations.CONTACT`."""
         first = 2 * self.size + 2
-        return self.rows(values, state, time).contacts[:, first : first + 4]
+        return self.rows(values, state, time).contacts[:, first : first + 5]
 
 
 class _Signs:
@@ -219,7 +220,7 @@ _TINY = 1e-300
 def _kinetic_edge(static: sp.Expr, kinetic: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     """Return the unit edge of a coupling that slips: its normal force is the limit at rest."""
     mu = sp.S.One if static == kinetic else kinetic / sp.Max(static, _TINY)
-    return 1 / sp.sqrt(1 + mu**2), mu / sp.sqrt(1 + mu**2)
+    return cone_edge(mu)
 
 
 def _touching_bodies(scene: Scene) -> tuple[Ints, Ints]:

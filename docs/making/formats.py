@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from making.texts import in_cell, write
-from statechart.loading.schema import schema
+from statechart.loading.load import schema
 
 KINDS = ("scene", "chart")
 

@@ -84,7 +84,10 @@ def explored(
     modes: dict[Key, dict[str, Any]] = {}
     for key in keys:
         modes[key] = {"label": automaton.label(key)}
-        entered = not unreached or all(map(_is_entered, charts, key))
+        entered = not unreached or all(
+            region.nesting.unreached.isdisjoint(region.active(state))
+            for region, state in zip(charts, key, strict=False)
+        )
         if key in reasons or not entered:
             reason = reasons.get(key, "") if entered else UNREACHED
             modes[key] |= {"feasible": not reason, "reason": reason}
@@ -92,10 +95,6 @@ def explored(
             modes[key]["visits"] = entries[key]
     taken = None if trace is None else Counter(_jumps(automaton, trace, directions=directions))
     return Product(automaton.name, modes, charts, taken)
-
-
-def _is_entered(region: Region, state: str) -> bool:
-    return region.nesting.unreached.isdisjoint(region.active(state))
 
 
 def visited(automaton: Automaton, trace: Trace, *, directions: bool = True) -> tuple[Key, ...]:

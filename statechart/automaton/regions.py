@@ -329,10 +329,6 @@ class Region:
     def _actives(self) -> dict[str, tuple[str, ...]]:
         return {}
 
-    def causes(self, cause: str) -> tuple[str, ...]:
-        """Return what a cause of jumps stands for: itself, or transitions taken together."""
-        return tuple(cause.split("+"))
-
     @property
     def innermost(self) -> tuple[str, ...]:
         """The states that hold no others, as declared; those that runs cannot enter come last."""
@@ -484,7 +480,7 @@ def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
     if region.name == jump.region and jump.cause != region.blow:
-        return region.causes(jump.cause)
+        return tuple(jump.cause.split("+"))  # Transitions taken together, see `FlatTransition`.
     felt = region.name in jump.impulse
     if before == after and not felt:
         return ()

@@ -92,14 +92,10 @@ def _on_disk(blocks: list[B]) -> list[B]:
         parts: list[Any] = list(block)
         for k, part in enumerate(parts):
             if isinstance(part, np.ndarray):
-                parts[k] = _view(mapped, at, part)
+                parts[k] = np.ndarray(part.shape, part.dtype, mapped[at : at + part.nbytes])
                 at += part.nbytes + -part.nbytes % _ALIGNED
         found.append(type(block)(*parts))
     return found
-
-
-def _view(mapped: NDArray[np.uint8], at: int, like: NDArray[Any]) -> NDArray[Any]:
-    return np.ndarray(like.shape, like.dtype, mapped[at : at + like.nbytes])
 
 
 class TraceBuffer(NamedTuple):

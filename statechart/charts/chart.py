@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from statechart.charts.flatten import FlatRegion, causes_of, flatten, timed
 from statechart.charts.transitions import (
@@ -20,6 +20,7 @@ from statechart.charts.transitions import (
 )
 from statechart.charts.wrapping import STATE, check_wrapping, counted
 from statechart.documents.declaration import TIME, Declaration
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteText,
     Label,
@@ -29,7 +30,6 @@ from statechart.documents.fields import (
     check_derived,
     check_relation,
     switching,
-    unit,
     value_of,
 )
 from statechart.documents.quantities import Quantity
@@ -40,30 +40,28 @@ from statechart.formulas.formula import parse
 class State(BaseState):
     """One state of a region: how variables change in it, and what holds in it."""
 
-    invariants: dict[Label, RelationText] = Field(
+    invariants: dict[Label, RelationText] = declare(
+        "Named relations that hold as long as the state is active.",
+        {"above ground": "x >= 0"},
         default={},
-        description="Named relations that hold as long as the state is active.",
-        examples=[{"above ground": "x >= 0"}],
     )
-    states: dict[NameText, State] = Field(
+    states: dict[NameText, State] = declare(
+        "States in it, of which one is active with it.",
+        {"up": {"flows": {"x": "v"}}, "down": {}},
         default={},
-        description="States in it, of which one is active with it.",
-        examples=[{"up": {"flows": {"x": "v"}}, "down": {}}],
     )
-    regions: dict[NameText, Region] = Field(
+    regions: dict[NameText, Region] = declare(
+        "Regions in it, of each of which one state is active with it.",
+        {"lamp": {"initial": "dark", "states": {"dark": {}, "lit": {}}}},
         default={},
-        description="Regions in it, of each of which one state is active with it.",
-        examples=[{"lamp": {"initial": "dark", "states": {"dark": {}, "lit": {}}}}],
     )
 
 
 class Region(BaseRegion):
     """States of which exactly one is active, and the transitions between them."""
 
-    states: dict[NameText, State] = Field(
-        min_length=1,
-        description="Name to state.",
-        examples=[{"flight": {"flows": {"x": "v", "v": "-g"}}, "rest": {}}],
+    states: dict[NameText, State] = declare(
+        "Name to state.", {"flight": {"flows": {"x": "v", "v": "-g"}}, "rest": {}}, min_length=1
     )
 
 
@@ -79,19 +77,14 @@ class Chart(Declaration):
     initial values only parameters.
     """
 
-    kind: Literal["chart"] = Field(
-        default="chart", description="What is declared.", examples=["chart"]
+    kind: Literal["chart"] = declare("What is declared.", "chart", default="chart")
+    variables: dict[ValueName, FiniteText] = declare(
+        "Variable to its initial value.", {"x": "height", "v": 0}, unit="that of each", min_length=1
     )
-    variables: dict[ValueName, FiniteText] = Field(
+    regions: dict[NameText, Region] = declare(
+        "Name to region: all are active at once.",
+        {"ball": {"initial": "flight", "states": {"flight": {}, "rest": {}}}},
         min_length=1,
-        description="Variable to its initial value.",
-        examples=[{"x": "height", "v": 0}],
-        json_schema_extra=unit("that of each"),
-    )
-    regions: dict[NameText, Region] = Field(
-        min_length=1,
-        description="Name to region: all are active at once.",
-        examples=[{"ball": {"initial": "flight", "states": {"flight": {}, "rest": {}}}}],
     )
 
     @property
@@ -196,7 +189,7 @@ class Chart(Declaration):
                     see=owner,
                 )
         for region, flat in self.flat.items():
-            shared = flat.shared(lambda state: state.flows)
+            shared = flat.shared("flows")
             if shared is not None:
                 raise DeclarationProblem(
                     f"{shared.one!r} and {shared.other!r}, which may be active together, both "

@@ -9,7 +9,7 @@ differs from what would be entered anyway: ``rest[memory=left]``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, product
@@ -427,22 +427,23 @@ class FlatRegion:
         return tuple(dict.fromkeys(arrow.declared.name for arrow in self._tree.arrows))
 
     @cached_property
-    def awaited(self) -> tuple[Event, ...]:
-        """The events that its transitions wait for."""
-        return tuple(event for arrow in self._tree.arrows for event in arrow.declared.events)
+    def awaited(self) -> frozenset[str]:
+        """The causes of the events that its transitions wait for."""
+        events = (event for arrow in self._tree.arrows for event in arrow.declared.events)
+        return frozenset(event.cause for event in events)
 
     @cached_property
     def done(self) -> tuple[str, ...]:
         """The states that can be done, and the region itself if it can."""
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
-    def shared(self, given: Callable[[BaseState], Collection[str]]) -> Shared | None:
-        """Return what two states that are active side by side both give, the first of it."""
+    def shared(self, part: str) -> Shared | None:
+        """Return what two states that are active side by side both set in a part, the first."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):
                 continue
-            for what in given(node.declared):
+            for what in getattr(node.declared, part, ()):
                 for other in owners.setdefault(what, []):
                     if self._tree.beside(index, other):
                         return Shared(what, self._tree.nodes[other].name, node.name)

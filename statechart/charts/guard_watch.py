@@ -405,9 +405,7 @@ class Listening:
         self._regions = regions
         # Region -> the causes that it waits for in some state.
         self._waiting = {
-            name: causes
-            for name, region in declared.items()
-            if (causes := {event.cause for event in region.awaited})
+            name: region.awaited for name, region in declared.items() if region.awaited
         }
 
     def heard(

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import StrictBool, model_validator
 
+from statechart.documents.documented import declare
 from statechart.documents.fields import (
     FiniteText,
     FormulaText,
@@ -14,7 +15,6 @@ from statechart.documents.fields import (
     Part,
     RelationText,
     check_names,
-    unit,
     value_of,
 )
 from statechart.documents.outputs import Event, EventText, check_event, parse_events
@@ -33,58 +33,48 @@ class Transition(Part):
         "target": "to",
     }
 
-    name: NameText = Field(
-        description="Name of the event; outputs and triggers refer to it.", examples=["thrust"]
-    )
-    source: str = Field(
-        alias="from", description="State that the transition leaves.", examples=["compression"]
-    )
-    target: str | None = Field(
+    name: NameText = declare("Name of the event; outputs and triggers refer to it.", "thrust")
+    source: str = declare("State that the transition leaves.", "compression", alias="from")
+    target: str | None = declare(
+        "State that it enters; without one, no state is left and only the updates are made.",
+        "extension",
         default=None,
         alias="to",
-        description=(
-            "State that it enters; without one, no state is left and only the updates are made."
-        ),
-        examples=["extension"],
     )
-    guard: RelationText | None = Field(
+    guard: RelationText | None = declare(
+        "Relation; the transition fires when it becomes true. Beside `on` it must hold at the "
+        "event, beside `after` the transition fires once the time is over and it holds.",
+        "leg.dlength >= 0",
         default=None,
-        description=(
-            "Relation; the transition fires when it becomes true. Beside `on` it must hold at the "
-            "event, beside `after` the transition fires once the time is over and it holds."
-        ),
-        examples=["leg.dlength >= 0"],
     )
-    on: EventText | None = Field(
+    on: EventText | None = declare(
+        "Event of another region at which the transition fires, or STATE.done of a state that "
+        "holds `from`.",
+        "foot.touchdown",
         default=None,
-        description=(
-            "Event of another region at which the transition fires, or STATE.done of a state that "
-            "holds `from`."
-        ),
-        examples=["foot.touchdown"],
     )
-    after: FormulaText | None = Field(
+    after: FormulaText | None = declare(
+        "Time after entering the source at which the transition fires.",
+        0.2,
+        unit="time",
         default=None,
-        description="Time after entering the source at which the transition fires.",
-        examples=[0.2],
-        json_schema_extra=unit("time"),
     )
-    every: FormulaText | None = Field(
+    every: FormulaText | None = declare(
+        "Period after entering the source with which the transition fires.",
+        "T",
+        unit="time",
         default=None,
-        description="Period after entering the source with which the transition fires.",
-        examples=["T"],
-        json_schema_extra=unit("time"),
     )
-    internal: StrictBool = Field(
+    internal: StrictBool = declare(
+        "Whether the source, which holds the target, is neither left nor entered.",
+        True,
         default=False,
-        description="Whether the source, which holds the target, is neither left nor entered.",
-        examples=[True],
     )
-    updates: dict[str, FiniteText] = Field(
+    updates: dict[str, FiniteText] = declare(
+        "New values of variables, as formulas of the values before.",
+        {"v": "-k*v"},
+        unit="that of the variable",
         default={},
-        description="New values of variables, as formulas of the values before.",
-        examples=[{"v": "-k*v"}],
-        json_schema_extra=unit("that of the variable"),
     )
 
     @property
@@ -134,62 +124,52 @@ class BaseState(Part):
     With `history` it is none, but a target in the place of its siblings: those last active.
     """
 
-    initial: str | None = Field(
-        default=None,
-        description="Inner state that is entered with the state.",
-        examples=["waiting"],
+    initial: str | None = declare(
+        "Inner state that is entered with the state.", "waiting", default=None
     )
-    states: Mapping[str, BaseState] = Field(
+    states: Mapping[str, BaseState] = declare(
+        "States in it, of which one is active with it.", {"waiting": {}, "working": {}}, default={}
+    )
+    regions: Mapping[str, BaseRegion] = declare(
+        "Regions in it, of each of which one state is active with it.",
+        {"lamp": {"initial": "off", "states": {"off": {}, "on": {}}}},
         default={},
-        description="States in it, of which one is active with it.",
-        examples=[{"waiting": {}, "working": {}}],
     )
-    regions: Mapping[str, BaseRegion] = Field(
-        default={},
-        description="Regions in it, of each of which one state is active with it.",
-        examples=[{"lamp": {"initial": "off", "states": {"off": {}, "on": {}}}}],
-    )
-    transitions: tuple[Transition, ...] = Field(
+    transitions: tuple[Transition, ...] = declare(
+        "Ways between the states in it.",
+        [{"name": "begin", "from": "waiting", "to": "working", "after": 1}],
         default=(),
-        description="Ways between the states in it.",
-        examples=[[{"name": "begin", "from": "waiting", "to": "working", "after": 1}]],
     )
-    history: Literal["shallow", "deep"] | None = Field(
+    history: Literal["shallow", "deep"] | None = declare(
+        "Makes the state a history: a transition to it enters the state that was "
+        "last active beside it; shallow restores one level, deep all.",
+        "shallow",
         default=None,
-        description=(
-            "Makes the state a history: a transition to it enters the state that was "
-            "last active beside it; shallow restores one level, deep all."
-        ),
-        examples=["shallow"],
     )
-    final: StrictBool = Field(
+    final: StrictBool = declare(
+        "Whether the state that holds it is done with it: entering it makes the event "
+        "STATE.done, of a state with regions once all of them are done.",
+        True,
         default=False,
-        description=(
-            "Whether the state that holds it is done with it: entering it makes the event "
-            "STATE.done, of a state with regions once all of them are done."
-        ),
-        examples=[True],
     )
-    entry: dict[str, FiniteText] = Field(
+    entry: dict[str, FiniteText] = declare(
+        "Values of variables when the state is entered.",
+        {"count": "count + 1"},
+        unit="that of the variable",
         default={},
-        description="Values of variables when the state is entered.",
-        examples=[{"count": "count + 1"}],
-        json_schema_extra=unit("that of the variable"),
     )
-    exit: dict[str, FiniteText] = Field(
+    exit: dict[str, FiniteText] = declare(
+        "Values of variables when the state is left.",
+        {"count": 0},
+        unit="that of the variable",
         default={},
-        description="Values of variables when the state is left.",
-        examples=[{"count": 0}],
-        json_schema_extra=unit("that of the variable"),
     )
-    flows: dict[str, FiniteText] = Field(
+    flows: dict[str, FiniteText] = declare(
+        "Time derivatives of variables; without one a variable is constant. An "
+        "inner state may override them.",
+        {"x": "v", "v": "-g"},
+        unit="that of the variable, per time",
         default={},
-        description=(
-            "Time derivatives of variables; without one a variable is constant. An "
-            "inner state may override them."
-        ),
-        examples=[{"x": "v", "v": "-g"}],
-        json_schema_extra=unit("that of the variable, per time"),
     )
 
 
@@ -198,14 +178,12 @@ class BaseRegion(Part):
 
     OTHER_WORDS: ClassVar = {"history": "states: {NAME: {history: deep}} beside regions"}
 
-    initial: str = Field(description="State at the start.", examples=["flight"])
-    states: Mapping[str, BaseState] = Field(
-        description="Name to state.", examples=[{"flight": {}, "stance": {}}]
-    )
-    transitions: tuple[Transition, ...] = Field(
+    initial: str = declare("State at the start.", "flight")
+    states: Mapping[str, BaseState] = declare("Name to state.", {"flight": {}, "stance": {}})
+    transitions: tuple[Transition, ...] = declare(
+        "Ways between its states.",
+        [{"name": "land", "from": "flight", "to": "stance", "on": "foot.touchdown"}],
         default=(),
-        description="Ways between its states.",
-        examples=[[{"name": "land", "from": "flight", "to": "stance", "on": "foot.touchdown"}]],
     )
 
 

@@ -438,7 +438,7 @@ def _scratch() -> Iterator[None]:
 
 def schema(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of one kind of document, or of all."""
-    from statechart.loading.schema import schema as schema_of
+    from statechart.loading.load import schema as schema_of
 
     print(schema_of(arguments.kind), end="")
     return 0
@@ -460,8 +460,7 @@ def new(arguments: argparse.Namespace) -> int:
     from statechart.formulas.syntax import NAME
     from statechart.formulas.tree import RESERVED
     from statechart.loading.kind import kind
-    from statechart.loading.load import interpret
-    from statechart.loading.schema import line
+    from statechart.loading.load import interpret, line
 
     name = arguments.name
     if not NAME.fullmatch(name) or name in RESERVED or not isinstance(resolve(name), str):

@@ -50,9 +50,10 @@ def build(
 
     One region is drawn as its own chart, two as the grid of their product, without the directions
     of sliding; two with regions or histories in them as their charts. Of more, what a run visited
-    is drawn, and the chart of every region. `start` is the mode that it starts in. Without a run
-    the modes that it would visit are not drawn. Modes that `found` calls infeasible are marked,
-    with the reason. If `visited`, a run is shown without the chart of every region.
+    is drawn, and the chart of every region. `start` is the mode that it starts in. A run is needed
+    where `needs_run`; elsewhere the modes that it visited are drawn instead. Modes that `found`
+    calls infeasible are marked, with the reason. If `visited`, a run is shown without the chart of
+    every region.
     """
     moving = _moving(automaton)
     if trace is not None:

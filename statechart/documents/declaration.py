@@ -9,8 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
+from statechart.documents.documented import declare
 from statechart.documents.fields import TIME as TIME
 from statechart.documents.fields import (
     ConstantText,
@@ -24,7 +25,6 @@ from statechart.documents.fields import (
     check_names,
     check_relation,
     problem,
-    unit,
     value_of,
 )
 from statechart.documents.outputs import Integral, Output, check_output, formula_of
@@ -50,8 +50,7 @@ from statechart.errors import (
     FormulaError,
     close_matches,
 )
-from statechart.formulas.constants import Constants
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Constants, parse
 from statechart.formulas.tree import Binary, Name, names_in
 
 
@@ -82,56 +81,51 @@ class Declaration(Part):
 
     METHODS: ClassVar[tuple[str, ...]] = ("check", "diagram", "equations", "modes", "with_")
 
-    kind: str = Field(description="What is declared.", examples=["scene"])
-    name: NameText = Field(
-        description="Name of the model: letters, digits and _.", examples=["toppling_stick"]
-    )
-    doc: str = Field(
+    kind: str = declare("What is declared.", "scene")
+    name: NameText = declare("Name of the model: letters, digits and _.", "toppling_stick")
+    doc: str = declare(
+        "Description of the model in one line.",
+        "A stick balanced on its tip topples and may slip.",
         default="",
-        description="Description of the model in one line.",
-        examples=["A stick balanced on its tip topples and may slip."],
     )
-    parameters: dict[ValueName, ConstantText] = Field(
+    parameters: dict[ValueName, ConstantText] = declare(
+        "Constants: numbers, or formulas of other parameters.",
+        {"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3},
+        unit="that of each",
         default={},
-        description="Constants: numbers, or formulas of other parameters.",
-        examples=[{"m": 1, "L": 0.5, "inertia": "m*L**2/3", "mu": 0.3}],
-        json_schema_extra=unit("that of each"),
     )
-    ranges: dict[str, tuple[Real, Real]] = Field(
+    ranges: dict[str, tuple[Real, Real]] = declare(
+        "Ranges of parameters for checks: least and greatest value.",
+        {"mu": [0, 2]},
+        unit="that of the parameter",
         default={},
-        description="Ranges of parameters for checks: least and greatest value.",
-        examples=[{"mu": [0, 2]}],
-        json_schema_extra=unit("that of the parameter"),
     )
-    stop: Stop = Field(
+    stop: Stop = declare(
+        "When a run ends.",
+        {"time": 5, "conditions": {"fallen": "stick.angle <= -pi/2"}},
         default=Stop(),
-        description="When a run ends.",
-        examples=[{"time": 5, "conditions": {"fallen": "stick.angle <= -pi/2"}}],
     )
-    invariants: dict[Label, RelationText] = Field(
+    invariants: dict[Label, RelationText] = declare(
+        "Relations that hold during the whole run; check tests them, run reports them.",
+        {"stays above": "stick.y >= 0"},
         default={},
-        description=(
-            "Relations that hold during the whole run; check tests them, run reports them."
-        ),
-        examples=[{"stays above": "stick.y >= 0"}],
     )
-    outputs: dict[NameText, Output] = Field(
+    outputs: dict[NameText, Output] = declare(
+        "Reported quantities: a value, integral, count, minimum or maximum.",
+        {"t_slip": {"value": "time", "at": "first tip.slip"}},
         default={},
-        description="Reported quantities: a value, integral, count, minimum or maximum.",
-        examples=[{"t_slip": {"value": "time", "at": "first tip.slip"}}],
     )
-    units: Units = Field(
+    units: Units = declare(
+        "Units for tables and axes: SI, dimensionless, or a unit for each of "
+        "length, time, mass, force or a name of the model. Nothing is converted.",
+        "SI",
+        {"length": "mm", "time": "s", "mass": "g"},
         default={},
-        description=(
-            "Units for tables and axes: SI, dimensionless, or a unit for each of "
-            "length, time, mass, force or a name of the model. Nothing is converted."
-        ),
-        examples=["SI", {"length": "mm", "time": "s", "mass": "g"}],
     )
-    settings: Settings = Field(
+    settings: Settings = declare(
+        "Defaults of engine, tolerance and step; options of a run override them.",
+        {"engine": "impulse", "step": 0.001},
         default=Settings(),
-        description="Defaults of engine, tolerance and step; options of a run override them.",
-        examples=[{"engine": "impulse", "step": 0.001}],
     )
 
     def values(self, overrides: Mapping[str, float] | None = None) -> dict[str, float]:

@@ -8,9 +8,18 @@ import inspect
 import textwrap
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+)
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, JsonValue, ValidationError
 
 from statechart.errors import DeclarationError
 
@@ -23,6 +32,18 @@ else:
 _WORDS = {str: "text", int: "whole number", float: "number", bool: "True or False"}
 _FORMULA = {str, int, float}
 _WIDTH = 90
+
+
+def declare(
+    description: str, *examples: Any, unit: str = "", default: Any = ..., **limits: Any
+) -> Any:
+    """Return a field with its description, examples and unit; required without a default.
+
+    A document may use any units that belong together; angles are in rad, ratios in 1.
+    """
+    extra: dict[str, JsonValue] | None = {"unit": unit} if unit else None
+    given: dict[str, Any] = {"examples": [*examples]} if examples else {}
+    return Field(default, description=description, json_schema_extra=extra, **given, **limits)
 
 
 class Documented(ModelMetaclass):

@@ -7,9 +7,10 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AfterValidator, Discriminator, Field, StrictBool, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, StrictBool, Tag, model_validator
 
-from statechart.documents.fields import FiniteText, Part, check_names, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import FiniteText, Part, check_names
 from statechart.errors import DeclarationProblem, close_matches
 from statechart.formulas.formula import parse
 
@@ -96,25 +97,20 @@ class Value(Part):
 
     OTHER_WORDS: ClassVar = {"when": "at"}
 
-    value: FiniteText = Field(
-        description="Formula of variables, observables and parameters.",
-        examples=["abs(stick.angle)"],
-        json_schema_extra=unit("that of the formula"),
+    value: FiniteText = declare(
+        "Formula of variables, observables and parameters.",
+        "abs(stick.angle)",
+        unit="that of the formula",
     )
-    at: Annotated[str, _that(_parse_moment)] = Field(
+    at: Annotated[str, _that(_parse_moment)] = declare(
+        "Time: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT or last 10 EVENT. "
+        "An event is a cause such as slip, a cause of one contact such as tip.slip, or a state "
+        "that is entered such as tip.pin; join several by or.",
+        "first tip.slip",
         default="end",
-        description=(
-            "Time: start, end, first EVENT, last EVENT, each EVENT, first 10 EVENT "
-            "or last 10 EVENT. An event is a cause such as slip, a cause of one "
-            "contact such as tip.slip, or a state that is entered such as tip.pin; "
-            "join several by or."
-        ),
-        examples=["first tip.slip"],
     )
-    before: StrictBool = Field(
-        default=False,
-        description="Evaluate just before the jump instead of just after it.",
-        examples=[True],
+    before: StrictBool = declare(
+        "Evaluate just before the jump instead of just after it.", True, default=False
     )
 
     @property
@@ -132,24 +128,22 @@ class Value(Part):
 class Integral(Part):
     """A formula integrated over time, or over the time that regions spend in given states."""
 
-    integral: FiniteText = Field(
-        description="Formula that is integrated over time.",
-        examples=["abs(tip.slip)"],
-        json_schema_extra=unit("that of the formula; of the integral, it times time"),
+    integral: FiniteText = declare(
+        "Formula that is integrated over time.",
+        "abs(tip.slip)",
+        unit="that of the formula; of the integral, it times time",
     )
-    during: dict[str, str] = Field(
+    during: dict[str, str] = declare(
+        "Region and its state during which to integrate; the whole run by default.",
+        {"tip": "slide"},
         default={},
-        description=("Region and its state during which to integrate; the whole run by default."),
-        examples=[{"tip": "slide"}],
     )
 
 
 class Count(Part):
     """The number of times that an event happened."""
 
-    count: EventText = Field(
-        description="Event to count, or several joined by or.", examples=["tip.touchdown"]
-    )
+    count: EventText = declare("Event to count, or several joined by or.", "tip.touchdown")
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -160,20 +154,16 @@ class Count(Part):
 class Minimum(Part):
     """The least value of a formula over the run."""
 
-    minimum: FiniteText = Field(
-        description="Formula whose least value is reported.",
-        examples=["stick.y"],
-        json_schema_extra=unit("that of the formula"),
+    minimum: FiniteText = declare(
+        "Formula whose least value is reported.", "stick.y", unit="that of the formula"
     )
 
 
 class Maximum(Part):
     """The greatest value of a formula over the run."""
 
-    maximum: FiniteText = Field(
-        description="Formula whose greatest value is reported.",
-        examples=["tip.V"],
-        json_schema_extra=unit("that of the formula"),
+    maximum: FiniteText = declare(
+        "Formula whose greatest value is reported.", "tip.V", unit="that of the formula"
     )
 
 

@@ -6,7 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, StrictInt, model_validator
 
-from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, problem, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import FormulaText, Label, Part, Real, RelationText, problem
 from statechart.documents.setting import Setting
 from statechart.errors import FormulaError
 from statechart.formulas.formula import parse
@@ -31,16 +32,13 @@ class Stop(Part):
 
     OTHER_WORDS: ClassVar = {"duration": "time", "until": "time", "end": "time", "t": "time"}
 
-    time: FormulaText | None = Field(
-        default=None,
-        description="End time of the run, a formula of parameters.",
-        examples=[10, "2*pi/omega"],
-        json_schema_extra=unit("time"),
+    time: FormulaText | None = declare(
+        "End time of the run, a formula of parameters.", 10, "2*pi/omega", unit="time", default=None
     )
-    conditions: dict[Label, RelationText] = Field(
+    conditions: dict[Label, RelationText] = declare(
+        "Named relations; the run ends as soon as one becomes true.",
+        {"fallen": "stick.angle <= -pi/2"},
         default={},
-        description="Named relations; the run ends as soon as one becomes true.",
-        examples=[{"fallen": "stick.angle <= -pi/2"}],
     )
 
 
@@ -49,71 +47,54 @@ class Settings(Part):
 
     OTHER_WORDS: ClassVar = {"dt": "step", "solver": "engine", "rtol": "tolerance"}
 
-    engine: Literal["auto", "taylor", "scipy", "impulse"] = Field(
+    engine: Literal["auto", "taylor", "scipy", "impulse"] = declare(
+        "Engine: taylor or scipy locate events, impulse takes fixed steps, auto chooses.",
+        "impulse",
         default="auto",
-        description=(
-            "Engine: taylor or scipy locate events, impulse takes fixed steps, auto chooses."
-        ),
-        examples=["impulse"],
     )
-    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = Field(
+    method: Literal["RK45", "DOP853", "Radau", "LSODA"] | None = declare(
+        "Method of the engine scipy; DOP853 by default.", "Radau", default=None
+    )
+    tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = declare(
+        "Relative tolerance of each step.", 1e-9, unit="1", default=None
+    )
+    accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = declare(
+        "Allowed relative error of the result. Tolerances or steps are reduced "
+        "until the estimated error is below it.",
+        1e-6,
+        unit="1",
         default=None,
-        description="Method of the engine scipy; DOP853 by default.",
-        examples=["Radau"],
     )
-    tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+    step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = declare(
+        "Time step of the engine impulse; with an accuracy, the longest one.",
+        0.001,
+        unit="time",
         default=None,
-        description="Relative tolerance of each step.",
-        examples=[1e-9],
-        json_schema_extra=unit("1"),
     )
-    accuracy: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
+    max_step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = declare(
+        "Longest time step of the engines taylor and scipy.", 0.01, unit="time", default=None
+    )
+    impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = declare(
+        "Allowed residual of the contact impulses in a step, relative to its fastest approach "
+        "velocity: 1e-6. Steps above it are counted in a warning.",
+        1e-8,
+        unit="1",
         default=None,
-        description=(
-            "Allowed relative error of the result. Tolerances or steps are reduced "
-            "until the estimated error is below it."
-        ),
-        examples=[1e-6],
-        json_schema_extra=unit("1"),
     )
-    step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
+    impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = declare(
+        "Residual of the contact impulses above which the run ends; none by default.",
+        0.01,
+        unit="1",
         default=None,
-        description="Time step of the engine impulse; with an accuracy, the longest one.",
-        examples=[0.001],
-        json_schema_extra=unit("time"),
     )
-    max_step: Annotated[Written, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None,
-        description="Longest time step of the engines taylor and scipy.",
-        examples=[0.01],
-        json_schema_extra=unit("time"),
-    )
-    impulse_tolerance: Annotated[Real, Field(gt=0, lt=1)] | None = Field(
-        default=None,
-        description=(
-            "Allowed residual of the contact impulses in a step, relative to its "
-            "fastest approach velocity: 1e-6. Steps above it are counted in a "
-            "warning."
-        ),
-        examples=[1e-8],
-        json_schema_extra=unit("1"),
-    )
-    impulse_bound: Annotated[Real, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None,
-        description=("Residual of the contact impulses above which the run ends; none by default."),
-        examples=[0.01],
-        json_schema_extra=unit("1"),
-    )
-    record: Literal["modes", "poses", "nothing"] = Field(
+    record: Literal["modes", "poses", "nothing"] = declare(
+        "Recording of the engine impulse: modes with all events, poses with the "
+        "states at every step, or nothing but start, end and outputs.",
+        "poses",
         default="modes",
-        description=(
-            "Recording of the engine impulse: modes with all events, poses with the "
-            "states at every step, or nothing but start, end and outputs."
-        ),
-        examples=["poses"],
     )
-    max_jumps: Annotated[StrictInt, Field(gt=0)] = Field(
-        default=100_000, description="Number of jumps after which the run ends.", examples=[1000]
+    max_jumps: Annotated[StrictInt, Field(gt=0)] = declare(
+        "Number of jumps after which the run ends.", 1000, default=100_000
     )
 
     @model_validator(mode="after")

@@ -80,8 +80,9 @@ def _implied(details: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
     """Return whether an error is no news beside the others."""
     if _lacks_items(details):
         # A list without two of its items is told so once.
+        *outer, last = details["loc"]
         return any(
-            _lacks_items(other) and other["loc"] == _next_item(details["loc"]) for other in errors
+            _lacks_items(other) and other["loc"] == (*outer, int(last) + 1) for other in errors
         )
     if details["type"] == "too_short":
         # Items that are wrong are none to pydantic.
@@ -132,11 +133,6 @@ def _follows_from_empty(
         or (len(place) > 1 and at[: len(place) - 1] == place[:-1])
         for place in empty
     )
-
-
-def _next_item(loc: Loc) -> Loc:
-    """Return the place of the item behind one."""
-    return *loc[:-1], int(loc[-1]) + 1
 
 
 def _key(details: ErrorDetails) -> str | int | None:

@@ -25,13 +25,7 @@ from statechart.kernels.reconstruction import Program as Following
 from statechart.kernels.reconstruction import reconstruct_any, reconstruction_program
 from statechart.kernels.resolution import roughen
 from statechart.kernels.roots import value_at
-from statechart.kernels.search import (
-    CROSSING,
-    NONE,
-    clear_whole,
-    search,
-    search_step,
-)
+from statechart.kernels.search import CROSSING, NONE, clear_whole, search, search_step
 from statechart.kernels.search_memory import Memory, Ready, ready_along, room
 from statechart.kernels.tapes import TapeCode, off_by, tape_values
 
@@ -309,26 +303,9 @@ def flow_to_event(
     """Flow in a mode from `initial`; write the steps and, to `initial`, the state at their end.
 
     A step is searched when it has been made, and its slope at the end compared with the rates
-    there, with which the series of the next begins.
-
-    Parameters
-    ----------
-    start : float
-        When the flow begins.
-    duration : float
-        Longest flow.
-    horizon : float
-        How far to look ahead at first.
-
-    Returns
-    -------
-    verdict : int
-    margin : int
-        That fell, at an event.
-    count : int
-        Steps that stand in the memory.
-    boxes : int
-        Looked at.
+    there, with which the series of the next begins. The flow begins at `start` and lasts `duration`
+    at most; `horizon` is how far to look ahead at first. Returns a verdict, the margin that fell,
+    the number of steps that stand in the memory, and the boxes looked at.
     """
     row = program.modes[mode]
     times, coeffs, ended = memory.times, memory.coefficients, memory.ended
@@ -427,12 +404,7 @@ def flow_to_event(
 
 @kernel
 def _strays(
-    along: Along,
-    rates: Ints32,
-    watch: Watch,
-    memory: Scratch,
-    step: int,
-    length: float,
+    along: Along, rates: Ints32, watch: Watch, memory: Scratch, step: int, length: float
 ) -> bool:
     """Return whether a step ends off its rates; note whether it may have been on its way."""
     offs, sizes = memory.offs, memory.sizes

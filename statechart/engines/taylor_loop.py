@@ -35,11 +35,9 @@ _serial_numbers = itertools.count()
 class Step:
     """heyoka's compiled step of one integrator, linked into this process.
 
-    Attributes
-    ----------
-    address : int
-        Of ``step(state, parameters, time, h, series)``, five pointers to float64: it advances
-        the state by at most h, writes what it took to h and the Taylor coefficients to series.
+    Its address is that of ``step(state, parameters, time, h, series)``, five pointers to float64:
+    it advances the state by at most h, writes what it took to h and the Taylor coefficients to
+    series.
     """
 
     def __init__(self, module: str, code: bytes) -> None:
@@ -205,14 +203,8 @@ def taylor_steps(
     and a step that strays is made again at half its length.
 
     What follows from other variables (`follows`) does so wherever a step begins, and at the end;
-    `start` is when the flow begins.
-
-    Returns
-    -------
-    taken, finite : int
-        How many steps were made, and how many of them are finite.
-    h, left : float
-        Length of the last step, and what was left before it.
+    `start` is when the flow begins. Returns how many steps were made, how many of them are finite,
+    the length of the last step, and what was left before it.
     """
     address, state, parameters, clock, series, tolerance, max_step = integrator
     n, allowed = series.shape[0], max(STRAY, ORDERS * tolerance)

@@ -330,10 +330,6 @@ def _restricted_steps(arc: Arc, begins: Array, lengths: Array) -> Array:
     # c'_i = sum_k c_k binom(k, i) shift^(k - i) scale^i
     i = np.arange(arc.coefficients.shape[2])
     powers = shift[:, None, None] ** np.maximum(i[None, :] - i[:, None], 0)
-    matrix = _binomials(len(i)) * powers * (scale[:, None] ** i)[:, :, None]
+    binomials = np.array([[math.comb(k, row) for k in i.tolist()] for row in i.tolist()], float)
+    matrix = binomials * powers * (scale[:, None] ** i)[:, :, None]
     return np.einsum("mik,mvk->mvi", matrix, arc.coefficients[steps])
-
-
-def _binomials(terms: int) -> Array:
-    """Return (terms, terms): binom(k, i) in row i, column k; zero where i exceeds k."""
-    return np.array([[math.comb(k, i) for k in range(terms)] for i in range(terms)], float)

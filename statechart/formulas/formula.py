@@ -8,14 +8,18 @@ happen: SymPy's own reader runs Python code found in the text and takes names su
 
 from __future__ import annotations
 
+import graphlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
+from statechart.errors import FormulaError, close_matches
+from statechart.formulas.hints import meant
 from statechart.formulas.syntax import Reader
 from statechart.formulas.tree import (
+    CONSTANTS,
     FUNCTIONS,
     Binary,
     Call,
@@ -33,6 +37,7 @@ from statechart.formulas.tree import (
 
 if TYPE_CHECKING:
     import sympy as sp
+
 
 # So many texts are remembered with what was read: more than the largest of our scenes has.
 _MAX_CACHED = 4096
@@ -107,12 +112,12 @@ def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
             "it has no real value", formula.root.offset, "look for a division by zero"
         )
     if expression.has(sympy.exp, sympy.cosh):
-        return expression.replace(_is_reciprocal, _bounded)
+        # Where a whole power is negative.
+        return expression.replace(
+            lambda part: bool(part.is_Pow and part.exp.is_Integer and part.exp.is_negative),
+            _bounded,
+        )
     return expression
-
-
-def _is_reciprocal(part: sp.Expr) -> bool:
-    return bool(part.is_Pow and part.exp.is_Integer and part.exp.is_negative)
 
 
 def _bounded(power: sp.Expr) -> sp.Expr:
@@ -209,3 +214,66 @@ def _number_text(value: int | float) -> str:
     if math.isnan(as_float):
         Source("nan").fail("a finite number or inf was expected")
     return str(value) if isinstance(value, int) else repr(as_float)
+
+
+def order_parameters(
+    formulas: Mapping[str, Formula], given: Collection[str] = ()
+) -> tuple[str, ...]:
+    """Return the names so that each comes after those that its formula uses.
+
+    Raises `FormulaError` if a name is not a parameter, or parameters depend on each other in a
+    circle.
+    """
+    for name, formula in formulas.items():
+        for used in names_in(formula.root):
+            if used.name not in formulas and used.name not in given:
+                formula._source.fail(
+                    f"unknown name {used.name!r}",
+                    used.offset,
+                    meant(used.name, formulas, FUNCTIONS, CONSTANTS),
+                    name=name,
+                )
+    uses = {name: sorted(formula.names.difference(given)) for name, formula in formulas.items()}
+    try:
+        return tuple(graphlib.TopologicalSorter(uses).static_order())
+    except graphlib.CycleError as error:
+        # graphlib lists each node before those that use it; readers follow "uses".
+        cycle = list(reversed(error.args[1]))
+        formulas[cycle[0]]._source.fail(
+            f"parameters need each other: {' -> '.join(cycle)}",
+            advice="give one of them a value of its own",
+            name=cycle[0],
+        )
+
+
+class Constants:
+    """Parameters that are formulas of each other, in the order in which they can be evaluated."""
+
+    def __init__(self, formulas: Mapping[str, Formula]) -> None:
+        self.formulas = formulas
+        self._orders: dict[frozenset[str], tuple[str, ...]] = {}
+
+    def values(self, overrides: Mapping[str, float]) -> dict[str, float]:
+        """Return the value of every parameter.
+
+        Raises `FormulaError` if an override names no parameter, or a formula has no value.
+        """
+        for name in overrides:
+            if name not in self.formulas:
+                raise FormulaError(
+                    f"unknown parameter {name!r}",
+                    advice=close_matches(name, self.formulas),
+                    name=name,
+                )
+        given = frozenset(overrides)
+        if given not in self._orders:
+            left = {n: f for n, f in self.formulas.items() if n not in given}
+            self._orders[given] = order_parameters(left, given)
+        values = {name: parse(value).value({}) for name, value in overrides.items()}
+        for name in self._orders[given]:
+            try:
+                values[name] = self.formulas[name].value(values)
+            except FormulaError as error:
+                error.name = name
+                raise
+        return {name: values[name] for name in self.formulas}

@@ -10,8 +10,7 @@ import sympy as sp
 
 from statechart.arrays import Array
 from statechart.errors import DeclarationProblem, close_matches
-from statechart.formulas.constants import Constants, order_parameters
-from statechart.formulas.formula import Formula, parse
+from statechart.formulas.formula import Constants, Formula, order_parameters, parse
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 

@@ -44,20 +44,25 @@ def expand(
     places = tuple(range(len(tape.outputs))) if places is None else places
     clock = _constant(time, terms)
     clock.values[1:2] = [1.0][: terms - 1]
-    given = [*variables, clock]
-    given += [_constant(p, terms) for p in (*parameters, *tape.constants.tolist())]
-    registers = dict(enumerate(given))
+    registers = dict(enumerate((*variables, clock)))
+    numbers = (*parameters, *tape.constants.tolist())
+
+    def register(place: int) -> Series:
+        if place not in registers:
+            registers[place] = _constant(numbers[place - len(variables) - 1], terms)
+        return registers[place]
+
     for place, op, left, right in tape.needed(places):
-        a, name = registers[left], _NAMES[op]
+        a, name = register(left), _NAMES[op]
         try:
             if name in _BINARY:
-                found = _BINARY[name](a, registers[right])
+                found = _BINARY[name](a, register(right))
             else:
                 found = _power(a, right) if name == "powi" else _UNARY[name](a)
         except (ValueError, ZeroDivisionError, OverflowError):
             found = Series([math.nan] * terms, [math.nan] * terms)
         registers[place] = found
-    return [registers[tape.outputs.item(place)] for place in places]
+    return [register(tape.outputs.item(place)) for place in places]
 
 
 def sizes_at(
@@ -221,29 +226,13 @@ def _sign_of(a: Series) -> float:
     return 0.0
 
 
-def _abs(a: Series) -> Series:
-    return _neg(a) if _sign_of(a) < 0.0 else a
-
-
-def _sign(a: Series) -> Series:
-    return _constant(_sign_of(a), len(a.values))
-
-
-def _min(a: Series, b: Series) -> Series:
-    return b if _sign_of(_sub(a, b)) > 0.0 else a
-
-
-def _max(a: Series, b: Series) -> Series:
-    return b if _sign_of(_sub(a, b)) < 0.0 else a
-
-
 _BINARY: dict[str, Callable[[Series, Series], Series]] = {
     "add": _add,
     "sub": _sub,
     "mul": _mul,
     "div": _div,
-    "min": _min,
-    "max": _max,
+    "min": lambda a, b: b if _sign_of(_sub(a, b)) > 0.0 else a,
+    "max": lambda a, b: b if _sign_of(_sub(a, b)) < 0.0 else a,
     "atan2": _atan2,
     "hypot": lambda a, b: _sqrt(_add(_mul(a, a), _mul(b, b))),
     "pow": _pow,
@@ -263,6 +252,6 @@ _UNARY: dict[str, Callable[[Series], Series]] = {
     "sinh": lambda a: _hyperbolic(a)[0],
     "cosh": lambda a: _hyperbolic(a)[1],
     "tanh": lambda a: _div(*_hyperbolic(a)),
-    "abs": _abs,
-    "sign": _sign,
+    "abs": lambda a: _neg(a) if _sign_of(a) < 0.0 else a,
+    "sign": lambda a: _constant(_sign_of(a), len(a.values)),
 }

@@ -35,19 +35,9 @@ number as `HIGH`: there was no jump."""
 def follow(series: Array, high: float, low: float, flowed: bool, short: float) -> float:
     """Add a jump to a series (`WIDTH`,); return the time from there to the accumulation.
 
-    Parameters
-    ----------
-    high, low : float
-        When, a `Clock`.
-    flowed : bool
-        Whether it follows a flow, not another jump.
-    short : float
-        An accumulation is imminent if it takes less than this part of the longest interval.
-
-    Returns
-    -------
-    float
-        By the last ratio; -1 where it is not imminent, or there is none.
+    The jump is at `high` + `low` (a `Clock`); `flowed`: it follows a flow, not another jump. An
+    accumulation is imminent if it takes less than the part `short` of the longest interval; the
+    time is by the last ratio, and -1 where it is not imminent, or there is none.
     """
     before, part = series[HIGH], series[LOW]
     series[HIGH], series[LOW] = high, low

@@ -27,12 +27,7 @@ _PATIENCE = 300.0  # seconds until another process that compiles is thought to h
 class CodeCache:
     """Files of one kernel.
 
-    Parameters
-    ----------
-    function : function
-        The kernel.
-    seen : tuple of type
-        Classes of the kernels that functions see among their globals.
+    `seen`: classes of the kernels that functions see among their globals.
     """
 
     def __init__(self, function: Any, seen: tuple[type[Any], ...]) -> None:

@@ -30,39 +30,15 @@ def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: A
 
 @kernel
 def unseen(
-    tape: TapeCode,
-    steps: Steps,
-    first: int,
-    last: int,
-    floors: Array,
-    allowed: float,
-    budget: int,
+    tape: TapeCode, steps: Steps, first: int, last: int, floors: Array, allowed: float, budget: int
 ) -> tuple[int, float, float, int]:
     """First box of the steps [first, last) whose polynomials may not follow the rates.
 
-    Parameters
-    ----------
-    tape : TapeCode
-        The rates of all variables.
-    steps : Steps
-    floors : (n,) array
-        What is smaller counts as so large.
-    allowed : float
-        Of what a variable is and moves in a step, how far what is missed may move it.
-    budget : int
-        Most boxes of a step.
-
-    Returns
-    -------
-    step : int
-        -1 if there is none.
-    s : float
-        Where the box ends.
-    off : float
-        How far the polynomials are off the rates in it, as for `allowed`; infinite if that is not
-        known.
-    boxes : int
-        Looked at.
+    The tape has the rates of all variables; a variable that is smaller counts as `floors` (n,).
+    What is missed may move one by the part `allowed` of what it is and moves in a step; `budget` is
+    the greatest number of boxes of a step. Returns the step (-1 if there is none), the place where
+    the box ends, how far the polynomials are off the rates in it, as for `allowed` (infinite if
+    that is not known), and the number of boxes looked at.
     """
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     n = coeffs.shape[1]

@@ -118,27 +118,12 @@ def enclosed_defect(
 ) -> tuple[Array, Array, Array]:
     """Bound how far the rates would move every variable off the polynomials in each step.
 
-    Parameters
-    ----------
-    tape : TapeCode
-        The rates of all variables.
-    steps : Steps
-    floors : (n,) array
-        How large variables are; what one moves in a step counts where that is more.
-    allowed : float
-        What is of no importance, in parts of these sizes: a small part of it may come from how
-        the defect is enclosed.
-    budget : int
-        Most pieces of a step.
-
-    Returns
-    -------
-    bounds : (k, n) array
-        Of the integrals of |p' - f(p, t)| over the steps; infinite where none was found.
-    moments : (k, n, `MOMENTS`) array
-        Integrals of (p' - f) (1 - s)**i over s in [0, 1], as its values at points say.
-    unknown : (k, n) array
-        By how much these may be off.
+    The tape has the rates of all variables, which are as large as `floors` (n,), or as what they
+    move in a step. The part `allowed` of these sizes is of no importance: a small part of it may
+    come from how the defect is enclosed. `budget` is the greatest number of pieces of a step.
+    Returns bounds (k, n) of the integrals of |p' - f(p, t)| over the steps, infinite where none was
+    found; moments (k, n, `MOMENTS`), the integrals of (p' - f) (1 - s)**i over s in [0, 1], as its
+    values at points say; and (k, n) by how much these may be off.
     """
     code, constants, outputs, _, n_fixed = tape
     times, coeffs = steps.times, steps.coeffs

@@ -36,19 +36,10 @@ def values_along(tape: TapeCode, steps: Steps, low: float, tau: Array, values: A
 def widen(tape: TapeCode, steps: Steps, resolved: Array, low: float, extremes: Array) -> None:
     """Bring the least and the greatest value up to date by those along an arc.
 
-    Parameters
-    ----------
-    tape : TapeCode
-        Of one output.
-    steps : Steps
-        The arc.
-    resolved : (k, n, d + 1) array
-        Its polynomials, without what has no value: pieces are looked for there, nothing in one is
-        narrower than it.
-    low : float
-        The part of the arc's start that is too small for `steps.start`.
-    extremes : (2,) array
-        Not numbers where nothing had a value; what has none does not count.
+    Of one output, along the steps of an arc; `resolved` (k, n, d + 1) are its polynomials without
+    what has no value: pieces are looked for there, nothing in one is narrower than it. `low` is the
+    part of the arc's start that is too small for `steps.start`. `extremes` (2,) are not numbers
+    where nothing had a value; what has none does not count.
     """
     times = steps.times
     known = Steps(times, resolved, steps.parameters, steps.start)

@@ -43,29 +43,16 @@ _CLOCK = 32  # calls between two looks at the clock, which takes as long as a sm
 class _Interpreter:
     """State of the interpretation of kernels.
 
-    Attributes
-    ----------
-    until : float
-        CPU time at which the kernel under way is given up; infinite where none is.
-    calls : int
-        Kernels called by interpreted kernels.
-    spent : float
-        Seconds of all interpreted kernels.
-    ahead : bool
-        Whether this process runs to fill the cache.
+    The kernel under way is given up at the CPU time `until`, infinite where none is; `calls` are
+    the kernels called by interpreted kernels, `spent` the seconds of all; `ahead` says that this
+    process runs to fill the cache.
     """
 
     until, calls, spent, ahead = math.inf, 0, 0.0, False
 
 
 class Kernel:
-    """A kernel: called by Python interpreted or compiled, by other kernels as they are.
-
-    Attributes
-    ----------
-    py_func : callable
-        The function.
-    """
+    """A kernel: called by Python interpreted or compiled, by other kernels as they are."""
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
         self.py_func = function

@@ -23,17 +23,8 @@ def reconstruction_program(
 ) -> Program:
     """Return what follows in a flow.
 
-    Parameters
-    ----------
-    code, constants, outputs
-        Of a tape.
-    places : (k,) array of int32
-        Of its outputs in a state.
-    anchors : (a,) array
-        Of the flow, which the tape reads behind the state.
-    parameters : (p,) array
-    variables : int
-        Of a state.
+    `places` (k,) are those of the tape's outputs in a state of so many `variables`; the tape reads
+    the `anchors` (a,) of the flow behind the state.
     """
     clock = variables + anchors.shape[0]
     base, registers = filled(code, constants, parameters, clock, 1)

@@ -256,18 +256,10 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
 def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
     """Fill in roughness anew with what values at places tell of what is resolved.
 
-    Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box
-    is: a kink of what is nothing but rounding was looked for to the end.
-
-    Parameters
-    ----------
-    along : Along
-    regs : (r, ..) array
-        Values at places of the box, `count` of them.
-    rounded : (r,) array
-        How wide ranges of single places are.
-    jets : (r, 8) array
-        The ranges over the box (see `look`).
+    Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box is:
+    a kink of what is nothing but rounding was looked for to the end. `regs` (r, ..) are values at
+    `count` places of the box, `rounded` (r,) how wide ranges of single places are, `jets` (r, 8)
+    the ranges over the box (see `look`).
     """
     code, base, first, last, reads = along[:5]
     for v in reads:

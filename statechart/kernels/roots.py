@@ -80,13 +80,7 @@ def returned(
 
 @kernel
 def last_place(
-    along: Along,
-    step: int,
-    output: int,
-    shift: float,
-    left: float,
-    right: float,
-    regs: Array,
+    along: Along, step: int, output: int, shift: float, left: float, right: float, regs: Array
 ) -> float:
     """Last place, to a few ulp, with output + shift >= 0 before it falls in [left, right].
 

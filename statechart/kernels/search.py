@@ -36,12 +36,7 @@ Scratch = tuple[Array, Array, Array, Array]
 
 @kernel
 def _descent(
-    along: Along,
-    guard: Ints32,
-    step: int,
-    left: float,
-    right: float,
-    scratch: Scratch,
+    along: Along, guard: Ints32, step: int, left: float, right: float, scratch: Scratch
 ) -> tuple[int, float]:
     """Return the root of the margin itself, on the descent that ends at `right` below tolerance.
 
@@ -79,13 +74,7 @@ def _descent(
 
 @kernel
 def _falls(
-    along: Along,
-    guard: Ints32,
-    tolerance: float,
-    step: int,
-    a: float,
-    b: float,
-    scratch: Scratch,
+    along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float, scratch: Scratch
 ) -> tuple[int, float]:
     """Return whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
 

@@ -1,15 +1,17 @@
-"""Loads models from files, or by the names of shipped ones."""
+"""Loads models from files, or by the names of shipped ones; JSON Schema of the documents."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from statechart.documents.declaration import Declaration
 from statechart.documents.validation import Document, validate
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError, close_matches
-from statechart.loading.kind import entries, kinds, loaded, module
+from statechart.loading.kind import entries, kind, kinds, loaded, module
 
 
 def interpret(document: Document) -> Declaration:
@@ -104,3 +106,37 @@ def shipped() -> list[str]:
     for offered in entries("statechart.models"):
         names += getattr(module(offered), "names", list)()
     return names
+
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_ID = "urn:contact-statecharts:schema"
+
+
+def schema(name: str | None = None) -> str:
+    """Return the JSON Schema of a kind of document, as text.
+
+    Raises `DeclarationError` if there is no such kind.
+    """
+    from pydantic.json_schema import models_json_schema
+
+    if name is not None and name not in kinds():
+        raise DeclarationError(f"no kind {name!r}", advice=close_matches(name, kinds()))
+    models = [kind(each).model for each in ([name] if name else sorted(kinds()))]
+    references, found = models_json_schema([(model, "validation") for model in models])
+    definitions: dict[str, Any] = found["$defs"]
+    result: dict[str, Any] = {"$schema": _DIALECT, "$id": f"{_ID}:{name or 'document'}"}
+    if name is None:
+        result["oneOf"] = [references[model, "validation"] for model in models]
+    for model in models:
+        key = str(references[model, "validation"]["$ref"]).rpartition("/")[2]
+        # In Python the class says which kind it is; a document has to.
+        definitions[key]["required"] = ["kind", *definitions[key].get("required", [])]
+        if name is not None:
+            result |= definitions.pop(key)
+    result["$defs"] = definitions
+    return json.dumps(result, indent=2, ensure_ascii=False) + "\n"
+
+
+def line(name: str) -> str:
+    """Return the first line of a document by which editors find the schema of its kind."""
+    return f"# yaml-language-server: $schema={kind(name).schema.as_uri()}\n"

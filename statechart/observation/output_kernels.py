@@ -221,19 +221,10 @@ def compute_outputs(
 ) -> None:
     """Write the values of the formulas of runs.
 
-    Parameters
-    ----------
-    tapes : OutputTapes
-    block : TraceBuffer
-        Holds the arcs and events of the runs.
-    resolved : (..,) array
-        Its coefficients, with 0 in the place of what has no value: that adds nothing to integrals.
-    found : BatchResult
-        The runs.
-    marks : (e, w + 1) array of uint8
-        Which waits each event ends, run by run; last whether a mode of no duration follows it.
-    values : OutputValues
-        To be filled.
+    The block holds arcs and events of the runs `found`; `resolved` are its coefficients, with 0 in
+    the place of what has no value: that adds nothing to integrals. `marks` (e, w + 1) say which
+    waits each event ends, run by run; last whether a mode of no duration follows it. Fills
+    `values`.
     """
     _list_values(tapes, block, found, marks, values)
     for row in range(found.ends.shape[0]):

@@ -171,7 +171,8 @@ class _Bodies:
         self._turning = [
             k for k, shape in enumerate(shapes) if shape.kind == "disc" and shape.region >= 0
         ]
-        radii = [_radius(shapes[k]) for k in self._turning]
+        turning = [shapes[k] for k in self._turning]
+        radii = [one.points[0] + np.array([[0.0, 0.0], [one.radius, 0.0]]) for one in turning]
         # All points, which are placed at once, and whose they are.
         points = [*(edge.vertices for edge in self._edges), *radii]
         counts = [np.shape(part)[0] for part in points]
@@ -202,11 +203,6 @@ def state_colour(film: Film, instant: int, region: int) -> str:
     if region < 0:
         return BODY
     return state_colours(film.states[region])[film.state(instant, region)]
-
-
-def _radius(disc: Shape) -> Array:
-    """Return both ends of a radius of a disc, in its frame."""
-    return disc.points[0] + np.array([[0.0, 0.0], [disc.radius, 0.0]])
 
 
 def _edge(shape: Shape) -> Path:

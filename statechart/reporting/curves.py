@@ -51,27 +51,17 @@ _ORDER = ("position", "coordinate", "angle", "velocity", "rate", "angular veloci
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves that share an axis.
+    """Curves that share an axis."""
 
-    Attributes
-    ----------
-    title, unit : str
-        Their common name and unit; the unit is empty where it is unknown.
-    names, left_out, nothing : tuple of str
-        Columns that are drawn, those that are not, and those that are zero all along.
-    cone : (str, float or array) or None
-        The column and the factor that make the edges of the friction cone.
-    impulses : tuple of str
-        Regions whose impulses are marked, in `impulse_unit`.
-    """
-
-    title: str
-    names: tuple[str, ...]
-    unit: str = ""
+    title: str  # Their common name.
+    names: tuple[str, ...]  # Columns that are drawn.
+    unit: str = ""  # Empty where it is unknown.
+    # Columns that are not drawn, and those that are zero all along.
     left_out: tuple[str, ...] = ()
     nothing: tuple[str, ...] = ()
+    # The column and the factor that make the edges of the friction cone.
     cone: tuple[str, float | Array] | None = None
-    impulses: tuple[str, ...] = ()
+    impulses: tuple[str, ...] = ()  # Regions whose impulses are marked.
     impulse_unit: str = ""
 
     @property

@@ -12,10 +12,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.dense_output import lowest
 from statechart.automaton.laws import HELD, moving_mode
 from statechart.automaton.regions import Invariant, whole_margins
-from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace
+from statechart.automaton.trace import Arc, Jump, Key, Roles, Trace, lowest
 from statechart.documents.setting import Record
 from statechart.execution.simulator import Simulator
 from statechart.observation.grazes import graze_warnings, grazes

@@ -586,16 +586,9 @@ def _step(run: EvaluatedRun) -> float:
 class RunPlanner:
     """Makes the runs that a plan asks for.
 
-    Attributes
-    ----------
-    first : Setting
-        Setting that a run is tried with first.
-    setting : Setting
-        That of the last run: with another engine where the first choice could not make it.
-    reason : str
-        Why an engine was taken that nobody asked for; else empty.
-    searching : bool
-        Whether the tolerance, or the step, is searched for.
+    A run is tried with the setting `first`; `setting` is that of the last run, with another engine
+    where the first choice could not make it, and `reason` says why. `searching` is whether the
+    tolerance, or the step, is searched for.
     """
 
     def __init__(

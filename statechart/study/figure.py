@@ -53,7 +53,7 @@ def figure(study: Measurements) -> Figure:
         drawing = Figure(figsize=(9.0, 6.4), layout="constrained")
         axes = drawing.subplots(2, 2)
         (times, works), (promises, steps) = axes
-        for place, family in enumerate(_families(study)):
+        for place, family in enumerate(dict.fromkeys(p.setting.family for p in study.points)):
             look = _Look(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
             points = [p for p in study.points if p.setting.family == family]
             heights = [_height(study, p) for p in points]
@@ -161,10 +161,6 @@ class _Look(NamedTuple):
 
     colour: str
     marker: str
-
-
-def _families(study: Measurements) -> list[str]:
-    return list(dict.fromkeys(p.setting.family for p in study.points))
 
 
 def _dress(ax: Axes, label: str) -> None:

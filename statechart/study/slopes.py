@@ -52,29 +52,16 @@ _GROWN: Mapping[Quantity, float] = {"error": 3.0, "steps": 6.0}
 
 @dataclass(frozen=True)
 class Slope:
-    """A straight line, in logarithms, through points of a family of settings.
+    """A straight line, in logarithms, through points of a family of settings."""
 
-    Attributes
-    ----------
-    family : str
-        See `Setting.family`.
-    of : str
-        The quantity that follows the tolerance or the step: error, or steps (accepted ones).
-    slope, theory : float
-        Its power, and that of theory, see `SLOPES`.
-    scatter : float
-        Standard error of the slope, from the distances of points from the line. With a fixed step
-        it is large: an event falls anywhere between two steps, and so does its error.
-    points : int
-        Number of points that it was fitted to.
-    """
-
-    family: str
-    of: Quantity
-    slope: float
+    family: str  # See `Setting.family`.
+    of: Quantity  # What follows the tolerance or the step: error, or steps (accepted ones).
+    slope: float  # Its power.
+    # Standard error of the slope, from the distances of points from the line. With a fixed step it
+    # is large: an event falls anywhere between two steps, and so does its error.
     scatter: float
-    theory: float
-    points: int
+    theory: float  # The power of theory, see `SLOPES`.
+    points: int  # Number of points that it was fitted to.
 
 
 def slopes(study: Measurements) -> tuple[Slope, ...]:

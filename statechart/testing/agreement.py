@@ -46,10 +46,14 @@ class Undecidable(Exception):  # noqa: N818 -- nothing went wrong: there is no a
 class Sensitivity:
     """The growth of errors in a run.
 
-    `nudged` are the run with its parameters changed by a relative `NUDGE`, one way and another;
-    `conditions` those of its events (`statechart.observation.condition`). A flight of a millionth
-    of the run is known to a millionth of the digits: a body leaves where its impact was found, to
-    rounding, and nudged parameters do not show that.
+    Attributes
+    ----------
+    nudged : sequence of Trace
+        The run with its parameters changed by a relative `NUDGE`, one way and another.
+    conditions : sequence of float or None
+        Of its events, from `statechart.observation.condition.conditions`. What a flight of a
+        millionth of the run lasts is known to a millionth of the digits: a body leaves where its
+        impact was found, to rounding, and that nudged parameters do not show.
     """
 
     nudged: Sequence[Trace]
@@ -67,10 +71,26 @@ def assert_same(
 ) -> None:
     """Check that two runs take the same modes at the same times through the same states.
 
-    `other` is read by `reading` where it is that of a transformed model, and compared up to the
-    time `until`, when it has this state. `loosened` makes the reference again, its modes chosen by
-    the tolerances of `other`: what parts more slowly than that run can tell stays closed in it.
-    Raise `Undecidable` if agreement cannot be told.
+    Parameters
+    ----------
+    reference, other : Trace
+        The runs.
+    sensitivity : Sensitivity
+        Of `reference`.
+    reading : Reading, optional
+        How to read `other`, where it is that of a transformed model.
+    until : (float, (n,) array), optional
+        Compare with the reference up to this time only, when it has this state.
+    loosened : callable, optional
+        Makes the reference again, its modes chosen by the tolerances of `other`: what parts more
+        slowly than that run can tell stays closed in it.
+
+    Raises
+    ------
+    AssertionError
+        If they differ by more than their errors explain.
+    Undecidable
+        If that cannot be told.
     """
     # Fixed steps have none.
     known = [trace.tolerance for trace in (reference, other) if trace.step is None]

@@ -39,7 +39,15 @@ _MAX_CASES = 64  # cases whose runs are kept for the next property
 
 
 class Subject:
-    """A model compiled once for each engine, for any number of runs."""
+    """A model compiled once for each engine, for any number of runs.
+
+    Parameters
+    ----------
+    model : Declaration
+        What to test.
+    automaton : Automaton, optional
+        That of the model by default.
+    """
 
     def __init__(self, model: Declaration, automaton: Automaton | None = None) -> None:
         self.automaton = automaton or kind(model.kind).automaton(model)
@@ -111,7 +119,13 @@ class Subject:
         return Subject(self.model.model_copy(update={"settings": chosen}))
 
     def end(self, parameters: Mapping[str, float]) -> float:
-        """Return when a run ends."""
+        """Return when a run ends.
+
+        Raises
+        ------
+        DeclarationError
+            If the model does not say so.
+        """
         if self.model.stop.time is None:
             raise DeclarationError("the run has no end", advice="write stop: {time: 10}")
         return parse(self.model.stop.time).value(self.model.values(parameters))
@@ -132,7 +146,11 @@ class Subject:
     ) -> Array:
         """Evaluate expressions that may use unknowns at local times (m,) of an arc.
 
-        With `states` (m, n) as if these were those of the arc. The table is (m, f).
+        With `states` (m, n) as if these were those of the arc.
+
+        Returns
+        -------
+        (m, f) array
         """
         times = arc.start.high + (arc.start.low + tau)
         states = arc.states(tau) if states is None else states
@@ -152,15 +170,36 @@ class Subject:
     ) -> Array:
         """Evaluate expressions in the automaton's symbols.
 
-        Those (m, f) of expressions in variables (m, n), parameters and absolute times (m,); with
-        `mode`, which solves for them, also in unknowns.
+        Parameters
+        ----------
+        trace : Trace
+            Whose parameters.
+        expressions : sequence of Expr
+            In variables, parameters and time; with `mode` also in unknowns.
+        states : (m, n) array
+        times : (m,) array
+            Absolute.
+        mode : Mode, optional
+            What solves for the unknowns.
+
+        Returns
+        -------
+        (m, f) array
         """
         tape = self._programs.tape(tuple(expressions), mode)
         return tape.table(states, trace.values, times)
 
 
 class Case:
-    """One choice of parameters of a subject, and its runs, made when asked for."""
+    """One choice of parameters of a subject, and its runs, made when asked for.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is run.
+    parameters : mapping of str to float
+        What replaces the declared values.
+    """
 
     def __init__(self, subject: Subject, parameters: Mapping[str, float]) -> None:
         self.subject = subject
@@ -200,7 +239,10 @@ class Case:
     def sound(self) -> tuple[Trace, ...]:
         """The runs that came to their end, all or none.
 
-        `Undecidable` if one did not: `assert_ended` reports it.
+        Raises
+        ------
+        Undecidable
+            If one did not: `assert_ended` reports it.
         """
         for trace in self.traces.values():
             if not trace.outcome.succeeded:
@@ -279,6 +321,11 @@ def ranges(model: Declaration) -> dict[str, tuple[float, float]]:
     Those that the model declares; if it declares none, from half to twice the value of every
     parameter that is a number other than 0 and inf, less far where the model would be wrong
     there (a restitution of 0.9 cannot be 1.8).
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
     """
     if model.ranges:
         return dict(model.ranges)
@@ -312,6 +359,16 @@ def parameters(model: Declaration) -> SearchStrategy[dict[str, float]]:
 
     Shrinking leads to the declared values: what differs from them in a failing example matters.
     Ends of ranges are drawn often: what grows with a parameter is largest there.
+
+    Parameters
+    ----------
+    model : Declaration
+        A chart, a scene.
+
+    Returns
+    -------
+    SearchStrategy
+        Of parameter -> value, as runs take them.
     """
     from hypothesis import strategies as st
 

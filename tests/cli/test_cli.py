@@ -265,7 +265,7 @@ def test_output_has_the_report_tables_and_figure(cli: Cli) -> None:
     assert json.loads((cli.folder / "out" / "run.json").read_text()) == json.loads(out)
 
 
-def test_samples_are_written_where_they_are_asked_for(cli: Cli) -> None:
+def test_samples_are_written_on_request(cli: Cli) -> None:
     asked = ("run", "box_stack", "--until", "0.01", "--output", "out", "--record")
     for options, names in (
         (("poses",), {"run.json", "events.csv", "trace.nc", "figure.svg", "figure.png"}),

@@ -118,6 +118,9 @@ HOSTS = {
     ("format.md", "Functions that switch"): """
         @
         """,
+    ("format.md", "Periodic formulas"): """
+        @
+        """,
     ("format/charts.md", "Timeouts and samples"): """
         kind: chart
         name: sampled

@@ -13,7 +13,7 @@ from making import formats
 
 import contacts
 import statechart
-from statechart.loading.schema import schema
+from statechart.loading.load import schema
 
 
 def rows(folder: Path, kind: str) -> dict[tuple[str, str], list[str]]:

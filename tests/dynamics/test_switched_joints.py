@@ -79,6 +79,7 @@ outputs:
   taut: {value: time, at: first rope.touchdown}
   a: {value: a.dx}
   b: {value: b.dx}
+  slack: {value: rope.gap}
 """
 _ROD = """
 kind: scene
@@ -155,9 +156,12 @@ _EXPECTED: dict[str, tuple[str, dict[str, float]]] = {
     # m v l / (I + m l^2), as on a pivot; hook and floor together stop the box, without rebound.
     "swing": (_SWING, {"spin": 0.2 / 0.12}),
     "stop": (_STOP, {"spin": 0.0, "dx": 0.0, "dy": 0.0}),
-    "rope": (_ROPE, {"taut": 0.5, "a": 1.0, "b": 0.5}),
+    "rope": (_ROPE, {"taut": 0.5, "a": 1.0, "b": 0.5, "slack": 0.75}),
     "rod": (_ROD, {"pull": 9.81 * 1.8, "speed": math.sqrt(2 * 9.81 * 0.4)}),
-    "limits": (_LIMITS, {"high": math.pi / 4, "low": 3 * math.pi / 4, "spin": 0.5}),
+    "limits": (
+        _LIMITS,
+        {"high": math.pi / 4, "low": 3 * math.pi / 4, "spin": 0.5},
+    ),
     "elbow": (
         _ELBOW,
         {
@@ -197,7 +201,7 @@ def test_a_joint_that_closes_where_its_points_are_apart_says_so() -> None:
         statechart.run(interpret(read_text(apart, "joint.yaml")))
 
 
-def test_what_has_broken_does_not_close_again() -> None:
+def test_a_broken_joint_does_not_close_again() -> None:
     text = _CATCH.replace("time < 0.5", "abs(hook.X) <= 3 and time < 2")
     text = text.replace("stop: {time: 0.4}", "stop: {time: 1}").replace("dx: 1}", "dx: 4}")
     result = statechart.run(interpret(read_text(text, "joint.yaml")))
@@ -221,7 +225,7 @@ def test_what_has_broken_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, enabled: rope.X <= 1,", "rope.X"),
     ],
 )
-def test_a_mistake_in_a_joint_is_told(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))

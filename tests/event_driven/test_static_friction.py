@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from statechart import sweep
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError
 from statechart.running.result import Result
@@ -262,7 +264,7 @@ def test_controllers_switch_both_coefficients(engine: str) -> None:
         ("{static: 0.5, mu_k: 0.3}", "write kinetic"),
     ],
 )
-def test_what_is_no_law_of_friction_is_refused(friction: str, words: str) -> None:
+def test_invalid_laws_of_friction_are_refused(friction: str, words: str) -> None:
     text = DRAGGED.replace("{static: s, kinetic: mu}", friction)
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(text, "f.yaml"))
@@ -272,6 +274,43 @@ def test_what_is_no_law_of_friction_is_refused(friction: str, words: str) -> Non
 def test_parameters_of_a_run_are_refused_alike() -> None:
     with pytest.raises(DeclarationError, match="the static coefficient"):
         ran(DRAGGED, "taylor", s=0.1)
+
+    with pytest.raises(DeclarationError, match=r"0\.9 is below the kinetic one at rest, inf"):
+        ran(DRAGGED, "taylor", mu=math.inf)
+
+
+@every
+def test_a_compliant_contact_has_both_coefficients(engine: str) -> None:
+    text = DRAGGED.replace("{mass: m}", "{mass: m, start: {y: -m*9.81/4e3}}")
+    text = text.replace("modes: [slide, pin]", "stiffness: 4e3, damping: 100")
+    result = ran(text, engine)
+    sticks, slips = period(1.0, 50.0, 0.1, 0.9, 0.2)
+    expected = [0.9 * G / 5.0 + n * (sticks + slips) for n in (0, 1)]
+    assert result.outputs["slips"] == pytest.approx(expected, abs=near(engine, 1e-11))
+    ends = [time + slips for time in expected]
+    assert result.outputs["sticks"] == pytest.approx(ends, abs=near(engine, 1e-11))
+
+
+@every
+def test_sweeps_go_over_both_coefficients(engine: str) -> None:
+    text = DRAGGED[: DRAGGED.index("outputs:")] + (
+        "outputs:\n  first: {value: time, at: first base.slip}\n"
+        "  last: {value: time, at: last base.slip}\n  slips: {count: base.slip}\n"
+    )
+    statics, kinetics = [0.3, 0.6, 0.9], [0.1, 0.2, 0.3, 0.4]
+    words = {"engine": engine} | ({"step": 10.0 * STEP} if engine == "impulse" else {})
+    found = sweep(read_text(text, "f.yaml"), {"s": statics, "mu": kinetics}, **words)
+    for s, mu in product(statics, kinetics):
+        first, last, count = (
+            float(found[name].sel(s=s, mu=mu)) for name in ("first", "last", "slips")
+        )
+        if s < mu:
+            assert math.isnan(first)
+        elif s > mu:
+            once, close = sum(period(1.0, 50.0, 0.1, s, mu)), 10.0 * near(engine, 1e-11)
+            assert first == pytest.approx(s * G / 5.0, abs=close)
+            assert last == pytest.approx(first + (count - 1) * once, abs=close)
+            assert count == 1 + (6.0 - s * G / 5.0) // once
 
 
 @both

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart.errors import DeclarationError, FormulaError, StatechartError
-from statechart.formulas.constants import Constants, order_parameters
-from statechart.formulas.formula import parse
+from statechart.formulas.formula import Constants, order_parameters, parse
 from statechart.formulas.relation import parse_relation
 from statechart.formulas.tree import FUNCTIONS
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import P, T, X, Y, examples, expressions, tape_of
 
-from statechart.automaton.dense_output import integrals, lowest, sample
+from statechart.automaton.trace import integrals, lowest, sample
 from statechart.engines.event_location import Verdict
 from statechart.formulas.tape import contiguous
 from statechart.formulas.writer import compile_tape

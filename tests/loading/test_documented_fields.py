@@ -22,7 +22,7 @@ from statechart.documents.declaration import Declaration
 from statechart.documents.fields import Part
 from statechart.documents.yaml_reader import read
 from statechart.loading.kind import kind, kinds
-from statechart.loading.schema import schema
+from statechart.loading.load import schema
 
 FACES = (statechart, contacts, statechart.testing, contacts.testing)
 NAMED = [getattr(face, name) for face in FACES for name in face.__all__]

@@ -11,7 +11,7 @@ import pytest
 import models
 from statechart.documents.yaml_reader import read
 from statechart.errors import DeclarationError
-from statechart.loading.schema import schema
+from statechart.loading.load import schema
 
 FOLDER = Path(__file__).parents[2] / "docs" / "schema"
 

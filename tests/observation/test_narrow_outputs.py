@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from statechart import Runner
-from statechart.automaton.dense_output import integrals
+from statechart.automaton.trace import integrals
 from statechart.documents.yaml_reader import read_text
 
 FLIGHT = """\

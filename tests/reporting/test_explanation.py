@@ -26,7 +26,7 @@ stop: {time: 0.45, conditions: {low: bar.y <= 0.05}}
 """
 
 
-def test_margins_are_those_of_the_mode_left() -> None:
+def test_margins_of_an_event_belong_to_the_mode_before_it() -> None:
     events = Runner("toppling_stick").run().to_dict(explain=True)["events"]
     slip, reverse, stop = events
     assert slip["fired"] == ["tip.mu V - H"]
@@ -126,7 +126,7 @@ def test_every_jump_says_what_was_taken_and_why_nothing_else_was(name: str) -> N
         assert all(reasons)
 
 
-def test_a_jam_says_why_no_mode_agreed_and_what_the_impact_left() -> None:
+def test_a_jam_explains_the_rejected_modes_and_the_mode_after_the_impact() -> None:
     jump = run("painleve_rod", "taylor", until=0.1).jumps[0]
     assert jump.cause == "jam"
     assert "before the impact tip: V = -" in jump.considered["tip:slide+"]

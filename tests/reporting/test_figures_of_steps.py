@@ -10,7 +10,7 @@ from statechart.reporting.figure import figure
 from statechart.running.runner import Runner
 
 
-def test_speeds_that_are_left_of_impulses_are_not_drawn() -> None:
+def test_round_off_velocities_after_impulses_are_not_drawn() -> None:
     # A belt carries boxes against a wall: none turns, but for what their impulses are known to.
     text = """
 kind: scene
