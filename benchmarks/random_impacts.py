@@ -20,13 +20,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "solvers"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "impacts"))
 
+from complementarity import impact_problem
 from test_complementarity import stack
 from test_simultaneous import body, check, in_grooves, law, random_scene
 
 from contacts.impacts.impact import impact
 from contacts.impacts.simultaneous import impacts
-from contacts.solvers.contact_lcp import contact_problem
-from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.step_impulses import solve_impacts
 from statechart.errors import NoConsistentMode
 
 
@@ -90,10 +90,11 @@ def problems(count: int, seed: int) -> Counter[str]:
     found: Counter[str] = Counter()
     for k in range(count):
         masses, decades = ((0, 1), (3, 1), (0, 12))[k % 3]
-        solution = solve_lcp(*contact_problem(*stack(random, masses, decades)))
-        found[solution.status.name] += 1
-        if solution.status is not LcpStatus.SOLVED:
-            found[f"{solution.status.name}, masses 1e+-{masses}, mu 1e+-{decades}"] += 1
+        delassus, free, edges = stack(random, masses, decades)
+        nothing, none = np.zeros_like(free), np.zeros(len(edges), np.bool_)
+        problem = impact_problem(delassus, free, free, nothing, edges, none)
+        solved = solve_impacts(problem, nothing, 1e-9)[0] <= 1e-9
+        found["solved" if solved else f"unsolved, masses 1e+-{masses}, mu 1e+-{decades}"] += 1
     return found
 
 

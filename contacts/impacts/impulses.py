@@ -20,10 +20,9 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, cones
 from contacts.dynamics.snapshot import SCALARS, Snapshot
 from contacts.modes.classification import ModeRules, write_edges
-from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
-from contacts.solvers.contact_lcp_kernels import STEEPEST
+from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.dependence import independent
-from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import choose_edges, solve_modes
 from contacts.solvers.redundancy import connected, mode_columns, smallest
 from contacts.solvers.saddle_point import SOLVED
@@ -464,13 +463,11 @@ def _by_lemke(problem: ImpactProblem) -> list[tuple[int, ...]]:
     It serves to find the modes only, so that inertias may be filled up where they vanish.
     """
     size = len(problem.mass)
-    contacts, _ = delassus(problem.mass, problem.jacobians, np.zeros(size))
-    held = np.ascontiguousarray(problem.cones[:, :2])
-    matrix, vector = contact_problem(contacts, problem.start, held)
-    solution = solve_lcp(matrix, vector)
-    if solution.status is not LcpStatus.SOLVED:
+    contacts, _ = delassus_matrix(problem.mass, problem.jacobians, np.zeros(size))
+    nothing, held = np.zeros(len(problem.cones)), np.ascontiguousarray(problem.cones[:, :2])
+    found, impulses = forces_by_lemke(contacts, problem.start, held, nothing)
+    if not found:
         return []
-    impulses = contact_impulses(solution.z, held)
     return [tuple(map(_mode, impulses.tolist(), held.tolist()))]
 
 

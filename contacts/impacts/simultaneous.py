@@ -21,7 +21,8 @@ from contacts.dynamics.snapshot import PerContact, Snapshot
 from contacts.impacts.impact import RAISES, Impact, impact
 from contacts.impacts.impulses import ImpactProblem, Impulses, collisions, coupled, work_of
 from contacts.scene.parts import MOREAU, Simultaneous
-from contacts.solvers.step_impulses import LONGEST_SEQUENCE, shares
+from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
+from contacts.solvers.island_impulses import shares
 from statechart.arrays import Array
 from statechart.errors import NoConsistentMode
 

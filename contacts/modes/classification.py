@@ -24,8 +24,7 @@ from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, share
 from contacts.scene.modes import OWN
-from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
-from contacts.solvers.lcp import LcpStatus, solve_lcp
+from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     AGAINST,
     BEYOND,
@@ -298,7 +297,7 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
     edges = np.empty((len(group), 2))
     sliding = np.where(slides > 0.0, SLIDE_PLUS, np.where(slides < 0.0, SLIDE_MINUS, PIN))
     choose_edges(cones(laws, snapshot.contacts)[group], sliding, edges)
-    contacts, alone = delassus(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
+    contacts, alone = delassus_matrix(snapshot.mass, snapshot.jacobians[group], snapshot.forces)
     free = snapshot.biases[group] + alone
     for k, i in enumerate(group):
         if laws[i].coupling:
@@ -310,11 +309,9 @@ def by_lemke(case: Case, options: Sequence[Sequence[str]]) -> list[Candidate]:
                 free[k, 0] = -limit
             elif laws[i].carrier in group:
                 contacts[2 * k, 2 * group.index(laws[i].carrier)] = -limit
-    solution = solve_lcp(*contact_problem(contacts, free, edges, slides))
-    # A candidate that its residual does not verify may still name the right modes.
-    if solution.status not in (LcpStatus.SOLVED, LcpStatus.UNVERIFIED):
+    solved, forces = forces_by_lemke(contacts, free, edges, slides)
+    if not solved:
         return []
-    forces = contact_impulses(solution.z, edges, slides)
     after = free + (contacts @ forces.ravel()).reshape(-1, 2)
     at_rest = np.abs(after) <= _SAME_MOTION * max(scales.acceleration, float(np.abs(after).max()))
     least = _SAME_MOTION * float(np.abs(forces).max())

@@ -16,7 +16,6 @@ from contacts.collision_detection.active_contacts import ActiveContacts, velocit
 from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, Memory
 from contacts.collision_detection.surfaces import LINE, PLATE
 from contacts.rigid_bodies.workspace import Workspace
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.settling import (
@@ -226,7 +225,6 @@ def _body_mode(
     which = np.empty(most, np.int64)
     free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
     cones, slips, slides = np.zeros((most, 2)), np.zeros(most), np.zeros(most)
-    guess = np.zeros(UNKNOWNS * most, np.bool_)
     for i in range(count):
         if active.bodies[i, 0] != b:
             continue
@@ -239,7 +237,7 @@ def _body_mode(
             _remember_landing(numbers, memory, space, rates, i, sizes[m, 0], h)
         if not (near and (presses or (shown != FREE and not active.hit[i]))):
             continue
-        which[m], guess[UNKNOWNS * m] = i, presses
+        which[m] = i
         _write_cone(numbers, active, i, 0.0, cones[m])
         slip = velocity(active.bodies, active.rows, rates, i, 1) + active.wanted[i, 1]
         slips[m] = slip
@@ -267,12 +265,11 @@ def _body_mode(
     sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]
     terms, forced, directions = sizes[:m], found[:m], slides[:m]
-    support = guess[: UNKNOWNS * m]
-    solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
+    solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if solved and end_slips(slips[:m], forced, against, terms, h, directions):
         for a in range(m):
             _write_cone(numbers, active, which[a], directions[a], cones[a])
-        solved, _ = solve_accelerations(*problem, directions, support, terms, forced, sums)
+        solved, _ = solve_accelerations(*problem, directions, terms, forced, sums)
     if not solved:
         return chunk.codes[k, b]
     mode = FREE

@@ -4,11 +4,11 @@ Unknown impulses p = (p_n, p_t) and velocities u = least + W p of every contact,
   0 <= p_n, 0 <= u_n, p_n u_n = 0;  |p_t| <= mu p_n, u_t p_t = -mu p_n |u_t|;  joints: u = 0.
 `least` are the velocities without impulses, less what is wanted. Residual: the natural map
 |w p - proj(w p - u)| (w: own compliance), as a velocity over its `scale`, the fastest approach.
-`contact_rows`: J and columns M^-1 J^T by bodies (a dense W is one whose bodies all contacts
-share), residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the
-fallback, on `contact_lcp_kernels`, `contact_lcp` and `lcp`; `contact_solver`: the ladder of these,
-which returns the best impulses with their residual. `island_impulses` and `step_impulses` add
-restitution and bounds of work, `impact_sequence` impacts in turn. Of the event engine:
+`contact_rows`: J and columns M^-1 J^T by bodies (coordinates are blocks that all contacts share),
+residual and sweeps; `proximal_points`: Newton's method, on `sparse_blocks`; `lemke`: the fallback;
+`contact_solver`: the ladder of these, which returns the best impulses with their residual.
+`island_impulses` adds restitution and bounds of work, `step_impulses` the rows of coordinates and
+what of them is force, `impact_sequence` impacts in turn. Of the event engine:
 `mode_solver` (all modes), `saddle_point` (one), `smallest_forces` and `redundancy` (load sharing),
 `dependence` (rank), `impulse_coupling` (groups).
 """

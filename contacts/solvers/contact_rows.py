@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import STEEPEST
 from contacts.solvers.saddle_point import SMALLEST
 from statechart.arrays import Array, Ints
 from statechart.kernels.copies import put, put_rows
@@ -21,6 +20,12 @@ from statechart.kernels.jit import kernel
 HELD, GUIDED = -1.0, -2.0
 """In the place of the first number of a cone: both directions of a row are held, whatever it takes;
 its first one is."""
+
+STEEPEST = 2.0**-12
+"""No cone's edge is steeper: its normal part, of 1, counts as at least this."""
+
+PAIR = 2
+"""Bodies that a contact of bodies moves. Rows in coordinates have another number of blocks."""
 
 LAW = 9
 """Numbers that `law_of` writes."""

@@ -15,14 +15,13 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import impulses_by_lemke
 from contacts.solvers.contact_rows import (
-    LAW,
+    PADDED,
+    PAIR,
     TRIED,
     ContactRows,
     add,
     along,
-    complete,
     measured,
     rates_of,
     scale,
@@ -30,7 +29,8 @@ from contacts.solvers.contact_rows import (
     swept,
     without,
 )
-from contacts.solvers.proximal_points import VERIFIED, by_proximal_points
+from contacts.solvers.lemke import impulses_by_lemke
+from contacts.solvers.proximal_points import VERIFIED, by_last_status, by_proximal_points
 from statechart.arrays import Array
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
@@ -38,12 +38,22 @@ from statechart.kernels.jit import kernel
 # Residual of the last impulses that are taken again where nothing moves: what they miss adds up
 # over the steps to come, until it is as large as `VERIFIED`.
 _AT_REST = 1e-13
+# Residual of a status that is solved to round-off: what is open then approaches by the round-off of
+# gaps over a step, and what would press against it has no cause.
+_OPENS = 1e-8
 # Contacts up to which all problems are solved to `VERIFIED`, which costs no more there.
 _SMALL = 8
 # Sweeps before Newton's method: they find the status of most contacts.
 _SWEEPS = 64
 # Contacts up to which Lemke's algorithm is tried: its time grows with their third power, or more.
 _LEMKE = 64
+
+
+@kernel
+def _have_coordinates(contacts: ContactRows) -> bool:
+    """Return whether all contacts move the same coordinates, and not bodies of their own."""
+    sides = contacts.bodies.shape[1]
+    return sides != PAIR and sides != PADDED
 
 
 @kernel
@@ -76,10 +86,30 @@ def solve_rows(
         return 0.0, 0
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
-    if left <= (_AT_REST if rests else VERIFIED):
+    # All contacts of coordinates move the same, so that Newton's equations are as small as that.
+    same = _have_coordinates(contacts)
+    # Of coordinates they are solved anew at each step: what rests has no velocity at all.
+    if not same and left <= (_AT_REST if rests else VERIFIED):
         return left, 0
-    other, done = contacts.spare[TRIED, :count], 0
-    goal = min(allowed, VERIFIED) if rests or count <= _SMALL else allowed
+    other, done, pivots = contacts.spare[TRIED, :count], 0, count <= _LEMKE and not joined
+    goal = min(allowed, VERIFIED) if rests or same or count <= _SMALL else allowed
+    if same:
+        missed, found = math.inf, max(goal, min(allowed, _OPENS))
+        if count == 1:
+            other[:] = 0.0
+            measured(contacts, least, size, other)
+            missed, done = swept(contacts, least, size, math.inf, other, goal, 1)
+        elif impulses[:, 0].max() > 0.0:
+            put_rows(impulses, other)
+            missed, done = by_last_status(contacts, least, other)
+        if missed > found and count > 1 and pivots:
+            missed, steps = _by_lemke(contacts, least, found, other)
+            done, pivots = done + steps, False
+        if missed <= found or missed < left:
+            left = missed
+            put_rows(other, impulses)
+        if missed <= found:
+            return missed, done
     for anew in (False, True):
         if anew:
             other[:] = 0.0
@@ -99,39 +129,13 @@ def solve_rows(
             put_rows(other, impulses)
         if left <= allowed:
             return left, done
-    if last and count <= _LEMKE and not joined:
+    if last and pivots:
         missed, steps = _by_lemke(contacts, least, allowed, other)
         done += steps
         if missed < left:
             left = missed
             put_rows(other, impulses)
     return left, done
-
-
-@kernel
-def dense_impulses(
-    delassus: Array, least: Array, cones: Array, allowed: float
-) -> tuple[float, Array]:
-    """Return the residual of the best impulses of a dense problem, and these (m, 2)."""
-    count = len(cones)
-    threes = (2 * count + 2) // 3
-    bodies = np.empty((count, threes), np.int64)
-    rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
-    own, impulses = np.empty((count, 3)), np.zeros((count, 2))
-    for i in range(count):
-        for side in range(threes):
-            bodies[i, side] = side
-        for d in range(2):
-            rows[i, d, 2 * i + d] = 1.0
-            for k in range(2 * count):
-                columns[i, d, k] = delassus[k, 2 * i + d]
-    contacts = ContactRows(
-        bodies, threes, rows, columns, own, cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)),
-    )  # fmt: skip
-    complete(contacts)
-    left, _ = solve_rows(contacts, least, impulses, allowed, False, True)
-    return left, impulses
 
 
 @kernel
@@ -161,7 +165,14 @@ def _by_lemke(
         )
         if not good:
             continue
-        missed, steps = by_proximal_points(contacts, least, found, allowed)
+        exact, missed, steps = found.copy(), math.inf, 0
+        if _have_coordinates(contacts):
+            missed, steps = by_last_status(contacts, least, exact)
+        if missed <= allowed:
+            put_rows(exact, found)
+        else:
+            missed, more = by_proximal_points(contacts, least, found, allowed)
+            steps += more
         done += steps
         if missed < left:
             left = missed

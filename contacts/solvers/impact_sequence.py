@@ -10,10 +10,13 @@ import numpy as np
 
 from contacts.solvers.contact_rows import LAW, ContactRows, add, seen, slope
 from contacts.solvers.island_impulses import island_impulses
-from contacts.solvers.step_impulses import LONGEST_SEQUENCE
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
+
+LONGEST_SEQUENCE = 10_000
+"""So many impacts follow each other at an instant: a ball between the floor and one a thousand
+times as heavy is hit so often."""
 
 # Impacts that approach as fast but for this part of it are one: nothing says which of them is
 # first, and the order of bodies is to decide nothing.

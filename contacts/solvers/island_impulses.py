@@ -7,6 +7,8 @@ tells by how much.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from contacts.solvers.contact_rows import (
@@ -22,7 +24,6 @@ from contacts.solvers.contact_rows import (
     yields,
 )
 from contacts.solvers.contact_solver import solve_rows
-from contacts.solvers.step_impulses import capped, part_within
 from statechart.arrays import Array, Bools
 from statechart.kernels.copies import put_rows
 from statechart.kernels.jit import kernel
@@ -32,6 +33,106 @@ from statechart.kernels.jit import kernel
 _NEARER, _AT_BOUND = 3, 1e-12
 # A residual that is rounding, where less is asked for: impulses with it are those of the laws.
 _GOOD = 1e-8
+# Work is known to this part of its terms.
+_WORK_ROUNDING = 64.0 * 2.0**-52
+
+
+@kernel
+def _work_at(before: Array, free: Array, impulses: Array, moved: Array) -> float:
+    """Return the work of impulses that change the velocities of the contacts by `moved`."""
+    # In the place of sums and products of whole arrays, which take seconds to compile.
+    work = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            work += impulses[i, d] * (before[i, d] + free[i, d] + moved[i, d])
+    return 0.5 * work
+
+
+@kernel
+def _velocity_scale(before: Array, free: Array, impulses: Array) -> float:
+    """Return the sizes of what the work of impulses is summed from."""
+    begin = end = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            begin += abs(impulses[i, d] * before[i, d])
+            end += abs(impulses[i, d] * free[i, d])
+    return begin + end
+
+
+@kernel
+def shares(begin: float, end: float, curvature: float) -> tuple[float, float]:
+    """Return (1 - s, s) for the largest s, up to 1, at which a work is not above zero.
+
+    Both are computed from the end they are near: impulses may differ by decades.
+    """
+    slope = end - begin - curvature
+    root = math.sqrt(max(slope * slope - 4.0 * curvature * begin, 0.0))
+    share = (root - slope) / (2.0 * curvature) if slope < 0.0 else -2.0 * begin / (slope + root)
+    rest = 2.0 * end / (2.0 * curvature + slope + root)
+    return min(max(rest, 0.0), 1.0), min(max(share, 0.0), 1.0)
+
+
+@kernel
+def part_within(impulses: Array, before: Array, free: Array, moved: Array, bound: float) -> float:
+    """Return the largest part of impulses (m, 2), up to 1, whose work is within a bound.
+
+    Parameters
+    ----------
+    impulses : (m, 2)
+    before, free, moved : (m, 2)
+        See `capped`.
+    bound : float
+        Not below zero.
+    """
+    curvature = 0.0
+    for i in range(len(impulses)):
+        for d in range(2):
+            curvature += impulses[i, d] * moved[i, d]
+    curvature *= 0.5
+    end = _work_at(before, free, impulses, moved)
+    limit = bound + _WORK_ROUNDING * _velocity_scale(before, free, impulses)
+    return shares(-limit, end - limit, curvature)[1] if end > limit else 1.0
+
+
+@kernel
+def capped(
+    before: Array,
+    free: Array,
+    plastic: Array,
+    elastic: Array,
+    moved_plastic: Array,
+    moved_elastic: Array,
+    bound: float,
+) -> tuple[Array, float]:
+    """Return impulses between plastic and elastic, and the share of the way, that add no energy.
+
+    The work of impulses on the bodies in a step is ``P (U+ + U-) / 2``, a convex function of the
+    share; the largest share is taken at which it is not above that of the plastic ones, or a bound.
+
+    Parameters
+    ----------
+    before, free : (m, 2)
+        Velocities of the contacts before the step, and after it without impulses.
+    plastic, elastic, moved_plastic, moved_elastic : (m, 2)
+        Impulses, and how they change these velocities.
+    bound : float
+        Not below zero.
+    """
+    begin = _work_at(before, free, plastic, moved_plastic)
+    end = _work_at(before, free, elastic, moved_elastic)
+    limit = max(begin, bound) + _WORK_ROUNDING * _velocity_scale(before, free, elastic)
+    if end <= limit:
+        return elastic, 1.0
+    curvature, chosen = 0.0, np.empty((len(elastic), 2))
+    for i in range(len(elastic)):
+        for d in range(2):
+            further = elastic[i, d] - plastic[i, d]
+            curvature += further * (moved_elastic[i, d] - moved_plastic[i, d])
+    _, share = shares(begin - limit, end - limit, 0.5 * curvature)
+    for i in range(len(elastic)):
+        for d in range(2):
+            chosen[i, d] = plastic[i, d] + share * (elastic[i, d] - plastic[i, d])
+    return chosen, share
 
 
 @kernel
@@ -52,7 +153,7 @@ def _velocities(contacts: ContactRows, impulses: Array) -> Array:
 
 
 @kernel
-def _within(
+def work_share(
     contacts: ContactRows, impulses: Array, before: Array, free: Array, bound: float
 ) -> float:
     """Return the part of impulses whose work is within a bound; see `part_within`."""
@@ -142,7 +243,7 @@ def _pushed_in_part(
         done += further
         if missed > allowed:
             break
-        within = _within(contacts, chosen, before, free, bound)
+        within = work_share(contacts, chosen, before, free, bound)
         if within >= 1.0 - _AT_BOUND:
             put_rows(chosen, impulses)
             return missed, done, soft
@@ -202,7 +303,7 @@ def island_impulses(
     )
     if (stores or (joined and arms)) and left <= allowed:
         bound += joint_work(contacts, impulses, before, free)
-    share = _within(contacts, impulses, before, free, bound)
+    share = work_share(contacts, impulses, before, free, bound)
     if pushed and (left > allowed or share < 1.0):
         # What is pushed out may be pushed against others, and gains energy; or wedges, for which
         # there are no impulses: those that were tried press without bound, and are no start.
@@ -220,7 +321,7 @@ def island_impulses(
                 done += further
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = _within(contacts, impulses, before, free, bound)
+            share = work_share(contacts, impulses, before, free, bound)
     if joined and left > allowed:
         # What sticks or is stuck between joints and others can do nothing but rest: no joint is
         # brought back there, or follows its arm as that turns.
@@ -233,7 +334,7 @@ def island_impulses(
         if calm < left:
             left, softened = calm, soft
             put_rows(other, impulses)
-            share = _within(contacts, impulses, before, free, bound)
+            share = work_share(contacts, impulses, before, free, bound)
     if share < 1.0:
         for i in range(count):
             impulses[i, 0] *= share

@@ -44,6 +44,9 @@ _FALLS, _GROWS = 0.5, 4.0
 # A centre that misses less than this part of what the one before did is worth another one; at the
 # least compliance, which impulses begin at that nearly solve the problem, the first is the last.
 _FURTHER = 0.9
+# Compliance of a status that is refined, and how often at most: each leaves the larger of it, by
+# how much own compliances are above those of all together, and of round-off over its square.
+_REFINING, _REFINEMENTS = 1e-5, 32
 # Newton's steps to a centre; centres at the least compliance that are no better, but for rounding;
 # eliminations in all, and times contacts: half a second.
 _SETTLING, _IDLE, _MOST, _MOST_TIMES = 10, 4, 3000, 2_000_000
@@ -165,10 +168,13 @@ def step(
 
 @kernel
 def _find_status(
-    contacts: ContactRows, least: Array, now: Array, centre: Array, compliance: float,
-    rates: Array, status: Ints, edges: Array,
+    contacts: ContactRows, least: Array, begins: float, now: Array, centre: Array,
+    compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> bool:  # fmt: skip
-    """Write the status of contacts by the natural map; False where it is as before."""
+    """Write the status of contacts by the natural map; False where it is as before.
+
+    One without an impulse begins to press above a velocity `begins`.
+    """
     different = False
     for i in range(len(now)):
         mu = slope(contacts.cones[i])
@@ -181,7 +187,7 @@ def _find_status(
         press = wn * now[i, 0] - normal - compliance * wn * (now[i, 0] - centre[i, 0])
         shear = wt * now[i, 1] - slip - compliance * wt * (now[i, 1] - centre[i, 1])
         new, edge = SLIDES, math.copysign(mu, shear)
-        if press <= 0.0:
+        if press <= (begins if now[i, 0] == 0.0 else 0.0):
             new = OPEN
         elif abs(shear) * wn < mu * wt * press:
             new = STICKS
@@ -207,12 +213,14 @@ def _take_step(
 
 @kernel
 def _settled(
-    contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
-    compliance: float, rates: Array, status: Ints, edges: Array,
+    contacts: ContactRows, equations: Equations, least: Array, begins: float, now: Array,
+    centre: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
     """Take Newton's steps to a proximal point, in place; return if they settle, and how many."""
     for taken in range(_SETTLING + 1):
-        changed = _find_status(contacts, least, now, centre, compliance, rates, status, edges)
+        changed = _find_status(
+            contacts, least, begins, now, centre, compliance, rates, status, edges
+        )
         if taken > 0 and not changed:
             # A small compliance costs digits, which a second step gives back.
             _take_step(contacts, equations, least, now, centre, compliance, rates, status, edges)
@@ -353,6 +361,41 @@ def followed(
 
 
 @kernel
+def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tuple[float, int]:
+    """Solve contacts of which no other one presses than did; return the residual, and eliminations.
+
+    Impulses are found from nothing, in place: of those with the same motion the smallest. What is
+    open stays so as long as that solves the problem: a box that just fits under a lid is else stuck
+    between that and the floor, in impulses without cause.
+    """
+    count, rates, equations = len(impulses), rates_of(contacts, 0), equations_of(contacts)
+    status, edges, taken = np.full(count, -1), np.zeros(count), 0
+    moved(contacts, impulses, rates)
+    while taken < _SETTLING and _find_status(
+        contacts, least, math.inf, impulses, impulses, _REFINING, rates, status, edges
+    ):
+        if not eliminated(contacts, equations, _REFINING, status, edges):
+            return math.inf, taken + 1
+        impulses[:] = 0.0
+        rates[:] = 0.0
+        left = math.inf
+        for _ in range(_REFINEMENTS):
+            missed = 0.0
+            for i in range(count):
+                normal, slip = seen(contacts, i, least, rates)
+                if status[i] != OPEN:
+                    missed = max(missed, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
+            if not missed < _FALLS * left:
+                break
+            left = missed
+            _take_step(
+                contacts, equations, least, impulses, impulses, _REFINING, rates, status, edges
+            )
+        taken += 1
+    return residual(contacts, least, scale(contacts, least), impulses, rates), taken
+
+
+@kernel
 def by_proximal_points(
     contacts: ContactRows, least: Array, impulses: Array, allowed: float
 ) -> tuple[float, int]:
@@ -376,7 +419,7 @@ def by_proximal_points(
     most = min(_MOST, _MOST_TIMES // count)
     while done < most and idle < _IDLE and (lowest > allowed or falls):
         good, taken = _settled(
-            contacts, equations, least, now, centre, compliance, rates, status, edges
+            contacts, equations, least, 0.0, now, centre, compliance, rates, status, edges
         )
         done += taken
         if not good and is_known:

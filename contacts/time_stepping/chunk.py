@@ -6,25 +6,17 @@ What points on surfaces and bodies with shapes have in common; both have a compi
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_lcp import contact_problem, four_unknowns
-from contacts.solvers.contact_lcp_kernels import LOOSEST, problem, step_residual
-from contacts.solvers.contact_solver import dense_impulses
-from contacts.solvers.lcp import solve_lcp
-from contacts.solvers.step_impulses import AS_ASKED, AS_GIVEN, SOFTENED
-from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.errors import NonFinite, SimulationError
 from statechart.kernels.jit import kernel
 
-DONE, HARD, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(6)
-"""How a chunk ended: with its last step, before a contact problem that was not solved, an inertia
-that determines no motion, a number that is none, more contacts than there is place for, or more
-motion than the step follows."""
+DONE, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(5)
+"""How a chunk ended: with its last step, before an inertia that determines no motion, a number that
+is none, more contacts than there is place for, or more motion than the step follows."""
 
 APART, LASTING, HIT = range(3)
 """How a contact takes part in a step."""
@@ -41,9 +33,6 @@ LIVELY = 0.5
 """Restitution from which a warning says that impacts at once are not those in turn: the approach
 that is given back has a quarter of its energy. The order rarely matters to heaps that rebound less.
 """
-
-# Unknowns of a step solved outside its kernel.
-_MOST_GIVEN = 4096
 
 RESIDUAL, ITERATIONS, CONTACTS, CALMED, AMBIGUOUS, UNENDED, CHOSEN, WORK, JAMMED = range(9)
 """Columns of `Chunk.efforts`: the residual of impulses, iterations, and contacts that took part; 1
@@ -197,92 +186,3 @@ def arriving(
     if above <= max(reached, near) and nearing > slow:
         return HIT, min(gap, 0.0), above
     return APART, level, above
-
-
-@kernel
-def pressed_guess(guess: Bools, slip: float, rough: bool) -> None:
-    """Write which unknowns (4,) a contact has that presses and would slip at this speed."""
-    guess[0] = True
-    guess[1], guess[2] = rough and slip < 0.0, rough and not slip < 0.0
-    guess[3] = rough
-
-
-def stepped(
-    step: Callable[[Chunk, int, Array, int], tuple[int, int, Array, Array, Array]],
-    failure: Callable[[int], SimulationError],
-    chunk: Chunk,
-    allowed: float,
-) -> int:
-    """Take the steps of a chunk; return how many could be taken.
-
-    Less where a signal to end arrives between two calls.
-
-    Raises
-    ------
-    SimulationError
-        Where not one step can be taken.
-    """
-    given, done, how, missed = np.zeros(0), 0, AS_ASKED, 0.0
-    count = len(chunk.codes)
-    while done < count and not (done and interrupts.arrived()):
-        taken, status, delassus, least, cones = step(chunk.after(done), done, given, how)
-        if taken:
-            chunk.efforts[done, RESIDUAL] = missed
-            chunk.efforts[done, CALMED] = how != AS_ASKED
-            given, how, missed = np.zeros(0), AS_ASKED, 0.0
-        done += taken
-        if status == DONE:
-            continue
-        try:
-            if status != HARD:
-                raise failure(status)
-            z, solved, left = widened(delassus, least, cones, allowed)
-        except SimulationError:
-            if done == 0:
-                raise
-            break
-        if solved and len(given) < _MOST_GIVEN:
-            # A step has two problems: with restitution, and without.
-            given = np.concatenate([given, z])
-        elif how == AS_ASKED:
-            given, how = np.zeros(0), SOFTENED
-        else:
-            given, how, missed = z, AS_GIVEN, left
-    return done
-
-
-def widened(
-    delassus: Array, free: Array, cones: Array, allowed: float
-) -> tuple[Array, bool, float]:
-    """Solve a step's contact problem by all the ways there are.
-
-    Returns
-    -------
-    z : (4 m,) array
-        The best unknowns that were found.
-    solved : bool
-        Whether they solve it.
-    left : float
-        Their residual; see `contacts.solvers.contact_rows.residual`.
-
-    Raises
-    ------
-    NonFinite
-        If there is none to find: the steps before have grown beyond all bounds.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        matrix, vector = contact_problem(delassus, free, cones)
-    if not (np.isfinite(matrix).all() and np.isfinite(vector).all()):
-        raise NonFinite("the velocities of contacts became infinite or undefined")
-    whole = problem(delassus, free, cones, np.zeros(len(cones)))
-    z = four_unknowns(solve_lcp(matrix, vector).z, cones)
-    # Its own measure forgives no row that is the rounding of others.
-    if step_residual(*whole, z) <= LOOSEST:
-        return z, True, 0.0
-    left, impulses = dense_impulses(delassus, free, cones, allowed)
-    slips = np.abs(free.ravel() + delassus @ impulses.ravel())[1::2]
-    normal, tangential = impulses.T
-    z = np.stack([normal, np.maximum(tangential, 0.0), np.maximum(-tangential, 0.0), slips], 1)
-    z = np.ascontiguousarray(z).ravel()
-    # Impulses without bound against each other are rounding of themselves.
-    return z, max(left, step_residual(*whole, z)) <= LOOSEST, left

@@ -23,8 +23,7 @@ from contacts.dynamics.projection import on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import SnapshotTape
 from contacts.dynamics.starting import check_closing
-from contacts.solvers.contact_lcp import contact_impulses, contact_problem, delassus
-from contacts.solvers.lcp import solve_lcp
+from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.states import CLOSED, OPEN, STATES
 from contacts.time_stepping.chunk import Chunk, SteppedSystem
 from contacts.time_stepping.recorder import Recorder
@@ -165,9 +164,10 @@ class StepControl:
         if touching and len(snapshot.velocity):
             edges = cones(contacts, snapshot.contacts)[touching, :2].copy()
             jacobians = snapshot.jacobians[touching]
-            matrix, _ = delassus(snapshot.mass, jacobians, snapshot.forces)
-            solution = solve_lcp(*contact_problem(matrix, jacobians @ snapshot.velocity, edges))
-            impulses = np.einsum("ckn,ck->n", jacobians, contact_impulses(solution.z, edges))
+            matrix, _ = delassus_matrix(snapshot.mass, jacobians, snapshot.forces)
+            least, nothing = jacobians @ snapshot.velocity, np.zeros(len(edges))
+            _, pushes = forces_by_lemke(matrix, least, edges, nothing)
+            impulses = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, impulses)[0]
             motion = snapshot.moved(motion, snapshot.velocity + change)
         return self._memory.joined(motion, state)

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.dynamics.scales import Scales
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.impulse_coupling import coupled_contacts
-from contacts.solvers.step_impulses import solve_impacts
+from contacts.solvers.step_impulses import ContactProblem, solve_impacts
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -31,6 +30,8 @@ _LITTLE = 1e-3
 _FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
 # The same, relative to the way of a coordinate.
 _WAY = 0.2
+# Residual of impulses that satisfy the law of impact.
+_SOLVED = 1e-6
 
 
 def velocity_change(
@@ -53,12 +54,15 @@ def velocity_change(
     groups = coupled_contacts(
         mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
     )
-    good, _, _, impulses, _ = solve_impacts(
-        delassus, groups, velocities, velocities.copy(), wanted, cones,
-        restitution > 0.0, np.zeros(UNKNOWNS * m, dtype=np.bool_), np.zeros(0), False,
+    problem = ContactProblem(
+        np.arange(m), pushes, np.ascontiguousarray(moved.T), delassus, groups,
+        np.zeros(m, dtype=np.int64), cones, velocities,
+        velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
+        np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
     )  # fmt: skip
+    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), _SOLVED)
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if good and np.isfinite(change).all() else None
+    return change if missed <= _SOLVED and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):

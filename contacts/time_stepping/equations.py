@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.saddle_point import factorise, substitute
 from contacts.states import FREE
 from statechart.arrays import Array, Bools, Ints, Ints32
@@ -97,7 +96,7 @@ class ContactMemory(NamedTuple):
     # failed.
     missed: Array
     light: Bools  # (1,): whether coordinates without an inertia of their own were given one.
-    bases: Bools  # (c, 4): positive unknowns of the last problem.
+    pushes: Array  # (c, 2): impulses of the last problem.
     pushed: Array  # (n,): what contacts that last changed the rates by in the last step.
 
     @classmethod
@@ -116,7 +115,7 @@ class ContactMemory(NamedTuple):
             np.full((count, 3), np.nan),
             np.tile([0.0, 0.0, np.inf], (count, 1)),
             np.zeros(1, dtype=np.bool_),
-            np.zeros((count, UNKNOWNS), dtype=np.bool_),
+            np.zeros((count, 2)),
             np.zeros(size),
         )
 
@@ -167,33 +166,9 @@ class ContactRoles(NamedTuple):
     free: Array
 
 
-class ContactProblem(NamedTuple):
-    """The contact problem of those that take part."""
-
-    which: Ints  # (m,): contacts.
-    # Changes of all rates, and of the contacts' velocities, by unit impulses.
-    columns: Array  # shape (2 m, s)
-    delassus: Array  # shape (2 m, 2 m)
-    groups: Ints  # (m,): equal for those that feel each other's impulses.
-    # (m,): direction (1, -1) of the slip whose friction is in `cones`; 0: that at rest.
-    directions: Ints
-    # of shape (m, 2) each
-    cones: Array
-    before: Array
-    free: Array
-    wanted: Array
-    # (m,): who asks for restitution; whose impulse is one at an instant.
-    rebounds: Bools
-    sudden: Bools
-    yields: Bools  # (m,): who is compliant.
-
-
 class ContactForces(NamedTuple):
     """Solution of the contact problem."""
 
-    # (4 m,): unknowns; which of them are positive.
-    z: Array
-    basis: Bools
     least: Array  # (m, 2): velocities without impulses, as they were asked for.
     # Impulses; those of them that are forces, and who slides under these.
     pushes: Array  # shape (m, 2)

@@ -11,15 +11,15 @@ import math
 
 import numpy as np
 
-from contacts.solvers.step_impulses import AS_ASKED, solve_impacts
+from contacts.solvers.step_impulses import ContactProblem, solve_impacts
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     BAD_INERTIA,
+    CALMED,
     CHOSEN,
     CONTACTS,
     DONE,
-    HARD,
     JAMMED,
     NOT_FINITE,
     RESIDUAL,
@@ -31,7 +31,6 @@ from contacts.time_stepping.equations import (
     JOINT,
     ContactForces,
     ContactMemory,
-    ContactProblem,
     ContactRoles,
     FactoredEquations,
     StepConstants,
@@ -51,12 +50,12 @@ from contacts.time_stepping.step_contacts import (
     contact_problem,
     coupling_loads,
     find_active,
-    initial_guess,
     largest_energy_gain,
     load_couplings,
     mixed_with_impacts,
     order_decides,
     share_forces,
+    shared_impulses,
     split_forces,
     write_modes,
 )
@@ -281,7 +280,7 @@ def _write_forces(
     # Before the memory of lasting contacts changes.
     mixed = mixed_with_impacts(memory, tape, problem, answer.pushes, chunk.h)
     modes = write_modes(scene, memory, problem, answer, met, k, chunk)
-    steady = share_forces(memory, tape, problem, modes, answer.steady, k, chunk)
+    steady = share_forces(memory, problem, modes, answer.steady, k, chunk)
     before, blurred = tape.size + scene.joints, False
     for a in range(len(problem.which)):
         i, blurred = problem.which[a], blurred or mixed[a]
@@ -357,7 +356,7 @@ def _follow(
 @kernel
 def keep_leaving(
     scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
-    instant: StepInstant, k: int, met: ContactRoles, chunk: Chunk,
+    instant: StepInstant, allowed: float, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
 
@@ -380,13 +379,10 @@ def keep_leaving(
             # Gaps that landings have left move the point, too, to where it is to rest.
             if not met.hit[which[a]]:
                 problem.wanted[a, 0] = 0.0
-        good, _, _, pushes, _ = solve_impacts(
-            problem.delassus, problem.groups, problem.before, problem.free, problem.wanted,
-            problem.cones, problem.rebounds, initial_guess(problem, memory.bases), np.zeros(0),
-            AS_ASKED,
-        )  # fmt: skip
+        missed, _, pushes, least = solve_impacts(problem, memory.pushes[which], allowed)
+        pushes = shared_impulses(scene, problem, least, pushes)
         for a in range(len(which)):
-            bears[a] = good and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
+            bears[a] = missed <= allowed and pushes[a, 0] > 0.0 and (bears[a] or not at_rest)
         for j in range(n if at_rest else 0):
             there[n + j] = state[n + j] + change[j]
             for a in range(len(which)):
@@ -460,31 +456,24 @@ def _age_contacts(memory: ContactMemory, active: Bools) -> None:
 
 @kernel
 def step_scene(
-    scene: StepConstants, memory: ContactMemory, start: float, done: int, given: Array, how: int,
-    chunk: Chunk,
-) -> tuple[int, int, Array, Array, Array]:  # fmt: skip
-    """Take the steps of a chunk; return (steps, status, W, free, cones).
-
-    The last three are the contact problem that was not solved, where the status is `HARD`; called
-    again with its unknowns as `given`, the step is finished with them.
+    scene: StepConstants, memory: ContactMemory, start: float, allowed: float, chunk: Chunk
+) -> tuple[int, int]:
+    """Take the steps of a chunk; return how many were taken, and the status.
 
     Parameters
     ----------
     memory : ContactMemory
         Changed in place.
-    start, done : float, int
-        When steps began, and how many were taken before these.
-    given : (k,)
-        Solutions of problems of the first step that were not solved before.
-    how : int
-        What is asked of the first step: `AS_ASKED`, `SOFTENED` or `AS_GIVEN`.
+    start : float
+        When the first step begins.
+    allowed : float
+        Residual of impulses that are good enough.
     chunk : Chunk
         To be filled; unknowns are accelerations (n,), forces of joints and of contacts that last
         (2 c,; not a number where the step holds an impact as well), what controllers set (u,).
     """
     h, state = chunk.h, chunk.states[0].copy()
     n, c = scene.size, len(scene.cones)
-    nothing, none = np.empty((0, 0)), np.empty((0, 2))
     numbers = np.empty(len(scene.equations[2]))
     tape = TapeValues(numbers, n, n * n + n + (n * n if scene.damped else 0), 2 * n + CONTACT)
     set_at, forces = tape.first + tape.per * c + (n + JOINT) * scene.joints, n + scene.joints
@@ -493,14 +482,14 @@ def step_scene(
     per = 3 * n + 1 + given_count
     for k in range(len(chunk.codes)):
         middle = state.copy()
-        _flow_memory(scene, start + (done + k) * h, state, 0.5 * h, middle)
+        _flow_memory(scene, start + k * h, state, 0.5 * h, middle)
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
-        time = start + (done + k + 0.5) * h
+        time = start + (k + 0.5) * h
         tape_values(*scene.equations, middle, scene.parameters, time, numbers)
         regular, equations = _free_change(scene, memory.light, numbers, n, h)
         if not regular:
-            return k, BAD_INERTIA, nothing, none, none
+            return k, BAD_INERTIA
         signs = hold_signs(scene, memory, tape, equations, state, h, set_at + given_count)
         for i in range(given_count):
             value = numbers[set_at + i]
@@ -513,10 +502,10 @@ def step_scene(
             np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
         if not switch_contacts(scene, memory, tape, k, met, chunk):
-            return k, NOT_FINITE, nothing, none, none
+            return k, NOT_FINITE
         if met.leaving.any():
             instant = StepInstant(time, state, middle)
-            keep_leaving(scene, memory, tape, equations, instant, k, met, chunk)
+            keep_leaving(scene, memory, tape, equations, instant, allowed, k, met, chunk)
         find_active(scene, memory, tape, equations.change, k, met, chunk)
         close_opposed(scene, memory, tape, h, met)
         total, lasting = equations.change, equations.change.copy()
@@ -527,15 +516,9 @@ def step_scene(
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
             began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
+            last = memory.pushes[which]
             while changes:
-                good, z, basis, pushes, least = solve_impacts(
-                    problem.delassus, problem.groups, problem.before, problem.free,
-                    problem.wanted, problem.cones, problem.rebounds,
-                    initial_guess(problem, memory.bases),
-                    given if k == 0 else given[:0], how if k == 0 else AS_ASKED,
-                )  # fmt: skip
-                if not good:
-                    return k, HARD, problem.delassus, least, problem.cones
+                missed, softened, pushes, least = solve_impacts(problem, last, allowed)
                 # Friction begins or turns under the limits that are there in the end.
                 loads = coupling_loads(scene, which, problem.columns, equations.change, pushes, h)
                 unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
@@ -543,8 +526,9 @@ def step_scene(
                 changes = unloaded > LOADED and rounds < LOADINGS
                 changes = changes or change_friction(scene, tape, problem, least, pushes, began)
             if unloaded > LOADED:
-                chunk.efforts[k, RESIDUAL] = unloaded
-            answer = split_forces(scene, memory, problem, z, basis, least, pushes)
+                missed = max(missed, unloaded)
+            chunk.efforts[k, RESIDUAL], chunk.efforts[k, CALMED] = missed, softened
+            answer = split_forces(scene, memory, problem, least, pushes, allowed)
             chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
             rates = state[n : 2 * n]
             made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
@@ -563,7 +547,7 @@ def step_scene(
             state[n + i] += total[i]
             state[i] = middle[i] + 0.5 * h * state[n + i]
             if not math.isfinite(state[i]):
-                return k, NOT_FINITE, nothing, none, none
+                return k, NOT_FINITE
         # Compliant contacts have no accelerations to read modes from.
         if unsettle(memory, k, chunk) and not scene.soft.any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
@@ -571,6 +555,6 @@ def step_scene(
         _flow_memory(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
-                return k, NOT_FINITE, nothing, none, none
+                return k, NOT_FINITE
         put(state, chunk.states[k + 1])
-    return len(chunk.codes), DONE, nothing, none, none
+    return len(chunk.codes), DONE

@@ -23,10 +23,10 @@ from contacts.dynamics.starting import (
     torn,
 )
 from contacts.scene.lint import NEARLY_MEETING, stays_off
-from contacts.solvers.contact_lcp_kernels import STEEPEST
+from contacts.solvers.contact_rows import STEEPEST
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import FREE, LOCKED, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
-from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem, stepped
+from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
 from contacts.time_stepping.equations import ContactMemory, StepConstants
@@ -235,12 +235,9 @@ class SteppedScene(SteppedSystem):
         )  # fmt: skip
         swings = self._check_springs(chunk, start)
 
-        def step(
-            left: Chunk, done: int, given: Array, how: int
-        ) -> tuple[int, int, Array, Array, Array]:
-            return step_scene(scene, memory, start, done, given, how, left)
-
-        done = stepped(step, _failure, chunk, self._allowed)
+        done, status = step_scene(scene, memory, start, self._allowed, chunk)
+        if not done:
+            raise _failure(status)
         followed = self._followed(chunk.first(done), start)
         if followed < done:
             # The memory must be that of the steps that are taken.

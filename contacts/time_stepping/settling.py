@@ -20,7 +20,8 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS, forces_near
+from contacts.solvers.lemke import forces_by_lemke
+from contacts.solvers.step_impulses import SUM_ROUNDING
 from contacts.states import FREE, OFF_CODE, PIN, SLIDE, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.equations import (
@@ -37,7 +38,6 @@ from contacts.time_stepping.equations import (
 from contacts.time_stepping.step_contacts import (
     LOADED,
     LOADINGS,
-    ROUNDING,
     coupling_loads,
     coupling_mode,
     delassus_of,
@@ -116,25 +116,21 @@ def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: fl
 
 @kernel
 def solve_accelerations(
-    delassus: Array, free: Array, cones: Array, slides: Array, guess: Bools,
-    sizes: Array, found: Array, sums: Array,
+    delassus: Array, free: Array, cones: Array, slides: Array, sizes: Array, found: Array,
+    sums: Array,
 ) -> tuple[bool, Array]:  # fmt: skip
     """Write the accelerations of contacts; return whether the problem was solved, and forces.
 
     Parameters
     ----------
-    delassus, free, cones, slides, guess
-        See `contacts.solvers.contact_lcp_kernels.forces_near`.
+    delassus, free, cones, slides
+        See `contacts.solvers.lemke.impulses_by_lemke`.
     sizes : (m, 2)
         Sums of the sizes of the terms of `free`.
     found, sums : (m, 2)
         To be filled; sums of the sizes of the terms.
     """
-    support = guess.copy()
-    for a in range(len(found)):
-        for u in range(1, UNKNOWNS):
-            support[UNKNOWNS * a + u] = guess[UNKNOWNS * a + u] and slides[a] == 0.0
-    solved, forces = forces_near(delassus, free, cones, slides, support)
+    solved, forces = forces_by_lemke(delassus, free, cones, slides)
     for a in range(len(found)):
         for d in range(2):
             found[a, d], terms = free[a, d], sizes[a, d]
@@ -144,7 +140,7 @@ def solve_accelerations(
                     found[a, d] += term
                     terms += abs(term)
             sums[a, d] = terms
-            if abs(found[a, d]) <= ROUNDING * terms:
+            if abs(found[a, d]) <= SUM_ROUNDING * terms:
                 found[a, d] = 0.0
     return solved, forces
 
@@ -226,10 +222,10 @@ def settle(
     if m > 0:
         columns = unit_responses(tape, equations, which)
         delassus = delassus_of(tape, which, columns)
-        slips, slides, rounding = np.empty(m), np.zeros(m), ROUNDING * scene.speed
+        slips, slides, rounding = np.empty(m), np.zeros(m), SUM_ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
-        against, guess = np.zeros(m, np.bool_), np.zeros(UNKNOWNS * m, np.bool_)
+        against = np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
@@ -241,15 +237,12 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
-            for u in range(UNKNOWNS):
-                guess[UNKNOWNS * a + u] = memory.bases[i, u]
-            guess[UNKNOWNS * a] = chunk.codes[k, i] != FREE
         ended, solved, forces = False, False, np.zeros((m, 2))
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
         load_couplings(scene, tape, which, loads, delassus, alone)
         for _ in range(LOADINGS):
             solved, forces = solve_accelerations(
-                delassus, alone, cones, slides, guess, terms, forced, sums
+                delassus, alone, cones, slides, terms, forced, sums
             )
             loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
             if load_couplings(scene, tape, which, loads, delassus, alone) > LOADED:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.step_impulses import LONGEST_SEQUENCE
+from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
 from contacts.time_stepping.chunk import (
     AMBIGUOUS,
     CALMED,

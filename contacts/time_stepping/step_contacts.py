@@ -9,10 +9,17 @@ import math
 
 import numpy as np
 
-from contacts.solvers.contact_lcp_kernels import UNKNOWNS
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
-from contacts.solvers.step_impulses import into_cone, of_group, relieve, steady_impulses
+from contacts.solvers.step_impulses import (
+    SUM_ROUNDING,
+    ContactProblem,
+    into_cone,
+    is_sliding,
+    of_group,
+    steady_impulses,
+    velocity_after,
+)
 from contacts.states import (
     FREE,
     LOCKED,
@@ -34,7 +41,6 @@ from contacts.time_stepping.chunk import (
     SLOW,
     Chunk,
     arriving,
-    pressed_guess,
 )
 from contacts.time_stepping.equations import (
     EDGES,
@@ -43,7 +49,6 @@ from contacts.time_stepping.equations import (
     LANDED,
     ContactForces,
     ContactMemory,
-    ContactProblem,
     ContactRoles,
     FactoredEquations,
     StepConstants,
@@ -115,10 +120,6 @@ def energy_added(
     return worst
 
 
-# Velocities below this part of what they are sums of are zero.
-ROUNDING = 1e-9
-
-
 @kernel
 def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, directed: bool) -> int:
     """Return the number of the mode of a contact that bears an impulse.
@@ -143,22 +144,6 @@ def mode_of_impulse(impulse: Array, slip: float, sliding: bool, cone: Array, dir
     if slip != 0.0:
         return SLIDE_PLUS if slip > 0.0 else SLIDE_MINUS
     return SLIDE_PLUS if impulse[1] < 0.0 else SLIDE_MINUS
-
-
-@kernel
-def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: int) -> float:
-    """Return the velocity of contact `a` after a step, 0 where that is rounding.
-
-    `compliance` (2 m, 2 m), `least` (m, 2), `impulses` (m, 2): of the step's contact problem; `a`,
-    `d`: which contact; 0 along its normal, 1 along its tangent.
-    """
-    after, terms = least[a, d], abs(least[a, d])
-    for b in range(len(impulses)):
-        for e in range(2):
-            term = compliance[2 * a + d, 2 * b + e] * impulses[b, e]
-            after += term
-            terms += abs(term)
-    return after if abs(after) > ROUNDING * terms else 0.0
 
 
 @kernel
@@ -287,7 +272,7 @@ def find_active(
         met.active[i], met.hit[i] = role != APART, role == HIT
         if role == LASTING:
             met.wanted[i, 0] = above / h + bias
-            if not memory.closed[i] and abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
+            if abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
                 # Bodies that fall side by side do not press each other.
                 met.wanted[i, 0] = -free[0]
             met.wanted[i, 1] = 0.5 * h * numbers[row + 2 * n + 1]
@@ -442,7 +427,7 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
     if direction != 0 and _has_two(scene, i):
         at = tape.first + tape.per * i + 2 * tape.size + (EDGES if direction > 0 else EDGES + 2)
         cone[0], cone[1] = tape.numbers[at], tape.numbers[at + 1]
-        if cone[1] <= ROUNDING * cone[0]:
+        if cone[1] <= SUM_ROUNDING * cone[0]:
             cone[1] = 0.0
 
 
@@ -477,15 +462,19 @@ def contact_problem(
     """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
     m = len(which)
     columns = unit_responses(tape, equations, which)
-    delassus = delassus_of(tape, which, columns)
+    delassus, jacobians = delassus_of(tape, which, columns), np.empty((m, 2, tape.size))
     groups = _groups(scene, tape, which)
     cones, before = np.empty((m, 2)), np.empty((m, 2))
     free, wanted = np.empty((m, 2)), np.empty((m, 2))
     rebounds, sudden = np.empty(m, np.bool_), np.empty(m, np.bool_)
     directions = np.zeros(m, np.int64)
-    yields = np.empty(m, np.bool_)
+    yields, apart = np.empty(m, np.bool_), np.empty(m, np.bool_)
     for a in range(m):
         i = which[a]
+        row = tape.first + tape.per * i
+        for d in range(2):
+            for j in range(tape.size):
+                jacobians[a, d, j] = tape.numbers[row + d * tape.size + j]
         slip = met.before[i, 1]
         if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
             directions[a] = 1 if slip > 0.0 else -1
@@ -499,6 +488,7 @@ def contact_problem(
         put(met.free[i], free[a])
         put(met.wanted[i], wanted[a])
         yields[a] = scene.soft[i, 0] > 0.0
+        apart[a] = yields[a] or is_coupling(scene, i)
         if yields[a]:
             delassus[2 * a, 2 * a] += 1.0 / _yielding(scene, i, h)
     loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
@@ -508,30 +498,15 @@ def contact_problem(
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
     return ContactProblem(
-        which, columns, delassus, groups[:m], directions, cones, before, free, wanted, rebounds,
-        sudden, yields,
+        which, jacobians, columns, delassus, groups[:m], directions, cones, before, free, wanted,
+        rebounds, sudden, yields, apart,
     )  # fmt: skip
 
 
 @kernel
-def initial_guess(problem: ContactProblem, bases: Bools) -> Bools:
-    """Return which unknowns (4 m,) are positive: those of the last problem; what is new presses."""
-    m = len(problem.which)
-    guess = np.zeros(UNKNOWNS * m, np.bool_)
-    for a in range(m):
-        for u in range(UNKNOWNS):
-            guess[UNKNOWNS * a + u] = bases[problem.which[a], u]
-        if not guess[UNKNOWNS * a]:
-            slip = problem.free[a, 1] + problem.wanted[a, 1]
-            mine = guess[UNKNOWNS * a : UNKNOWNS * (a + 1)]
-            pressed_guess(mine, slip, problem.cones[a, 1] > 0.0)
-    return guess
-
-
-@kernel
 def split_forces(
-    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, z: Array, basis: Bools,
-    least: Array, pushes: Array,
+    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, least: Array,
+    pushes: Array, allowed: float,
 ) -> ContactForces:  # fmt: skip
     """Return what of impulses is force; what jams is struck at an instant.
 
@@ -547,13 +522,12 @@ def split_forces(
             paradox = pressing(corner, slip, problem.cones[a])
             if paradox and least[a, 0] < 0.0 and not sudden[a]:
                 sudden[a], jammed = True, i + 1
-            clear = ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
+            clear = SUM_ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # The impulses of others decide, too, where there are others.
             off = least[a, 0] > clear and memory.closed[i] and _is_alone(problem.groups, a)
             several = several or (paradox and off)
-    steady, slides = steady_impulses(delassus, least, problem.cones, z, pushes, sudden)
-    relieve(problem.groups, problem.cones, z, pushes, sudden, steady, slides)
-    return ContactForces(z, basis, least, pushes, steady, slides, several, jammed)
+    steady, slides = steady_impulses(problem, least, pushes, allowed)
+    return ContactForces(least, pushes, steady, slides, several, jammed)
 
 
 @kernel
@@ -627,8 +601,7 @@ def write_modes(
     used_at = scene.size + scene.joints + 2 * len(scene.cones)
     for a in range(m):
         i = problem.which[a]
-        for u in range(UNKNOWNS):
-            memory.bases[i, u] = answer.basis[UNKNOWNS * a + u]
+        put(pushes[a], memory.pushes[i])
         slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
         memory.slid[i] = slip != 0.0
         if is_coupling(scene, i):
@@ -653,8 +626,9 @@ def write_modes(
             chunk.approach[k] = max(chunk.approach[k], falling)
         memory.closed[i] = pressed and not problem.rebounds[a]
         if memory.closed[i]:
-            sliding = answer.z[UNKNOWNS * a + 3] > 0.0 and slip != 0.0
-            chunk.codes[k, i] = mode_of_impulse(pushes[a], slip, sliding, cones[a], directed)
+            chunk.codes[k, i] = mode_of_impulse(
+                pushes[a], slip, is_sliding(problem, answer.least, pushes, a), cones[a], directed
+            )
         if steady[a, 0] > 0.0:
             modes[a] = mode_of_impulse(steady[a], slip, answer.slides[a], cones[a], directed)
         elif not pressed and velocity_after(problem.delassus, answer.least, steady, a, 0) == 0.0:
@@ -712,23 +686,37 @@ def order_decides(scene: StepConstants, problem: ContactProblem, k: int, chunk: 
 
 
 @kernel
+def shared_impulses(
+    scene: StepConstants, problem: ContactProblem, least: Array, pushes: Array
+) -> Array:
+    """Return impulses (m, 2), shared out by all that touch where the motion leaves them open."""
+    m = len(pushes)
+    if m < 2 or problem.apart.any():
+        return pushes
+    modes = np.full(m, FREE)
+    for a in range(m):
+        slip = velocity_after(problem.delassus, least, pushes, a, 1)
+        sliding = slip != 0.0
+        if pushes[a, 0] > 0.0:
+            sliding = is_sliding(problem, least, pushes, a)
+        elif velocity_after(problem.delassus, least, pushes, a, 0) != 0.0:
+            continue
+        directed = scene.slips[problem.which[a]] == 2
+        modes[a] = mode_of_impulse(pushes[a], slip, sliding, problem.cones[a], directed)
+    return shared_forces(modes, problem.cones, problem.jacobians, pushes)[1]
+
+
+@kernel
 def share_forces(
-    memory: ContactMemory, tape: TapeValues, problem: ContactProblem, modes: Ints, steady: Array,
-    k: int, chunk: Chunk,
+    memory: ContactMemory, problem: ContactProblem, modes: Ints, steady: Array, k: int,
+    chunk: Chunk,
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""
-    m, n = len(problem.which), tape.size
+    m, struck = len(problem.which), problem.sudden.any()
     # Compliant contacts share a load by their depths.
     if m < 2 or problem.yields.any():
         return steady
-    reach, struck = np.empty((m, 2, n)), False
-    for a in range(m):
-        row = tape.first + tape.per * problem.which[a]
-        struck = struck or problem.sudden[a]
-        for d in range(2):
-            for j in range(n):
-                reach[a, d, j] = tape.numbers[row + d * n + j]
-    alike, result = shared_forces(modes, problem.cones, reach, steady)
+    alike, result = shared_forces(modes, problem.cones, problem.jacobians, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]

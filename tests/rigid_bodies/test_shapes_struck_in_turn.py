@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from contacts.solvers.step_impulses import LONGEST_SEQUENCE
+from contacts.solvers.impact_sequence import LONGEST_SEQUENCE
 from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import interpret
 from statechart.running.runner import Runner
