@@ -453,11 +453,11 @@ def _laws(scene: Scene, owners: Sequence[str], number: _Number) -> tuple[Ints, I
     materials = []
     for law, collision in enumerate(scene.collisions.values()):
         static, kinetic = (edge(number(text)) for text in coefficients(collision.friction))
-        others = (
+        compliance = (
             number(0 if text is None else text)
             for text in (collision.stiffness, collision.damping, collision.rolling_resistance)
         )
-        materials.append((*static, number(collision.restitution or 0), *kinetic, *others))
+        materials.append((*static, number(collision.restitution or 0), *kinetic, *compliance))
         members = [kinds[owner] for owner in collision.bodies]
         others = [len(kinds) + surfaces.index(name) for name in collision.surfaces]
         for one in members:

@@ -129,7 +129,7 @@ def test_a_rope_rebounds_by_its_restitution():
 
 
 def test_a_rod_is_a_pendulum():
-    """From the horizontal: sqrt(2 g) at the lowest point, after K(1/2)/sqrt(g)."""
+    """From the horizontal: sqrt(2 g) at the lowest point, after K(1/2)/sqrt(g) = 0.59196 s."""
     quarter = float(ellipk(0.5)) / math.sqrt(G)
     for step in (2e-3, 5e-4):
         outputs = run(
@@ -140,14 +140,14 @@ def test_a_rod_is_a_pendulum():
                 "T": "maximum: held.T",
                 "x": "value: bar.x",
             },
-            quarter,
+            0.592,
             {"x": 1},
             step=step,
         ).outputs
         assert outputs["speed"] == pytest.approx(math.sqrt(2 * G), rel=2 * step)
         assert outputs["T"] == pytest.approx(3 * 2 * G, rel=5 * step)
         assert outputs["far"] < 4 * step
-        assert outputs["x"] == pytest.approx(0, abs=5 * step)
+        assert outputs["x"] == pytest.approx((quarter - 0.592) * math.sqrt(2 * G), abs=step)
 
 
 def test_a_rod_pendulum_keeps_its_energy():
