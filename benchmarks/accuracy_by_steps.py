@@ -174,7 +174,7 @@ SCENES: dict[str, tuple[str, Draw]] = {
 
 @dataclass(frozen=True)
 class Judgement:
-    """What became of a request: delivered, refused, missed (by more than asked) or unjudged."""
+    """Verdict on a request: delivered, refused, missed (by more than requested) or unjudged."""
 
     verdict: str
     error: float = math.nan

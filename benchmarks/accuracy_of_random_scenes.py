@@ -117,7 +117,7 @@ SCENES: dict[str, tuple[str, Draw]] = {
 
 @dataclass(frozen=True)
 class Judgement:
-    """What became of one request: verdict is delivered, refused, missed or unjudged."""
+    """Verdict on a request: delivered, refused, missed or unjudged."""
 
     scene: str
     parameters: dict[str, float]

@@ -127,7 +127,7 @@ def judged(
 
 
 def cost(scene: str, parameters: dict[str, float], engine: str, accuracy: float) -> float | None:
-    """What an answer costs, in coarsest single runs that deliver it."""
+    """Cost of an answer, in units of the coarsest single run that delivers it."""
     asked = runner(scene, engine, accuracy=accuracy)
     asked.run(parameters, throw=False)
     _, seconds = timed(lambda: asked.run(parameters, throw=False))

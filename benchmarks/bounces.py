@@ -1,4 +1,4 @@
-"""What a run of a million bounces takes: time for each event, early and late, and memory.
+"""Cost of a million bounces: time for each event, early and late, and memory.
 
 `bouncing_ball` that loses nothing, in one process; its trace is kept whole, what memory does not
 hold in a file. Times are CPU seconds of the process.

@@ -1,4 +1,4 @@
-"""What first runs cost: whole processes of the command line with empty caches, and warm ones.
+"""Cost of first runs: whole processes of the command line with empty caches, and warm ones.
 
 Times are CPU seconds of the process and its children, which a busy machine changes less than wall
 time. Cold: numba and heyoka begin with empty caches for every line. In turn: the models one after

@@ -1,4 +1,4 @@
-"""What it costs to look at every step for what it missed, and to prove that it missed nothing.
+"""Cost of checking every step for missed events, and of proving that none was missed.
 
     python benchmarks/cost_of_looking.py [MODELS]
 

@@ -1,4 +1,4 @@
-"""What an event costs in a chart of three levels, two regions and a history, and in a flat one.
+"""Cost of an event in a chart of three levels, two regions and a history, and in a flat one.
 
 The flat chart has the same states written out by hand, with the same guards in the same order. Both
 run in one process, in turn; given is the median over the runs of time per jump.

@@ -1,4 +1,4 @@
-"""What declaring many contacts costs: time and memory of a run that visits three or four modes.
+"""Cost of declaring many contacts: time and memory of a run that visits three or four modes.
 
 A bar with N points that may touch the ground falls on one end: on a flat floor, where the end
 slides back and then forth, and on hills. The product has 4**N modes. Every run is a process of its

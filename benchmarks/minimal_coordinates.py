@@ -1,4 +1,4 @@
-"""What minimal coordinates save: microseconds a step of a mode, milliseconds a run of 20 s.
+"""Savings by minimal coordinates: microseconds a step of a mode, milliseconds a run of 20 s.
 
     python benchmarks/minimal_coordinates.py
 

@@ -1,4 +1,4 @@
-"""How large the page of every shipped model is, and when it can be used in a real Chromium.
+"""Size of the page of every shipped model, and its loading time in a real Chromium.
 
     python benchmarks/pages.py [MODEL ...]
 

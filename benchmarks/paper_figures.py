@@ -92,7 +92,7 @@ def figures_8_and_9(run: Runs) -> tuple[Figure, Figure]:
 
 
 def figure_10(run: Runs) -> Figure:
-    """Which way the stick slips first, over friction and moment of inertia."""
+    """Direction of the stick's first slip, over friction and moment of inertia."""
     frictions, inertias = GRID
     found = np.array([[run(mu=mu, I_G=i)["first"] for mu in frictions] for i in inertias])
     figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")

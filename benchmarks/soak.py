@@ -93,7 +93,7 @@ def motion(random: np.random.Generator, height: float) -> dict[str, float]:
 
 
 def explained(outcome: str, message: str) -> bool:
-    """Whether a run ended where it should.
+    """Return whether a run ended where it should.
 
     At a dead point the constraints of the contacts that the message names have become dependent
     (`contacts.impacts.jamming.dead_point` has tested the rank there): the paths that the contacts
@@ -286,7 +286,7 @@ class Running:
 
 
 class Tally:
-    """What was seen; read from the log of an interrupted soak, and added to it run by run."""
+    """Counts of a soak test; read from the log of an interrupted one, and continued run by run."""
 
     def __init__(self, log: Path | None) -> None:
         self.runs: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""What sweeps cost: runs a second, the time of a map, and what a second process is worth.
+"""Cost of sweeps: runs a second, the time of a map, and the gain by a second process.
 
     python benchmarks/sweeps.py
 

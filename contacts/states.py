@@ -114,9 +114,9 @@ STATES = {
 """Number of a mode of a region to its state."""
 
 
-def undetermined(names: Iterable[str], shown: str = "the smallest are shown") -> str:
+def undetermined(names: Iterable[str]) -> str:
     """Return the warning of contacts whose forces the motion leaves open."""
-    return f"the forces of {', '.join(names)} are indeterminate: {shown}"
+    return f"the forces of {', '.join(names)} are indeterminate: the smallest are shown"
 
 
 def implied_joints(names: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""How Sphinx makes the site of these pages.
+"""Sphinx configuration of the site.
 
     sphinx-build -W docs build/site
 

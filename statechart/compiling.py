@@ -62,7 +62,7 @@ def announce(say: Say | None) -> None:
 
 
 def announced() -> bool:
-    """Whether compilations are reported."""
+    """Return whether compilations are reported."""
     return _now.say is not None
 
 

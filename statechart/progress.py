@@ -36,7 +36,7 @@ class Bar:
 
 
 def possible() -> bool:
-    """Whether there is a terminal for a bar."""
+    """Return whether stderr is a terminal on which a progress bar can be drawn."""
     return sys.stderr.isatty()
 
 

@@ -47,7 +47,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ModelFile 
 
 
 def _is_model(path: Path) -> bool:
-    """Whether a file says that it is a model: others in YAML are left alone."""
+    """Return whether a YAML file declares that it is a model."""
     from statechart.documents.files import read_bounded
     from statechart.documents.yaml_reader import MAX_BYTES
     from statechart.errors import DeclarationError

@@ -1,4 +1,4 @@
-"""How hard Hypothesis tries: the same few examples every time, or many that are new.
+"""Profiles of Hypothesis: the same few examples every time, or many new ones.
 
 The suite runs the first, so that what it says does not depend on luck; the second is for developers
 (``pytest --hypothesis-profile=explore``).

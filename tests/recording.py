@@ -1,4 +1,4 @@
-"""What the shipped models give, engine by engine and verb by verb, as it was recorded.
+"""Recorded results of the shipped models, engine by engine and verb by verb.
 
 ``python tests/recording.py`` writes the records anew: only when a difference is meant, and
 explained where it is committed.

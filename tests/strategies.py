@@ -1,4 +1,4 @@
-"""What tests draw at random, and how often."""
+"""Random draws of tests, and their numbers."""
 
 from __future__ import annotations
 

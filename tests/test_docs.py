@@ -1,4 +1,4 @@
-"""What the pages for those who carry on name is there."""
+"""Documentation for developers: files, modules and names on its pages exist."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the README shows is what happens."""
+"""The README: its commands run and print the output shown."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def _if_near(circles: Array, b: int, c: int, found: int, pairs: Ints) -> int:
 
 @kernel
 def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> bool:
-    """Whether all that bodies reach is within the circles of the listed pairs."""
+    """Return whether the reach of every body lies within the circles of the listed pairs."""
     for b in range(len(sizes)):
         x, y = centres[b, 0] - circles[b, 0], centres[b, 1] - circles[b, 1]
         left = circles[b, 2] - sizes[b] - reach[b]

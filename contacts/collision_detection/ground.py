@@ -78,7 +78,7 @@ def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float
 def is_far(
     surfaces: SurfaceNumbers, ground: Ground, mid: Midpoint, p: int, s: int, size: float
 ) -> bool:
-    """Whether a piece is out of the reach of a surface that stands still."""
+    """Return whether a convex shape is out of reach of a surface at rest."""
     if surfaces.carriers[s] >= 0 or surfaces.moves[s]:
         return False
     x, y = mid.centres[p, 0], mid.centres[p, 1]

@@ -332,7 +332,7 @@ def bent_on(
 
 @kernel
 def held(joints: JointNumbers, one: int, other: int) -> bool:
-    """Whether a joint holds two bodies together, which then do not touch."""
+    """Return whether a joint holds two bodies together, which then do not touch."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]
         if joints.passes[joints.owners[j]] and not joints.on[joints.owners[j]]:

@@ -166,7 +166,7 @@ def hits_turning(
     until: float,
     aside: Array,
 ) -> bool:
-    """Whether bodies that turn much, and are not beside each other, touch until then."""
+    """Return whether two quickly turning bodies that are apart touch before the given time."""
     return _touch(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
 
 

@@ -191,8 +191,8 @@ class SceneNumbers:
         for (name, place), lever in zip(self.inertias, levers.tolist(), strict=True):
             if place is not None and 0.0 < values[place] < POINT_MASS * lever:
                 warnings.append(
-                    f"the inertia of {name!r}, {values[place]:g}, is below {POINT_MASS:g} of "
-                    "its mass times arm squared; the run takes it for a point mass"
+                    f"body {name!r} is run as a point mass: its inertia, {values[place]:g}, is "
+                    f"below {POINT_MASS:g} of its mass times arm squared"
                 )
                 values = values.copy()
                 values[place] = 0.0

@@ -89,10 +89,10 @@ def check_start(
         rope = isinstance(surface, Reach)
         joint = law.name if rope else law.name.rpartition("_")[0]
         raise DeclarationProblem(
-            f"rope {joint!r} is {-gap:.6g} too short for the start"
+            f"rope {joint!r} is {-gap:.6g} shorter than the distance of its ends at the start"
             if rope
-            else f"joint {joint!r} starts beyond a limit of its angle",
-            advice=f"change the start, or {'its length' if rope else 'the limits'}",
+            else f"joint {joint!r} starts {-gap:.6g} rad beyond a limit of its angle",
+            advice=f"change the start, or {'the length' if rope else 'the limits'}",
             loc=("joints", joint),
         )
     if gap < -depth:

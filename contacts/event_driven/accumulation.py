@@ -110,7 +110,7 @@ def closed_at_once(
 
 
 def _pushed_aside(key: Key, snapshot: Snapshot, state: Array, setup: SceneSetup) -> bool:
-    """Whether closing the gaps of `key` would move a contact along its surface.
+    """Return whether closing the gaps of `key` would move a contact along its surface.
 
     What comes down closes the gap by itself in the time left, and no light body below makes way.
     """

@@ -93,7 +93,7 @@ def corrected(
 
 
 def opens_in_vain(setup: SceneSetup, snapshot: Snapshot, closed: Sequence[bool]) -> bool:
-    """Whether contacts open, and none of them leaves the tolerance of its gap.
+    """Return whether contacts open, but none of them leaves the tolerance of its gap.
 
     Impacts in turn, each of which opens another contact, go on for ever there once they take no
     more energy than gaps get that are brought back onto their surfaces.
@@ -180,7 +180,7 @@ def _falling(setup: SceneSetup, snapshot: Snapshot, lying: Sequence[bool]) -> Ar
 def stands_for_bounces(
     rests: Collection[int], resolved: Snapshot, plastic: Snapshot, closed: Sequence[bool]
 ) -> bool:
-    """Whether plastic contacts take no more than their bounces from the impact.
+    """Return whether plastic contacts take no more than their bounces from the impact.
 
     Balls in a row pass a blow on through contacts that hardly open: what a rebound of next to
     nothing ends there is no bounce, and a plastic contact would keep the blow.

@@ -83,7 +83,7 @@ def _along(
 
 @kernel
 def _guided(jacobian: Array) -> bool:
-    """Whether the point can move along its normal alone: then friction has nothing to hold."""
+    """Return whether the point can move along its normal only, so that friction has no effect."""
     for i in range(jacobian.shape[1]):
         if abs(jacobian[1, i]) > _PATH_ROUND_OFF * abs(jacobian[0, i]):
             return False

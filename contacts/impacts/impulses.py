@@ -497,7 +497,7 @@ def _motion(problem: ImpactProblem, change: Array) -> tuple[Array, Array, float]
 
 
 def _same_motion(problem: ImpactProblem, one: Impulses, other: Impulses) -> bool:
-    """Whether the contacts, whose impulses are all that moves the bodies, move alike."""
+    """Return whether two solutions for the impulses give the same velocities."""
     after, terms, _ = _motion(problem, one.change)
     beside, sizes, _ = _motion(problem, other.change)
     return bool((np.abs(after - beside) <= _SAME_IMPULSE * (terms + sizes)).all())

@@ -51,8 +51,9 @@ class Paradox:
 
     def __str__(self) -> str:
         return (
-            f"Painleve: sliding of {self.contact} is {self.kind}: p = {self.p:.6g}, free normal "
-            f"acceleration {self.b:.6g}, mu = {self.mu:.6g}, critical mu = {self.critical:.6g}"
+            f"sliding of {self.contact} is {self.kind} (Painleve's paradox: mu = {self.mu:.6g}, "
+            f"critical mu = {self.critical:.6g}, p = {self.p:.6g}, free normal acceleration "
+            f"{self.b:.6g})"
         )
 
 
@@ -190,7 +191,7 @@ def unbounded(
     for group in groups(snapshot, struck(laws, closed)):
         paradox = found.get(group[0])
         if len(group) == 1 and paradox is not None and paradox.b < 0.0:
-            why = f"the force of {paradox.contact} grows without bound; {paradox}"
+            why = f"the force of {paradox.contact} grows without bound: {paradox}"
             return Jam(why, tuple(group), _sliding(snapshot, laws, group, still_below))
     return None
 
@@ -218,7 +219,7 @@ def without_collision(
         found = _at_once(snapshot, laws, places)
         if found is None:
             names = ", ".join(laws[i].name for i in places)
-            raise NoConsistentMode(f"no impulse resolves the jam of {names}")
+            raise NoConsistentMode(f"no impulse ends the jam of {names} (Painleve's paradox)")
         impulses, unknown = found.impulses, found.indeterminate
         velocity = snapshot.velocity + found.change
         path = "plastic " + ", ".join(f"{laws[i].name}:{found.states[i]}" for i in places)

@@ -123,7 +123,7 @@ def _single_impact(snapshot: Snapshot, laws: Sequence[ContactLaw], place: int) -
 
 
 def _raises(contact: PerContact, result: Impact, change: Array) -> bool:
-    """Whether the impulse does work on the bodies, beyond rounding."""
+    """Return whether the impulse increases the kinetic energy beyond round-off."""
     normal, tangential = (contact.jacobian @ change).tolist()
     work = result.normal * (contact.gap_rate + 0.5 * normal)
     work += result.tangential * (contact.slip + 0.5 * tangential)

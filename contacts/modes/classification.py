@@ -76,7 +76,7 @@ SINGULAR = "its equations do not determine the motion"
 OPEN_LOAD = "how the contacts share the load changes the motion"
 """Why a mode is undetermined that more than geometry leaves open: feet of different friction."""
 _UNSOLVED = {
-    CONTRADICTORY: "its contacts cannot move like that together",
+    CONTRADICTORY: "its contacts cannot move together like that",
     UNDETERMINED: OPEN_LOAD,
 }
 _DETERMINED = (SOLVED, REDUNDANT)
@@ -232,7 +232,7 @@ def _explain(
 
 
 def _within(code: Ints, other: Ints) -> bool:
-    """Whether what every contact may bear in one mode it may bear in the other."""
+    """Return whether the forces of every contact in one mode are allowed in the other."""
     return bool(((code == other) | (code == FREE) | (other == PIN) | (other == LOCKED)).all())
 
 
@@ -265,7 +265,7 @@ def _combinations(
 def same_motion(
     one: Candidate, other: Candidate, scales: Scales, tolerance: float = _SAME_MOTION
 ) -> bool:
-    """Whether two candidates move the bodies alike."""
+    """Return whether two candidate modes give the same accelerations."""
     size = max(scales.acceleration, float(np.abs(other.accelerations).max()))
     difference = np.abs(one.accelerations - other.accelerations).max()
     return bool(difference <= tolerance * size)
@@ -392,7 +392,7 @@ _MAX_COMBINATIONS = 64
 def _doubted(
     codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
 ) -> bool:
-    """Whether a mode in which a contact comes to rest is close to the bounds of its forces."""
+    """Return whether a mode in which a contact comes to rest is close to a bound of its forces."""
     for k in range(codes.shape[0]):
         if abs(verdicts[k, 0]) <= doubtful:
             for c in range(codes.shape[1]):
@@ -557,7 +557,7 @@ class ForceUncertainty(NamedTuple):
         return None
 
     def _passed(self, case: Case, one: Candidate) -> bool:
-        """Whether a mode is broken by a force that has just passed its bound."""
+        """Return whether a mode is broken by a force that has just passed its bound."""
         fell = [*self.fell]
         if not fell:
             return False
@@ -600,9 +600,11 @@ _NEARLY = 0.1
 _GOES_ON = 1e-3
 # Of a contact's normal: what joints leave of it below this is rounding.
 _IMPLIED = 1e-10
+# Rejected modes that a message lists.
+_MAX_LISTED = 6
 _UNCHECKED = (
-    f"where more than {_ENUMERATED} contacts touch, Lemke's algorithm finds the mode: "
-    "uniqueness not checked"
+    f"more than {_ENUMERATED} contacts touch: Lemke's algorithm finds a mode, and does not check "
+    "that it is the only one"
 )
 
 
@@ -617,6 +619,15 @@ def _verdicts(case: Case, tried: Iterable[Candidate], taken: Candidate | None) -
         }
         found[_label(laws, taken.states)] = "taken" + coefficients(taken.states)
     return found
+
+
+def _listed(refused: Mapping[str, str]) -> Iterator[str]:
+    """Yield candidate modes with the reason against each; of many the first, and their number."""
+    for label, why in [*refused.items()][:_MAX_LISTED]:
+        contact = f"{label.partition(':')[0]}: "
+        yield f"{label} fails, {why.removeprefix(contact) if ' ' not in label else why}"
+    if len(refused) > _MAX_LISTED:
+        yield f"{len(refused) - _MAX_LISTED} more modes fail"
 
 
 def _coefficients(case: Case) -> Callable[[Sequence[str]], str]:
@@ -705,14 +716,11 @@ def choose(
                 "root or a quotient without a value there"
             )
         refused = _verdicts(case, tried, None)
-        only = "only modes that Lemke's algorithm ends in were tried" if many else ""
-        words = (
-            "no mode of the contacts agrees with the state",
-            *(f"{label}: {why}" for label, why in refused.items()),
-            only,
-            *_advice(laws, closed, tried),
-        )
-        raise NoConsistentMode("; ".join(filter(None, words)), considered=refused)
+        only = "Lemke's algorithm tried only these modes" if many else ""
+        why = "; ".join(filter(None, (*_listed(refused), only)))
+        message = f"no mode of the contacts agrees with the state: {why}"
+        advice = "; ".join(_advice(laws, closed, tried))
+        raise NoConsistentMode(". ".join(filter(None, (message, advice))), considered=refused)
     taken, warning = _rivals(_continuing(agreeing, tried, case, before), case, before)
     doubted = None if many or uncertainty is None else uncertainty.sticking(case, options, taken)
     if doubted is not None:
@@ -726,8 +734,8 @@ def choose(
     notes += _carried(snapshot, laws, closed, taken.states)
     if uncertainty is not None and doubted is not None:
         notes += tuple(
-            f"{law.name} comes to rest where that takes just the force that friction gives, as far "
-            "as the tolerance tells: it sticks, and might slip on"
+            f"{law.name} comes to rest with its friction at the bound, within the tolerance: it "
+            "sticks, and might slip on at a smaller tolerance"
             for law, state, was in zip(laws, taken.states, uncertainty.sure, strict=True)
             if _comes_to_rest(state, was)
         )
@@ -770,7 +778,9 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
     for one in clear:
         if one.share is not None and one.states == before.mode:
             return _without_new_loads(one, clear, case, before.bearing)
-    taken = min(clear or agreeing, key=openness)
+    # What static friction holds does not begin to slip because something else does.
+    held = [c for c in clear if not any(_held(d, c, case) > _held(c, d, case) for d in clear)]
+    taken = min(held or clear or agreeing, key=openness)
     # On the edge of its inequalities (a massless body that needs no force) it is no rival.
     sure = [c for c in agreeing if c.violation < -tie] if taken.violation < -tie else []
     others = [
@@ -794,7 +804,7 @@ def _rivals(agreeing: Sequence[Candidate], case: Case, before: Before) -> tuple[
         )
     ]
     if not opened:
-        raise AmbiguousMode(f"several modes agree with the state and move it apart: {labels}")
+        raise AmbiguousMode(f"several modes agree with the state and move it differently: {labels}")
     # Painleve's indeterminate case: contact could also hold, at a force without cause, and a
     # mode agrees without it whatever else lifts off.
     bearing = [_bearing(c) for c in opened]
@@ -845,8 +855,8 @@ def _without_new_loads(
         return one, ""
     names = ", ".join(case.laws[i].name for i in sorted(both))
     return one, (
-        f"indeterminate: {names} may press on each other by any force; the smallest forces have "
-        "them do so from now on, and friction may hold what would slip if nothing but loads pressed"
+        f"indeterminate: {names} may be wedged against each other by any force; the run takes the "
+        "smallest forces, and their friction may hold the body"
     )
 
 
@@ -861,9 +871,8 @@ def _advice(
     ]
     if rough:
         yield (
-            f"{', '.join(rough)} may not slip, and that can take a force that no surface gives: "
-            "let go, the point would accelerate into the surface (McGeer's paradox); "
-            "list slide among the modes, with a friction"
+            f"Add slide, with a friction, to the modes of {', '.join(rough)}: a point that may not "
+            "slip can need a force that pulls (McGeer's paradox)"
         )
     unlisted = False
     for law, shut in zip(laws, closed, strict=True):
@@ -872,9 +881,9 @@ def _advice(
         lacks = [kind for kind in wanted if kind not in kinds]
         if shut and lacks and law.name not in rough and not law.coupling:
             unlisted = True
-            yield f"{law.name} does not list {', '.join(lacks)} among its modes: add what it needs"
+            yield f"{law.name} has no {' and no '.join(lacks)} among its modes: add it"
     if not unlisted and any(c.undetermined == SINGULAR for c in tried):
-        yield "what no contact holds has no mass or inertia of its own: give it some"
+        yield "a body that no contact holds has no mass or no inertia: add it"
 
 
 def _bearing(candidate: Candidate) -> frozenset[int]:
@@ -882,7 +891,7 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
 
 
 def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
-    """Whether the mode taken is one of several that leave out contacts of a mode left open."""
+    """Return whether the chosen mode opens contacts that a rejected mode would keep closed."""
     if other.undetermined != OPEN_LOAD:
         return False
     pairs = zip(taken.states, other.states, closed, strict=True)
@@ -913,8 +922,8 @@ def _carried(
     if not names:
         return ()
     return (
-        f"joints hold {', '.join(names)} closed: they are taken to bear all of the load, and no "
-        "friction acts there",
+        f"joints hold {', '.join(names)} closed, so that the normal force is undetermined: the "
+        "run lets joints bear all of it, without friction there",
     )
 
 

@@ -61,7 +61,7 @@ _MOST_MODES = 4096
 
 @dataclass(frozen=True)
 class ModeVerdict:
-    """Whether a mode is kinematically possible."""
+    """Kinematic feasibility of a mode."""
 
     states: tuple[str, ...]  # Per contact
     feasible: bool

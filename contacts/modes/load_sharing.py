@@ -2,10 +2,11 @@
 
 Of all forces in the cones that explain a motion, the smallest ``sum V^2 + H^2`` are unique, and of
 a simple form: every contact bears the projection on its cone of ``w = J y``, what equal springs
-would bear if the bodies were displaced by y. On which part of its cone each contact is, is its
-*zone*; as long as no zone changes, y and all forces follow from linear equations, so that a flow
-can carry them. A zone that changes is no change of mode: other forces explain the motion then. Only
-where no forces in the cones do, the mode ends.
+would bear if the bodies were displaced by y; the cone of a locked coupling is the interval up to
+its limit. On which part of its cone each contact is, is its *zone*; as long as no zone changes, y
+and all forces follow from linear equations, so that a flow can carry them. A zone that changes is
+no change of mode: other forces explain the motion then. Only where no forces in the cones do, the
+mode ends.
 """
 
 from __future__ import annotations
@@ -89,8 +90,7 @@ def share(
     The modes `code` (c,) are numbered as in `contacts.states`; `forces` explain the motion, in
     their `cones` or not. Forces as small as `inward` inside the cones are added when zones are
     looked for: on the boundary of what can be explained the zones then still determine the forces.
-    Locked couplings bear as contacts inside their cones; `loaded_by` are the carriers of
-    `solve_modes`.
+    `loaded_by` are the carriers of `solve_modes`.
     """
     limits, cones = cones, cones.copy()
     couplings = np.flatnonzero([is_coupling(c) for c in code.tolist()])
@@ -104,8 +104,14 @@ def share(
     coordinates = np.sort(chosen[:reach])
     # A slide without friction is one along the edge (1, 0).
     smooth = code[shared] == SLIDE
+    # Of a locked coupling the limit bounds the couple.
+    most = np.full(len(shared), np.inf)
+    for k, i in enumerate(shared.tolist()):
+        if code[i] == LOCKED:
+            carrier = forces[loaded_by[i], 0] if loaded_by[i] >= 0 else 1.0
+            most[k] = limits[i, 0] * carrier
     problem = (
-        np.where(smooth[:, None], [1.0, 0.0], cones[shared]),
+        np.column_stack([np.where(smooth[:, None], [1.0, 0.0], cones[shared]), most]),
         np.array([_SLIDING.get(mode, 1.0) for mode in code[shared].tolist()]),
         np.ascontiguousarray(jacobians[shared][:, :, coordinates]),
         load[coordinates],

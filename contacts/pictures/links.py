@@ -116,7 +116,7 @@ class Links:
         return states
 
     def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
-        """Whether what is at rest is pulled the more the longer the line is."""
+        """Return whether the static force grows with the length of the line (a spring)."""
         pull, length = _along(self.tried(terms, self._at_rest()))
         rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
@@ -128,7 +128,7 @@ class Links:
         return bool((rise > _FOLLOWS * np.abs(pull).max() * square).any())
 
     def _damped(self, terms: Sequence[sp.Expr]) -> bool:
-        """Whether motion alone makes forces that take its energy."""
+        """Return whether velocities alone give forces that dissipate energy."""
         states, count = self._states(), len(self._mechanics.q)
         still, moving = self.tried(terms, self._at_rest()), self.tried(terms, states)
         states[:, :count] += _MOVED * states[:, count : 2 * count]
@@ -186,7 +186,7 @@ def _along(values: Array) -> tuple[Array, Array]:
 
 
 def _off(values: Array) -> bool:
-    """Whether a force is not along its line; `values` as for `_along`."""
+    """Return whether a force is not along its line; `values` as for `_along`."""
     force, way = values[:, :2], values[:, 2:]
     across = force[:, 0] * way[:, 1] - force[:, 1] * way[:, 0]
     return bool((np.abs(across) > SAME * np.hypot(*force.T) * np.hypot(*way.T)).any())

@@ -154,7 +154,7 @@ class SceneStage:
 
     @cached_property
     def _touching(self) -> dict[str, Tape]:
-        """Of every contact its point, in the world, and the normal of the surface there."""
+        """Point and surface normal of every contact, in world coordinates."""
         return {
             name: compiled(self._automaton, [*self._point(name), *self._normal(name)])
             for name in self._scene.contacts

@@ -122,7 +122,7 @@ def _store(
 
 @kernel
 def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
-    """Whether all that is struck in a step may land, after the middle of the step."""
+    """Return whether every contact struck in a step may close after the middle of the step."""
     found = False
     for i in range(count):
         if active.hit[i]:

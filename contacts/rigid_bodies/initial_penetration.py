@@ -28,7 +28,7 @@ _MOVES = 20
 _CROWD = 20
 # Two deep bodies may be in each other.
 _PAIR = 2
-_NO_ROOM = "no small move takes it out of all that it is in: make room, or start it elsewhere"
+_NO_ROOM = "no small move frees it: start it elsewhere, or move what it is in"
 
 
 Detect = Callable[[BodyNumbers, Array], DetectedContacts]
@@ -72,7 +72,7 @@ def check_apart(
             return 0.0, ()
         return depth, (
             f"bodies start up to {depth:.3g} deep in others or in surfaces ({names[first]!r} in "
-            f"{deepest_of(first)}), as steps leave what has landed: they are kept no deeper",
+            f"{deepest_of(first)}): the run lets them stay as deep, but no deeper",
         )
     # The first body that a move frees, or else the first.
     for b in [*deep][:_MOVES]:
@@ -86,7 +86,7 @@ def check_apart(
         b, where, out = _covered(detect, numbers, names, surfaces, initial, b, deep[b])
     if len(deep) > _PAIR:
         # The number helps a user who moves them one by one.
-        out += f"; {len(deep)} bodies start in something in all, {-min(deep.values()):.3g} at most"
+        out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
         advice=out,
@@ -106,8 +106,8 @@ def _check_places(
         kind = numbers.kinds[b]
         if numbers.laws[kind, kind] >= 0:
             raise DeclarationProblem(
-                f"bodies {names[firsts[b]]!r} and {names[b]!r} start in one place",
-                advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
+                f"bodies {names[firsts[b]]!r} and {names[b]!r} start at the same place",
+                advice=f"write a start that depends on index, {_in_rows(numbers, b)}",
                 loc=("bodies", owners[b], "start"),
             )
 
@@ -142,9 +142,8 @@ def _check_crowd(
     b = int(members[first])
     raise DeclarationProblem(
         f"body {names[b]!r} starts at least {depth:.6g} deep in body {names[members[other]]!r}, "
-        f"and at least {np.count_nonzero(deep)} of {len(members)} bodies start in others of their "
-        "kind",
-        advice=f"let where they start depend on index, {_in_rows(numbers, b)}",
+        f"and at least {np.count_nonzero(deep)} of {len(members)} copies overlap",
+        advice=f"write a start that depends on index, {_in_rows(numbers, b)}",
         loc=("bodies", owners[b], "start"),
     )
 
@@ -285,8 +284,8 @@ def check_inside(
             core = float(numbers.pieces.cores[mine].max(initial=0.0))
             if core > radius:
                 raise DeclarationProblem(
-                    f"body {names[b]!r} reaches {core:.6g} around its centre, and "
-                    f"{name!r}, which it is to move in, has a radius of {radius:.6g}",
+                    f"body {names[b]!r} does not fit into {name!r}: it reaches {core:.6g} around "
+                    f"its centre, and the circle has a radius of {radius:.6g}",
                     advice="make the circle larger, or the body smaller",
                     loc=("bodies", owners[b], "shape"),
                 )
@@ -295,8 +294,8 @@ def check_inside(
         if outside:
             who = "every body" if len(outside) == len(members) else f"body {names[outside[0]]!r}"
             raise DeclarationProblem(
-                f"{who} starts outside of {name!r}, whose solid is around it",
-                advice=f"let bodies start within {radius:.6g} of its centre; to touch a circle "
-                "from outside, leave out hollow",
+                f"{who} starts outside the hollow circle {name!r}",
+                advice=f"start bodies within {radius:.6g} of its centre; to touch a circle "
+                "from outside, remove hollow",
                 loc=("bodies", owners[outside[0]], "start"),
             )

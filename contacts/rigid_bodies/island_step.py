@@ -270,12 +270,11 @@ def ratio_remarks(worst: Array, names: Sequence[str], allowed: float) -> tuple[s
     if ratio * _VELOCITY_ROUND_OFF <= allowed or allowed < _VELOCITY_ROUND_OFF:
         return ()
     reached = max(ratio * _VELOCITY_ROUND_OFF, missed)
-    looser = f", or a tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
+    looser = f", or an impulse_tolerance of {reached:.0e}" if reached < _HOLDS_NOTHING else ""
     return (
-        f"the masses of bodies {names[int(light)]!r} and {names[int(heavy)]!r}, which are pressed "
-        f"together, are 1 to {ratio:.2g}: rounding of the heavy one's impulses moves the light one "
-        f"by more than the tolerance of impulses, {allowed:g}; they miss the contact laws by "
-        f"{missed:.2g} of the fastest approach. Take masses within 1 to "
+        f"bodies {names[int(light)]!r} and {names[int(heavy)]!r} are pressed together, and their "
+        f"masses are 1 to {ratio:.2g}: round-off leaves a residual of {missed:.2g} of the fastest "
+        f"approach, above impulse_tolerance, {allowed:g}. Take masses within 1 to "
         f"{allowed / _VELOCITY_ROUND_OFF:.0e}{looser}",
     )
 

@@ -82,9 +82,9 @@ class Penetration:
         step = _DEEP * h / self._part
         digits = 10.0 ** math.floor(math.log10(step))
         return (
-            f"body {self._names[body]!r} is {depth:.3g} deep in {other} at t = "
-            f"{time:.6g}, with an inner radius of {self._radii[body]:.3g}: it may pass "
-            f"through; take steps of {math.floor(step / digits) * digits:.1g} or less",
+            f"body {self._names[body]!r}, of inner radius {self._radii[body]:.3g}, is {depth:.3g} "
+            f"deep in {other} at t = {time:.6g} and may pass through it; take steps of "
+            f"{math.floor(step / digits) * digits:.1g} or less",
         )
 
 
@@ -210,7 +210,7 @@ class DetectedContacts(NamedTuple):
         return f"body {names[other if one == body else one]!r}"
 
     def is_covered(self, body: int) -> bool:
-        """Whether a body is deeper than all that it touches: in the middle of others' pieces."""
+        """Return whether a body is deeper than any of its contacts, amid the pieces of others."""
         mine = (self.normal.bodies == body).any(axis=1)
         return bool(self.levels[mine].min(initial=math.inf) > self.gaps[body])
 
@@ -374,19 +374,19 @@ class RigidBodyRun(SteppedSystem):
         if self._turned > _TURNED:
             found += (
                 f"bodies that are hit turn by up to {self._turned:.2g} radians in one step of "
-                f"{self._length:g}, in which nothing follows how they touch; take "
+                f"{self._length:g}, too much to follow how they touch; take "
                 f"{_FOLLOWED * self._length / self._turned:.1g} or less",
             )
         found += ratio_remarks(self._workspace.worst, self._names, self._options.allowed)
         found += self._no_ground.remarks
         found += self._penetration.remarks(self._deepest_at)
         if self._parted:
-            open_too = ", or joints would not close" if len(self.numbers.joints.holds) else ""
+            joints = ", or joints would not close" if len(self.numbers.joints.holds) else ""
             found += (
-                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass "
-                "through each other or sink into each other, or turn by more than half a turn"
-                f"{open_too}: they were taken in up to {self._most_parts} parts; with a step of "
-                f"{self._length / self._most_parts:.1g} none needs that",
+                f"in {several(self._parted, 'step')} of {self._length:g} bodies would pass through "
+                f"each other, or turn by more than half a turn{joints}: these were taken in up to "
+                f"{self._most_parts} parts; a step of {self._length / self._most_parts:.1g} needs "
+                "none",
             )
         return found
 
@@ -446,9 +446,9 @@ class RigidBodyRun(SteppedSystem):
         k = int(wrong[0])
         part = float(added[k + 1] / moved[k + 1])
         self._gain_error = StepTooLarge(
-            f"joints have added {part:.2g} of the most energy that bodies have moved with, where "
-            f"they should add none: steps of {chunk.h:g} do not follow how what they pull at "
-            f"swings; take {0.1 * chunk.h / math.sqrt(part):.1g} or less"
+            f"steps of {chunk.h:g} are too long for the joints: these have added {part:.2g} of the "
+            f"largest kinetic energy, and should add none; take "
+            f"{0.1 * chunk.h / math.sqrt(part):.1g} or less"
         )
         return chunk.first(k)
 
@@ -466,7 +466,7 @@ class RigidBodyRun(SteppedSystem):
             raise NoConsistentMode(
                 f"the path of {jumped[0]} jumps, and body {self._names[b]!r} is "
                 f"{-met.gaps[b]:.3g} deep in {other}; write a path that moves there in a time, or "
-                "let a variable flow"
+                "by a variable that has a flow"
             )
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:

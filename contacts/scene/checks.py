@@ -42,10 +42,10 @@ _OF_CONTACTS = ("gap", "slip", "V", "H")
 # Advice on formulas that must not change along a run.
 _MOVED = "a surface that moves has a displacement, or a turn; a hill is a height, a formula of x"
 _SWITCHED = (
-    "it is constant as long as a state lasts: write a control, which states of a region set, with "
-    "transitions where it changes (guard: abs(tip.slip) >= v)"
+    "write a control, which the states of a region set, and transitions where it changes "
+    "(guard: abs(tip.slip) >= v)"
 )
-_PULLED = "write a force on the body, or let the ground move"
+_PULLED = "write a force on the body, or give the ground a displacement"
 _CONSTANT = "write a formula of parameters"
 # Of what forces cannot use of a contact: why, and what to write.
 _PUSH = (
@@ -173,13 +173,13 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
     led = loc[0] in ("surfaces", "joints") and TIME in known
     if led and name in scene.controls and scene.collisions:
         return (
-            "a control changes at an instant, and moves nothing",
-            "let a variable of a region flow, and write that",
+            "a control jumps, and a path must not",
+            "write a variable of a region that has a flow",
         )
     if led and name in {*scene.controls, *scene.controlled.memory}:
         return (
-            "controllers move no joint of what touches by points",
-            f"write a formula of {TIME}, or give bodies shapes, and collisions",
+            "controllers cannot move the joints and surfaces of a scene without collisions",
+            f"write a formula of {TIME}, or give bodies shapes and declare collisions",
         )
     if name == SLIP and loc[0] == "collisions":
         return (
@@ -190,11 +190,11 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
     if loc[0] == "forces" and owner in scene.contacts and quantity in _OF_CONTACTS:
         return _OF_FORCES[quantity][0], _OF_FORCES[quantity][1].format(owner)
     if name == INDEX and loc[-2:-1] == ("start",):
-        return "it is the number of a copy", "say how many there are, beside start: copies: N"
+        return "it is the number of a copy", "add copies: N to the body"
     if name == INDEX and any(body.copies is not None for body in scene.bodies.values()):
         return (
-            "copies are alike but for their start",
-            "declare bodies that differ in more one by one",
+            "copies differ only in their start",
+            "declare bodies that differ in more than that one by one",
         )
     if TIME not in known and name in _changing(scene):
         switched = _is_coefficient(loc)
@@ -320,7 +320,7 @@ def _friction_limits(
                 0.0,
                 math.inf,
                 "the static coefficient {:g} is below the kinetic one at rest, {:g}",
-                "what rests holds at least as much: exchange them, or write one number for both",
+                "exchange them, or write one number for both",
                 (law.static, law.kinetic),
                 slips,
             )
@@ -395,24 +395,24 @@ def check_rim(surface: Surface, loc: Loc) -> None:
     """Check that a disc touches a surface where there is a formula for it."""
     if surface.height is not None and "x" in parse(surface.height).names:
         raise DeclarationProblem(
-            "where a disc touches a height that depends on x there is no formula for",
-            advice="a slope is an incline, or a line; a hill or a valley a circle",
+            "a disc (a contact with a radius) cannot touch a height that depends on x",
+            advice="write a slope as an incline or a line, a hill or a valley as a circle",
             loc=loc,
         )
     if surface.edge is not None:
         raise DeclarationProblem(
-            "a disc touches the ends of an edge too",
-            advice="declare a line and for each end a small circle, each contact enabled on its "
+            "a disc (a contact with a radius) cannot touch an edge, which has ends",
+            advice="declare a line, and for each end a small circle; enable each contact on its "
             "side of the end",
             loc=loc,
         )
 
 
 _SURFACES = (
-    "declare a surface and a contact for each smooth piece: that is all for the higher of them "
-    "(max, abs); for the lower (min) each with enabled: a relation that holds on its side"
+    "declare a surface and a contact for each smooth piece; for min, which is the lower one, add "
+    "enabled: a relation that holds on its side"
 )
-_SMOOTH = "a velocity that jumps takes an impact without cause: write a smooth formula"
+_SMOOTH = "write a smooth formula: a velocity that jumps would be an impact without cause"
 
 
 def check_kinks(scene: SceneFields) -> None:
@@ -438,7 +438,7 @@ def check_kinks(scene: SceneFields) -> None:
         check_named_infinity(text, *loc)
         if scene.collisions and switching(text, changing, ("sign",)):
             raise DeclarationProblem(
-                "sign is not for forces on bodies with shapes: steps cannot hold what it stops",
+                "a force on a body with a shape cannot use sign: a time step would jump past zero",
                 advice="write sat(v/e, -1, 1) with a small speed e",
                 loc=loc,
             )

@@ -175,7 +175,7 @@ def coupling_state(symbols: CouplingSymbols, role: Role) -> State:
         )
         own = State((contact.tangential_acceleration,), margins, holds=(contact.sticking,))
         if isinstance(role.share, Bearing):
-            return share_of(own, contact, 0, role.share, pinned=True)
+            return share_of(own, contact, 0, role.share, pinned=True, limit=static)
         return own
     direction = _DIRECTIONS[role.state]
     return State(

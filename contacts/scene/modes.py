@@ -171,9 +171,14 @@ def shared(
 
 
 def share_of(
-    own: State, contact: ContactSymbols, direction: int, bearing: Bearing, pinned: bool
+    own: State,
+    contact: ContactSymbols,
+    direction: int,
+    bearing: Bearing,
+    pinned: bool,
+    limit: sp.Expr | None = None,
 ) -> State:
-    """Return the state `own` of a contact, or of a coupling (without V), that shares its load."""
+    """Return the state `own` of a contact, or of a coupling with a limit, that shares its load."""
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
@@ -187,12 +192,16 @@ def share_of(
     w, u = (sp.Add(*(row[i] * y[i] for i in places)) for row in contact.jacobian)
     # Along the edge, where there is but one.
     t = t if pinned and zone == "upper" else -t if pinned else -direction * t
-    bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
+    if limit is None:
+        bears, laws, further = _on_cone(contact, zone, (n, t), (w, u), pinned)
+    else:
+        bears, laws, further = _within(contact, zone, limit, u)
     margins = own.margins
     if zone != "inside":
         margins = *(m for m in margins if m.kind == "speed"), *further
     # In the equations of motion: by its normal and tangential force, or along the edge.
-    carriers = {f: sp.Symbol(f"{f}_{contact.V}", real=True) for f in bearing.carriers}
+    own_force = contact.V if limit is None else contact.H
+    carriers = {f: sp.Symbol(f"{f}_{own_force}", real=True) for f in bearing.carriers}
     edge = carriers.get("e", sp.S.Zero)
     by = (carriers.get("n", n * edge), carriers.get("t", t * edge))
     left = (bears[0] - by[0], bears[1] - by[1])
@@ -201,8 +210,8 @@ def share_of(
         for i in places
     }
     carried: dict[sp.Symbol, sp.Expr] = {contact.V: by[0], contact.H: by[1]}
-    if contact.V == 0:
-        del carried[contact.V], laws[contact.V]
+    if limit is not None:
+        del carried[contact.V]
     for joint in bearing.joints:
         # Force of the joint where the contacts share, and where the carriers bear it all.
         force, row = contact.joint_forces[joint], contact.joints[joint]
@@ -248,6 +257,17 @@ def _on_cone(
         away = across if zone == "upper" else -across
         margins.append(Margin(f"{name}.on edge", away, "force"))
     return bears, laws, tuple(margins)
+
+
+def _within(
+    contact: ContactSymbols, zone: str, limit: sp.Expr, spring: sp.Expr
+) -> tuple[tuple[sp.Expr, sp.Expr], dict[sp.Symbol, sp.Expr], tuple[Margin, ...]]:
+    """Return what a locked coupling bears in a zone, the law of that, and its margins."""
+    if zone == "inside":
+        return (contact.V, contact.H), {contact.H: contact.H - spring}, ()
+    side = 1 if zone == "upper" else -1
+    beyond = Margin(f"{contact.name}.at limit", side * spring - limit, "force")
+    return (contact.V, side * limit), {contact.H: contact.H - side * limit}, (beyond,)
 
 
 ContactMode = Annotated[Free | Slide | Pin, Field(discriminator="mode")]

@@ -1,4 +1,4 @@
-"""Whether rows depend on each other: how near to it counts as that, purpose by purpose.
+"""Tests of linear dependence of constraint rows, with one threshold for each purpose.
 
 What is near is a pure number: a part of rows and columns that are brought to a size of 1.
 """

@@ -95,7 +95,7 @@ def _rebounding(
 
 @kernel
 def _pushed(contacts: ContactRows, wanted: Array, rebounds: Bools, i: int) -> bool:
-    """Whether a contact is to be pushed out, or back along its surface."""
+    """Return whether a contact needs a correction out of penetration or along its surface."""
     asked = wanted[i, 0] < 0.0 or wanted[i, 1] != 0.0
     return asked and not rebounds[i] and not slope(contacts.cones[i]) < 0.0
 

@@ -185,7 +185,7 @@ def _made_anew(
 def _lexicographic(
     table: Array, basic: Ints, column_of: Ints, c: int, one: int, other: int
 ) -> bool:
-    """Whether row `one` precedes row `other` when q is perturbed by (eps, eps^2, ...)."""
+    """Return whether row `one` precedes row `other` when q is perturbed by (eps, eps^2, ...)."""
     for k in range(len(basic)):
         column = column_of[k]
         if column >= 0:

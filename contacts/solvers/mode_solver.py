@@ -146,7 +146,7 @@ def _write_rows(
 
 @kernel
 def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
-    """Whether accelerations contradict a constraint that others imply."""
+    """Return whether accelerations contradict a constraint that others imply."""
     terms, missed = scale, -constant
     for i in range(len(row)):
         terms += abs(row[i] * accelerations[i])

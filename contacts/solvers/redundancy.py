@@ -67,7 +67,10 @@ def sharing(codes: Ints, cones: Array, jacobians: Array, rank: int, count: int) 
 def shared_forces(
     codes: Ints, cones: Array, jacobians: Array, forces: Array
 ) -> tuple[Bools, Array]:
-    """Return which contacts can stand in for others, and the smallest forces that act alike."""
+    """Return which contacts can stand in for others, and the smallest forces that act alike.
+
+    In the place of the normal force of a locked coupling is its limit.
+    """
     rows, _ = mode_columns(codes, cones, jacobians, -1)
     rank, _, coordinates = independent(rows)
     if rank == len(rows):
@@ -75,16 +78,18 @@ def shared_forces(
     shared = sharing(codes, cones, jacobians, rank, len(rows))
     which = indices(codes != FREE)
     sliding = np.zeros(len(which))
-    edges = np.empty((len(which), 2))
+    edges = np.full((len(which), 3), np.inf)
     reach = np.empty((len(which), 2, rank))
     load = np.zeros(rank)
     for a in range(len(which)):
         i = which[a]
-        put(cones[i], edges[a])
+        edges[a, 0], edges[a, 1] = cones[i, 0], cones[i, 1]
         if codes[i] == SLIDE:
             # A slide without friction is one along the edge (1, 0).
             edges[a, 0], edges[a, 1] = 1.0, 0.0
-        if codes[i] != PIN:
+        if codes[i] == LOCKED:
+            edges[a, 2] = forces[i, 0]
+        elif codes[i] != PIN:
             sliding[a] = -1.0 if codes[i] == SLIDE_MINUS else 1.0
         for d in range(2):
             for k in range(rank):
@@ -95,7 +100,9 @@ def shared_forces(
         return shared, forces
     result = forces.copy()
     for a in range(len(which)):
-        put(least[a], result[which[a]])
+        result[which[a], 1] = least[a, 1]
+        if codes[which[a]] != LOCKED:
+            result[which[a], 0] = least[a, 0]
     return shared, result
 
 

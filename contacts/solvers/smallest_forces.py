@@ -1,8 +1,9 @@
 """The smallest forces in cones with a given effect: those of equal springs, found by Newton.
 
-The dual problem, ``min |P(J y)|^2 / 2 - load y`` over displacements y, with P the projection on
-the cones, is convex and piecewise quadratic: Newton's method with line search ends in finitely
-many steps where such forces exist, and leaves all bounds where none do.
+The dual problem, ``min w P(w) - |P(w)|^2 / 2 - load y`` over displacements y, with ``w = J y`` and
+P the projection on the cones, is convex and piecewise quadratic: Newton's method with line search
+ends in finitely many steps where such forces exist, and leaves all bounds where none do. A locked
+coupling has no normal force, and an interval instead of a cone: ``|H| <= limit``.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 INSIDE, UPPER, LOWER, APEX = range(4)
-"""Where ``w = J y`` is: inside the cone; off it, nearest to its edge with H > 0, with H < 0; off
-it, nearest to its tip."""
+"""Where ``w = J y`` is: inside the cone or the interval; off it, nearest to its edge or end with
+H > 0, with H < 0; off it, nearest to its tip."""
 
 
 # Where zones do not determine the displacement, it is moved by what is missing over this; where
@@ -31,6 +32,8 @@ _FORCE_ROUND_OFF = 64 * 2.0**-52
 @kernel
 def _zone(w: Array, cone: Array, sliding: float) -> int:
     side = UPPER if w[1] > 0.0 else LOWER
+    if cone[2] < np.inf:
+        return side if abs(w[1]) > cone[2] else INSIDE
     if sliding != 0.0:
         # A slide bears along one edge: against its direction.
         side = LOWER if sliding > 0.0 else UPPER
@@ -46,6 +49,8 @@ def _force(zone: int, w: Array, cone: Array, force: Array) -> None:
     """Project `w` as its zone says."""
     if zone == INSIDE:
         force[0], force[1] = w[0], w[1]
+    elif cone[2] < np.inf:
+        force[0], force[1] = 0.0, cone[2] if zone == UPPER else -cone[2]
     elif zone == APEX:
         force[0] = force[1] = 0.0
     else:
@@ -79,6 +84,8 @@ def _stiffness(reach: Array, zones: Ints, cones: Array) -> Array:
     result = np.zeros((size, size))
     moved, bears = np.empty(2), np.empty(2)
     for g in range(len(reach)):
+        if zones[g] != INSIDE and cones[g, 2] < np.inf:
+            continue
         for k in range(size):
             moved[0], moved[1] = reach[g, 0, k], reach[g, 1, k]
             _force(zones[g], moved, cones[g], bears)
@@ -94,7 +101,10 @@ def _solved(
     """Solve for the forces in given zones, refined on the factors: the stiffness squares them."""
     size = len(load)
     y, step = np.zeros(size), np.empty(size)
-    left = load
+    w[:] = 0.0
+    for g in range(len(reach)):
+        _force(zones[g], w[g], cones[g], forces[g])
+    left = _missing(reach, forces, load)
     for _ in range(3):
         if solve_refined(stiffness.copy(), left.copy(), step) != SOLVED:
             return False
@@ -172,6 +182,10 @@ def _violation(zones: Ints, w: Array, cones: Array, sliding: Array) -> float:
     for g in range(len(zones)):
         n, t = cones[g, 0], cones[g, 1]
         sign = 1.0 if zones[g] == UPPER else -1.0
+        if cones[g, 2] < np.inf:
+            within = cones[g, 2] - (abs(w[g, 1]) if zones[g] == INSIDE else sign * w[g, 1])
+            worst = max(worst, -within if zones[g] == INSIDE else within)
+            continue
         if sliding[g] != 0.0:
             sign = -1.0 if sliding[g] > 0.0 else 1.0
         along = n * w[g, 0] + sign * t * w[g, 1]
@@ -195,14 +209,15 @@ def springs(
 
     Parameters
     ----------
-    cones : (g, 2) array
-        Their unit edges.
+    cones : (g, 3) array
+        Their unit edges; infinity, or the limit of a locked coupling.
     sliding : (g,) array
         0 where all of the cone may be used; +1 or -1 where it is the edge that opposes this slip.
     reach : (g, 2, r) array
     load : (r,) array
     inward : float
-        Forces that sum to this are added inside the cones when zones are looked for.
+        Forces that sum to this are added inside the cones when zones are looked for, and limits
+        are as much larger.
 
     Returns
     -------
@@ -225,8 +240,12 @@ def springs(
             scaled[g, 1, i] *= scale
         right[i] *= scale
         pushed[i] = right[i]
-    zones = np.empty(count, np.int64)
+    zones, wider = np.empty(count, np.int64), cones.copy()
     for g in range(count):
+        wider[g, 2] += inward
+        if cones[g, 2] < np.inf:
+            zones[g] = INSIDE
+            continue
         sign = -sliding[g] if sliding[g] != 0.0 else 0.0
         n, t = (cones[g, 0], sign * cones[g, 1]) if sign != 0.0 else (1.0, 0.0)
         zones[g] = INSIDE if sign == 0.0 else UPPER if sign > 0.0 else LOWER
@@ -240,11 +259,11 @@ def springs(
     for _ in range(_STEPS):
         stiffness = _stiffness(scaled, zones, cones)
         determined = independent(stiffness)[0] == size
-        if determined and _solved(stiffness, zones, cones, scaled, pushed, w, forces):
+        if determined and _solved(stiffness, zones, wider, scaled, pushed, w, forces):
             # Whether the zones that the displacement is in give the same forces.
             missed, largest = 0.0, size_of_load
             for g in range(count):
-                _force(_zone(w[g], cones[g], sliding[g]), w[g], cones[g], own)
+                _force(_zone(w[g], wider[g], sliding[g]), w[g], wider[g], own)
                 for d in range(2):
                     missed = max(missed, abs(own[d] - forces[g, d]))
                     largest = max(largest, abs(w[g, d]))
@@ -255,16 +274,16 @@ def springs(
                 if abs(violation) <= _FORCE_ROUND_OFF * largest:
                     violation = 0.0
                 return True, forces, zones, violation
-        left = _borne(scaled, cones, sliding, pushed, y, w, forces)
+        left = _borne(scaled, wider, sliding, pushed, y, w, forces)
         for i in range(size):
             stiffness[i, i] += _DAMPING
         if solve_refined(stiffness, left.copy(), step) != SOLVED:
             return False, forces, zones, np.inf
-        length = _length(scaled, cones, sliding, pushed, y, step, w, forces)
+        length = _length(scaled, wider, sliding, pushed, y, step, w, forces)
         y += length * step
         _displaced(scaled, y, w)
         if largest_size(y) > _BEYOND * size_of_load:
             return False, forces, zones, np.inf
         for g in range(count):
-            zones[g] = _zone(w[g], cones[g], sliding[g])
+            zones[g] = _zone(w[g], wider[g], sliding[g])
     return False, forces, zones, np.inf

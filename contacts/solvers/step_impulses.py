@@ -263,7 +263,7 @@ def capped(
 
 @kernel
 def of_group(chosen: Bools, groups: Ints, label: int) -> bool:
-    """Whether one of those chosen (m,) is of a group."""
+    """Return whether one of the chosen contacts (m,) belongs to a group."""
     found = False
     for a in range(len(groups)):
         found = found or (chosen[a] and groups[a] == label)

@@ -223,13 +223,7 @@ class Recorder:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Warnings of forces that the motion does not determine, once each."""
-        found = []
-        for key, names in self.indeterminate.items():
-            states = dict(zip(self.regions, key, strict=False))
-            # Steps do not share out the load of locked couplings.
-            locked = any(states[name] == STATES[LOCKED] for name in names)
-            found.append(undetermined(names, *(["one possible share is shown"] * locked)))
-        return tuple(dict.fromkeys(found))
+        return tuple(dict.fromkeys(map(undetermined, self.indeterminate.values())))
 
     def _key(self, row: Ints) -> Key:
         found = self._keys.get(row.tobytes())

@@ -167,7 +167,7 @@ class SteppedScene(SteppedSystem):
 
     @property
     def filled(self) -> bool:
-        """Whether coordinates without an inertia of their own were given one."""
+        """True if coordinates without an inertia of their own were given one."""
         return bool(self._memory.contacts.light[0])
 
     def press(self, closed: Bools) -> None:
@@ -475,12 +475,16 @@ class SceneStepper(Stepper):
         if self._scene.couplings:
             snapshot = SnapshotTape(self._mechanics).at(within.values, within.initial, 0.0)
             check_limits([*self._scene.couplings], snapshot.limits)
-        failing = self._numbers.conditions.at(within, within.initial, 0.0).failing()
         tape = self._tapes.at(self._tapes.initial)
         near = setup.tolerances["gap"]
         closed = max(ROUNDING * setup.scales.length, setup.scales.rounding)
         off = np.zeros(len(setup.contacts), dtype=np.bool_)
         measured = tape.contacts(setup.values, setup.initial)
+        conditions = self._numbers.conditions
+        here = conditions.at(within, within.initial, 0.0)
+        # Both edges of a valley hold a point at the kink.
+        kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()
+        failing = conditions.first(here.kept_on(here.verdicts(), kinks, ()))
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)

@@ -164,9 +164,9 @@ class SteppedTape:
         )
 
     def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
-        """Return gap, gap rate, slip and condition (c, 4) in a state, which may be the start."""
+        """Return gap, its rate, slip and two conditions (c, 5); see `equations.CONTACT`."""
         first = 2 * self.size + 2
-        return self.rows(values, state, time).contacts[:, first : first + 4]
+        return self.rows(values, state, time).contacts[:, first : first + 5]
 
 
 class _Signs:

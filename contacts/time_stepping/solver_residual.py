@@ -21,8 +21,8 @@ from statechart.errors import SimulationError, UnsolvedImpulses
 from statechart.tabular import several
 
 INDETERMINATE = (
-    "a contact may slide as well as lift off: friction presses it into its surface "
-    "(Painleve, indeterminate); another engine or step may choose otherwise"
+    "friction presses a contact into its surface so that it may slide as well as lift off "
+    "(Painleve's paradox, indeterminate): another engine or step may choose the other"
 )
 """What is said where the impulses of a step are not the only ones that the contact laws allow."""
 
@@ -99,9 +99,9 @@ class SolverResidual:
             found += (
                 f"in {several(self._ambiguous, 'step')}, the first at t = {self._first:.6g}, "
                 f"bodies with a restitution of {LIVELY:g} or more are struck in several places at "
-                "once: Moreau's law takes these impacts together, and what passes a blow on does "
-                "not rebound from it; simultaneous: sequential carries them out one after another, "
-                "of points on surfaces with events",
+                "once, and Moreau's law lets a body that passes the blow on not rebound. "
+                "simultaneous: sequential resolves impacts one after another (points on surfaces, "
+                "with events)",
             )
         if self._several:
             found += (
@@ -111,9 +111,9 @@ class SolverResidual:
         if self._unended:
             found += (
                 (
-                    f"in {several(self._unended, 'step')} sequences of impacts did not end (light "
-                    f"bodies between heavy ones): after {LONGEST_SEQUENCE} impacts the approach "
-                    f"was up to {self._left:.3g}, and Moreau's law took the rest together"
+                    f"in {several(self._unended, 'step')} a sequence of impacts did not end (light "
+                    f"bodies between heavy ones): Moreau's law resolved the approach left after "
+                    f"{LONGEST_SEQUENCE} impacts, up to {self._left:.3g}"
                 ),
             )
         if self._missed:

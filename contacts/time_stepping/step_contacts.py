@@ -163,7 +163,7 @@ def velocity_after(compliance: Array, least: Array, impulses: Array, a: int, d: 
 
 @kernel
 def pressing(compliance: Array, slip: float, cone: Array) -> bool:
-    """Whether friction presses a sliding contact into its surface (Painleve's paradox)."""
+    """Return whether friction presses a sliding contact into its surface (Painleve's paradox)."""
     against = -cone[1] if slip > 0.0 else cone[1]
     return slip != 0.0 and compliance[0, 0] * cone[0] + compliance[0, 1] * against <= 0.0
 
@@ -311,7 +311,7 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 @kernel
 def _is_alone(groups: Ints, a: int) -> bool:
-    """Whether a contact is the only one of its group."""
+    """Return whether a contact is the only one of its group."""
     alone = True
     for b in range(len(groups)):
         alone = alone and (b == a or groups[b] != groups[a])
@@ -729,12 +729,6 @@ def share_forces(
             for j in range(n):
                 reach[a, d, j] = tape.numbers[row + d * n + j]
     alike, result = shared_forces(modes, problem.cones, reach, steady)
-    if (modes == LOCKED).any():
-        # How couplings share a load with others is not determined; what these bear stays.
-        others = np.where(modes == LOCKED, FREE, modes)
-        result = steady
-        if not (alike & (modes == LOCKED)).any():
-            _, result = shared_forces(others, problem.cones, reach, steady)
     for a in range(m):
         i = problem.which[a]
         chunk.shared[k, i] = alike[a]

@@ -51,20 +51,20 @@ def too_large(
     k = int(np.argmax(wrong))
     if turn[k] > math.pi:
         return Rejection(k, StepTooLarge(
-            f"a body turns by {turn[k] / math.pi:.3g} half-turns in one step of {h:g}; take "
+            f"a body turns by {turn[k]:.3g} radians in one step of {h:g}; take "
             f"{0.1 * h / turn[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.passed[k] > 0.0:
         return Rejection(k, StepTooLarge(
-            f"something passes through another within one step of {step:g}; take "
+            f"a body passes through another within one step of {step:g}; take "
             f"{0.5 * h * chunk.passed[k]:.1g} or less"
         ))  # fmt: skip
     if chunk.closing[k] <= DEEPEST * size:
         # The added energy goes with the square of the step.
         part = math.sqrt(_MOST_ADDED / chunk.gained[k])
         return Rejection(k, StepTooLarge(
-            f"contacts would add {chunk.gained[k]:.2g} of the energy that they move with in "
-            f"one step of {h:g}, which does not follow how surfaces or bodies turn; take "
+            f"contacts would add {chunk.gained[k]:.2g} of the kinetic energy in one step of "
+            f"{h:g}, in which surfaces or bodies turn too far; take "
             f"{0.1 * h * part:.1g} or less"
         ))  # fmt: skip
     return Rejection(k, StepTooLarge(
@@ -109,9 +109,9 @@ class SqueezeCheck:
             k = int(np.argmax(wrong))
             name = self._name(chunk, k)
             return Rejection(k, UnsolvedImpulses(
-                f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, and "
-                f"they miss the contact laws by {chunk.efforts[k, RESIDUAL]:.2g} of the fastest "
-                "approach; what is led or held leaves it no room, or the masses are too far apart"
+                f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, with "
+                f"a residual of {chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach. A body "
+                "that moves as prescribed may squeeze it, or masses may differ too much"
             ), name)  # fmt: skip
         stuck = np.flatnonzero(helpless)
         k = int(stuck[np.argmax(depths[stuck])])

@@ -253,7 +253,7 @@ class SteppedRun:
             lost = self.control.lost(chunk, start)
         if lost is not None:
             failure = NonFinite(
-                f"the guard {lost[1]} cannot be evaluated a step of {chunk.h:g} later"
+                f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
             )
             chunk = chunk.first(lost[0])
         stopped = self.stops.met(chunk, start, self.recorder.controls)
@@ -491,8 +491,8 @@ class Stepper(ABC):
     ) -> Iterator[Arc | Jump]:
         if sampling.control is not None and inputs.change is None:
             raise Unsupported(
-                "time steps change parameters of scenes alone whose bodies do not collide by their "
-                "shapes and that have no controllers of their own; take the engine taylor or scipy"
+                "the engine impulse can change parameters only in a scene without collisions and "
+                "without controllers; take the engine taylor or scipy"
             )
         run = SteppedRun(self, inputs, span)
         recorder, seen = run.recorder, [0, 0]
@@ -529,8 +529,8 @@ class Stepper(ABC):
         least = EPS * scales.length / scales.speed
         if step < min(least, until):
             raise DeclarationProblem(
-                f"in a step of {step:g} what moves at {scales.speed:.3g} goes less far than the "
-                f"rounding of {scales.length:.3g}, the size of the scene",
+                f"a step of {step:g} is too short: a speed of {scales.speed:.3g} moves nothing by "
+                f"more than the round-off of {scales.length:.3g}, the size of the scene",
                 advice=f"take {least:.1g} or more",
                 loc=("settings", "step"),
             )

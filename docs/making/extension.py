@@ -1,4 +1,4 @@
-"""What Sphinx calls: pages are made before it reads any, links are checked when all are written."""
+"""Sphinx extension: pages are made before any is read, links are checked when all are written."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def followed(page: Path) -> bool:
-    """Whether there is something on a page to follow."""
+    """Return whether a page has files to write or commands to run."""
     return any(block.typed or block.language == "console" for block in blocks(page))
 
 

@@ -36,7 +36,7 @@ def dead_links(site: Path) -> Iterator[tuple[str, str]]:
 
 
 class _Page(HTMLParser):
-    """What a page links, and the names in it that a link may lead to."""
+    """Links of a page, and the names in it that a link may lead to."""
 
     def __init__(self) -> None:
         super().__init__()

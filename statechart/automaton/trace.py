@@ -29,22 +29,20 @@ Key = tuple[str, ...]
 
 
 class Outcome(Enum):
-    """Why a run ended, as a sentence that a user can act on."""
+    """Reason for the end of a run, as a sentence that a user can act on."""
 
     HORIZON = "The run reached its end time."
     STOPPED = "A stop condition became true."
     INTERRUPTED = "The run was interrupted; the trace ends there."
     OUT_OF_BUDGET = "The time budget was used up; the trace ends there."
-    NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state; the margins say why."
-    AMBIGUOUS_MODE = (
-        "Several modes agree with the state and move it differently; the margins say why."
-    )
+    NO_CONSISTENT_MODE = "No mode of the contacts agrees with the state."
+    AMBIGUOUS_MODE = "Several modes agree with the state and move it differently."
     EVENT_LOOP = "Too many jumps at one instant; the listed modes alternate without end."
     TOO_MANY_JUMPS = "The run has more jumps than settings.max_jumps; raise it, or shorten the run."
     TOO_LONG = "The run is too long to be computed or stored; shorten it, or take longer steps."
     STEP_FAILURE = "The integrator could not reach its tolerance."
     NON_FINITE = "A variable or a guard became infinite or undefined."
-    UNDECIDED = "A guard could not be decided within its budget of boxes."
+    UNDECIDED = "The search could not decide whether a guard becomes true."
     ZENO = "Jumps accumulate at a finite time, and the model has no transition 'on: zeno'."
     SINGULAR_MODE = "The equations of the entered mode do not determine the motion."
     STEP_TOO_LARGE = "The time step is too large for this model; take a smaller one."
@@ -68,7 +66,7 @@ def check_size(size: int, jumps: int, time: float) -> None:
     if size + _JUMP * jumps > LARGEST:
         raise TooLong(
             f"the trace up to t = {time:.6g} takes {LARGEST >> 20} MB, the largest allowed; "
-            "end the run there, or record poses or nothing (--record)"
+            "end the run there, or take --record poses or --record nothing"
         )
 
 
@@ -196,10 +194,7 @@ class Jump:
     skipped: float = 0.0
 
 
-_UNTOLD = (
-    "an amount that is not known: an event is met as slowly as its guard is rounded, or errors "
-    "grow beyond the motion"
-)
+_UNTOLD = "an unknown amount, as an event is met too slowly or errors grow too fast"
 
 
 @dataclass(frozen=True)
@@ -229,12 +224,12 @@ class Motion:
 
     def __str__(self) -> str:
         if not self.of:
-            return "there was no step to take"
+            return "the run has no steps"
         most = f"{self.local:.2g} of the size of a variable ({self.of} from t = {self.at:.6g} on)"
         if not self.proved:
             return f"not proved: a step may be off by {most}"
         whole = f"about {self.whole:.2g}" if self.whole < math.inf else _UNTOLD
-        return f"interval enclosure: no step is off by more than {most}, the run by {whole}"
+        return f"interval enclosure: no step is off by more than {most}, the whole run by {whole}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,7 +116,7 @@ class Chart(Declaration):
 
     @cached_property
     def switching(self) -> bool:
-        """Whether flows have abs, sign, min, max or sat of what changes."""
+        """True if flows have abs, sign, min, max or sat of a variable."""
         changing = {TIME, *self.variables}
         return any(switching(flow, changing) for _, flow, _ in self._flows())
 

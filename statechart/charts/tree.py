@@ -211,8 +211,8 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
     if state.history is not None:
         _check_none(
             sorted(state.model_fields_set - {"history", "initial"}), at,
-            f"the history {name!r} is a target, and no state",
-            "leave it history, and initial where nothing is remembered",
+            f"the history {name!r} is only a target of transitions, and no state",
+            "write nothing but history, and initial: the state to enter the first time",
         )  # fmt: skip
         return
     if state.final:
@@ -240,7 +240,7 @@ def _check_state(name: str, state: BaseState, at: Loc) -> None:
     if (state.regions or not state.states) and state.initial is not None:
         raise DeclarationProblem(
             f"{name!r} holds no states of its own to begin with",
-            advice="write it in its regions" if state.regions else "write states, or leave it out",
+            advice="write it in its regions" if state.regions else "add states, or remove it",
             loc=(*at, "initial"),
             key=True,
         )

@@ -154,7 +154,7 @@ def check_wrapping(
             _check(document, call, loc, values)
             if loc[0] in _APART or any(loc[: len(part)] == part for part in still):
                 raise DeclarationProblem(
-                    f"{call.function} jumps, and is not for what stands here",
+                    f"{call.function} jumps, and cannot stand in this field",
                     advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
                     "guards, or enabled",
                     loc=loc,

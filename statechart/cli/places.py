@@ -99,8 +99,8 @@ def shown_study(
             return study, tuple(warnings)
         if study is not None:
             warnings.append(
-                f"the page does not show {folder / NAME}: it is of another model, or of "
-                f"{study.model!r} as it was before it was changed or by another version"
+                f"the page does not show {folder / NAME}: it belongs to another model or version, "
+                f"or to {study.model!r} before a change"
             )
     return None, tuple(warnings)
 
@@ -118,8 +118,8 @@ def check_animation(runner: Runner, arguments: argparse.Namespace) -> None:
         if options:
             names = [f"--{name}" for name in options]
             raise DeclarationError(
-                f"{' and '.join(names)} say{'s' * (len(names) == 1)} how a film is shown",
-                advice="say --animate FILM, too, or leave it out",
+                f"{' and '.join(names)} need{'s' * (len(names) == 1)} --animate FILM",
+                advice=f"add --animate FILM, or remove {'it' if len(names) == 1 else 'them'}",
             )
         return
     from statechart.pictures.animation import check
@@ -145,7 +145,7 @@ def check_sweep(arguments: argparse.Namespace, plan: Plan) -> None:
         if output is not None and os.path.lexists(output):
             raise DeclarationError(f"{output} exists already", advice="name another, or remove it")
     if arguments.resume and not is_store(output):
-        raise DeclarationError("--resume goes on with a store", advice=f"name it: -o STORE{_STORE}")
+        raise DeclarationError("--resume continues a store", advice=f"add -o STORE{_STORE}")
     if arguments.plot is not None:
         check_file("--plot", arguments.plot, SUFFIXES, deep=True)
         check_drawable(plan)

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 _SAMPLES = (
-    "samples.csv is written from version 0.3 on only where it is asked for: say --samples, or "
-    "--no-samples; trace.nc has the same"
+    "from version 0.3 on, samples.csv is written only with --samples; add --samples or "
+    "--no-samples (trace.nc has the same data)"
 )
 
 
@@ -86,8 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(arguments.output)
     if arguments.samples is not None and (arguments.output is None or is_store(arguments.output)):
         raise DeclarationError(
-            "--samples and --no-samples are about the tables of --output",
-            advice="say --output DIR, too, or leave them out",
+            "--samples and --no-samples need --output DIR",
+            advice="add --output DIR, or remove them",
         )
     check_animation(runner, arguments)
     check_file("--report", arguments.report, PAGES)
@@ -242,12 +242,12 @@ def modes(arguments: argparse.Namespace) -> int:
 
     parameters = _assigned("--set", arguments.parameters)
     if arguments.latex and arguments.equations is None:
-        raise DeclarationError("--latex is for equations: say --equations MODE, too")
+        raise DeclarationError("--latex prints equations: add --equations MODE")
     if arguments.latex and arguments.json:
-        raise DeclarationError("--latex and --json exclude each other", advice="say one of them")
+        raise DeclarationError("--latex and --json exclude each other", advice="write one of them")
     if arguments.equations is not None and (arguments.at or arguments.until is not None):
         raise DeclarationError(
-            "--equations hold at every configuration", advice="leave --at and --until out"
+            "--equations are the same at every configuration", advice="remove --at and --until"
         )
     runner = _runner(arguments.file, progress=not arguments.quiet)
     automaton = runner.automaton
@@ -306,7 +306,7 @@ def draw(arguments: argparse.Namespace) -> int:
             code = _warn_of_early_end(trace)
         write(diagram, path, arguments.guards)
         if path.suffix.lower() == ".scxml" and diagram.machine is not None:
-            warn([f"SCXML does not say {sentence}" for sentence in lost(diagram.machine)])
+            warn([f"the SCXML file leaves out {sentence}" for sentence in lost(diagram.machine)])
     return code
 
 
@@ -328,7 +328,7 @@ def _open(path: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(path.resolve().as_uri()):
-        print("no browser could be opened; open the file with one", file=sys.stderr)
+        print("no browser was found; open this file in one", file=sys.stderr)
 
 
 def trade(arguments: argparse.Namespace) -> int:
@@ -350,7 +350,9 @@ def trade(arguments: argparse.Namespace) -> int:
         show(describe_study(study))
     _print_left_out(pieces)
     if not study.complete:
-        again = "the same command goes on" if arguments.output is not None else "-o DIR keeps it"
+        again = (
+            "the same command continues" if arguments.output is not None else "-o DIR would keep it"
+        )
         print(f"interrupted; {again}", file=sys.stderr)
     return 0 if study.complete and not pieces.failed else 1
 

@@ -71,11 +71,10 @@ def _check_jumps(*formulas: Formula) -> None:
                 if any(name.name == TIME for name in names_in(node.arguments[0])):
                     continue
                 raise DeclarationProblem(
-                    f"formula {formula.text!r}: {node.function} jumps, and is for what is "
-                    "computed once",
-                    advice="where it is of numbers, let a parameter be it: it stands in "
-                    "parameters, starts and copies; along a run, write mod(time, T), or a state "
-                    "for each piece",
+                    f"formula {formula.text!r}: {node.function} jumps, and may stand only in "
+                    "parameters, starts and copies",
+                    advice="write a parameter if its arguments are constant; along a run, write "
+                    "mod(time, T), or a state for each piece",
                     offset=node.offset,
                 )
 
@@ -86,7 +85,7 @@ def check_named_infinity(text: str | int | float, *loc: str | int) -> None:
     if formula.names_infinity:
         raise DeclarationProblem(
             f"formula {formula.text!r}: must be finite",
-            advice="infinite can be friction, and parameters that stand for it",
+            advice="only a friction may be inf",
             loc=loc,
         )
 

@@ -111,7 +111,7 @@ class Setting:
             self._refuse(
                 named[1:],
                 f"{' and '.join(named)} exclude each other",
-                "accuracy and budget find the tolerance that they need",
+                "give one; accuracy and budget choose the tolerance themselves",
             )
         self._check_bounds()
 
@@ -121,7 +121,7 @@ class Setting:
             self._refuse(
                 ("method", "tolerance", "budget", "max_step"),
                 "the engine impulse has no {}",
-                "its error follows the step: give a step, or an accuracy",
+                "give a step, which decides its error, or an accuracy",
             )
         else:
             self._refuse(
@@ -132,7 +132,7 @@ class Setting:
             self._refuse(
                 ("impulse_tolerance", "impulse_bound"),
                 f"the engine {engine} has no {{}}",
-                "it solves for no impulses of steps: leave it out, or take the engine impulse",
+                "remove it, or take the engine impulse",
             )
         if engine == "taylor" and self.method != LONG_DOUBLE:
             self._refuse(
@@ -165,8 +165,8 @@ class Setting:
         if bound is not None and allowed is not None and bound < allowed:
             raise DeclarationProblem(
                 (
-                    f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}: it would "
-                    "end runs whose impulses are within tolerance"
+                    f"impulse_bound, {bound:g}, is below impulse_tolerance, {allowed:g}, so that "
+                    "runs within the tolerance would end"
                 ),
                 advice="give a larger bound, or a smaller tolerance",
                 loc=("impulse_bound",),
@@ -183,14 +183,14 @@ class Setting:
         if engine not in ("impulse", "auto"):
             self._refuse(
                 ("record",),
-                f"the engine {engine} records modes: its runs are made of them",
-                "leave record out, or take the engine impulse",
+                f"the engine {engine} always records modes",
+                "remove record, or take the engine impulse",
             )
         if self.accuracy is not None:
             self._refuse(
                 ("record",),
-                "an accuracy compares the events of runs, which are recorded with their modes",
-                "leave record out, or give a step",
+                "an accuracy needs the events of runs, and so record: modes",
+                "remove record, or give a step",
             )
 
     @property

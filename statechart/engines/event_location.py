@@ -30,7 +30,7 @@ BOXES = 100_000
 
 
 class Verdict(Enum):
-    """How a search ended, in a sentence."""
+    """Result of an event search, in a sentence."""
 
     NONE = "It is proved that no margin falls below minus its tolerance."
     CROSSING = "The first crossing is located, and proved to be the first."

@@ -157,8 +157,8 @@ def planned(
         return _stepping(asked, model, automaton, steps_only, of_file)
     if asked.kept is not Record.MODES:
         raise DeclarationError(
-            f"runs of {model.name!r} are made of modes, as their events are located",
-            advice="leave record out, or take the engine impulse",
+            f"only the engine impulse records less than modes, and {model.name!r} runs with events",
+            advice="remove record, or take the engine impulse",
         )
     if asked.method is None and asked.engine != "taylor":
         asked = replace(asked, method=settings.method)
@@ -175,10 +175,10 @@ def _learned(plan: Plan, study: Measured | None, model: Declaration, *, once: bo
     if study is None or (asked.accuracy is None and asked.budget is None):
         return plan
     if not study.of(model):
-        return replace(plan, basis="estimated: the study given is of another model or version")
+        return replace(plan, basis="guessed: the study is of another model or version")
     chosen = study.choose(asked, once=once)
     if chosen is None or chosen.setting.tolerance is None:
-        return replace(plan, basis="estimated: no setting that was measured is expected to do")
+        return replace(plan, basis="guessed: the study measured no setting that suffices")
     found, tolerance = chosen.setting, chosen.setting.tolerance
     setting = replace(asked, engine=found.engine, method=found.method)
     basis = f"measured: {found.label}"
@@ -219,21 +219,21 @@ def _stepping(
     step, basis = asked.step or model.settings.step, "as given"
     searched = asked.accuracy is not None
     if step is None and automaton.own_step is not None and (steps_only or searched):
-        step, basis = automaton.own_step(), "by the scales of the scene"
+        step, basis = automaton.own_step(), "chosen by the size and speeds of the scene"
     if step is None and searched:
         basis = "a thousandth of the run"
     elif step is None:
         message = "the engine impulse needs a step, or an accuracy"
         advice = (
-            "say --step 1e-3, or write settings: {engine: impulse, step: 1e-3}; a thousandth of "
-            "the shortest time of interest is a good start"
+            "add --step 1e-3, or settings: {engine: impulse, step: 1e-3}; a thousandth of the "
+            "shortest time of interest is a good start"
         )
         raise _refused(message, advice, model.settings.engine == "impulse")
     reason = ""
     if steps_only:
         reason = (
-            f"engine impulse, in steps of {step:g}{' at most' if searched else ''} ({basis}): "
-            "bodies that collide by their shapes run on no other"
+            f"bodies with shapes run on the engine impulse; step {step:g}"
+            f"{' at most' if searched else ''} ({basis})"
         )
     return Plan(replace(asked, step=step), basis=basis, reason=reason)
 

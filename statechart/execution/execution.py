@@ -541,8 +541,8 @@ class Execution:
         self.flow = self.flow._replace(tolerances={**self.flow.tolerances, margin: wide})
         self.warnings[
             (
-                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance is "
-                f"{wide:.3g} there"
+                f"t = {self.clock.high:.6g}: {margin} is zero to round-off; its tolerance there is "
+                f"{wide:.3g}"
             )
         ] = None
         return True

@@ -68,7 +68,9 @@ class Filippov:
                 signs[i] = sign
             names = " and ".join(f"{switches.texts[i]} = 0" for i in surface.on)
             if not unique:
-                notes.append(f"the motion from {names} on is not unique: another leaves it")
+                notes.append(
+                    f"the motion from {names} on is not unique: the state may also leave it"
+                )
             for i, sign in zip(surface.on, chosen, strict=True):
                 if sign == SLIDES and (before is None or before[i] != SLIDES):
                     notes.append(
@@ -102,8 +104,8 @@ class Filippov:
         if not fitting:
             names = " and ".join(f"{surface.switches.texts[i]} = 0" for i in surface.on)
             raise AmbiguousMode(
-                f"where {names} the motion is not determined: forces jump on several switching "
-                "surfaces that cross; write a state for each case"
+                f"the motion is undetermined where {names}, as forces jump there in several "
+                "switches at once; write a state for each case"
             )
         strict = [signs for signs, decided in fitting if decided]
         choices = strict or [signs for signs, _ in fitting]

@@ -305,7 +305,7 @@ def _accumulates(jump: Jump) -> bool:
 
 
 def _repeats(jump: Jump, end: Jump) -> bool:
-    """Whether `jump` belongs to the sequence that accumulates in `end`."""
+    """Return whether `jump` belongs to the sequence that accumulates in `end`."""
     return jump.region == end.region and not _accumulates(jump)
 
 

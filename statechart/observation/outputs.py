@@ -422,14 +422,14 @@ class OutputAccumulator:
 
     @property
     def events(self) -> bool:
-        """Whether it needs jumps, and the modes of arcs."""
+        """True if the output needs jumps and the modes of arcs."""
         outputs = self._outputs
         during = any(output.during for output in outputs.integrals.values())
         return bool(outputs.at or outputs.counts or during)
 
     @property
     def motion(self) -> bool:
-        """Whether it needs arcs and jumps between the start and the end."""
+        """True if the output needs arcs and jumps between the start and the end."""
         outputs = self._outputs
         if self.events or outputs.extremes or outputs.integrals:
             return True

@@ -98,7 +98,7 @@ class Film:
 
     @property
     def arrow(self) -> float:
-        """How long the arrow of a force of one unit is."""
+        """Length of the arrow of a unit force."""
         return _arrow(self.half, self.force)
 
     @property

@@ -68,7 +68,7 @@ class Scenery:
 
     @property
     def still(self) -> Iterator[Artist]:
-        """What never moves."""
+        """Shapes that never move."""
         for shape, artists in self._made:
             if shape.frame == WORLD and shape.kind not in BETWEEN:
                 yield from artists

@@ -266,7 +266,7 @@ def _force_equations(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
 
 
 def _vanishes(row: sp.Expr, forces: Sequence[sp.Symbol]) -> bool:
-    """Whether an equation asks for nothing where there are no forces."""
+    """Return whether an equation is an identity without forces."""
     return bool(sp.expand(row.xreplace(dict.fromkeys(forces, sp.S.Zero))) == 0)
 
 

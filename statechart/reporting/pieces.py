@@ -38,7 +38,7 @@ class Pieces:
 
     @property
     def hurried(self) -> bool:
-        """Whether a signal to end has arrived, so that there is no time for what takes long."""
+        """Return whether a signal to end has arrived, so that slow reports are skipped."""
         return not self._strict and interrupts.arrived() > 0
 
     def attempt(self, name: str, work: Callable[[], T], otherwise: T) -> T:

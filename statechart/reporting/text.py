@@ -24,7 +24,12 @@ from statechart.tabular import (
 
 # Events listed from the start and from the end.
 _SHOWN = 20
+# Names listed in one line.
+_NAMES = 8
 _ALL = "--json or --output has all"
+# Causes of an event at which no guard fired: with events, and by steps.
+_IMMEDIATE = "immediate: the mode just entered was not valid"
+_STEPPED = "no guard: found by the time step"
 
 _CERTIFIED: Mapping[object, str] = {
     True: "events and motion certified",
@@ -91,8 +96,18 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     if report["motion"] is not None:
         lines.append(f"motion: {report['evidence']['motion']}")
     if not report["certified"]:
-        lines += [f"evidence of {name}: {how}" for name, how in report["evidence"].items()]
+        alike: dict[str, list[str]] = {}
+        for name, how in report["evidence"].items():
+            alike.setdefault(how, []).append(name)
+        lines += [f"evidence of {_cut(names)}: {how}" for how, names in alike.items()]
     return lines
+
+
+def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
+    """Return names with commas between; of more than `most` the first, and how many more."""
+    if most is None or len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
 
 
 def _how(report: Mapping[str, Any]) -> str:
@@ -110,7 +125,12 @@ def _events(report: Mapping[str, Any], digits: int) -> list[Block]:
     rows = [
         (f"... {event} more: {_ALL}", "", "", "")
         if isinstance(event, int)
-        else (number(event["t"], digits), event["contact"] or "", event["cause"], change(event))
+        else (
+            number(event["t"], digits),
+            event["contact"] or "",
+            event["cause"],
+            change(event, _NAMES),
+        )
         for event in shown(events)
     ]
     times = aligned([row[0] for row in rows])
@@ -139,13 +159,7 @@ def change(event: Mapping[str, Any], most: int | None = None) -> str:
             changes.setdefault(f"{after[name]} again", []).append(name)
     if len(before) == 1:
         return "".join(changes)
-
-    def cut(names: list[str]) -> str:
-        if most is None or len(names) <= most:
-            return ", ".join(names)
-        return f"{', '.join(names[: most - 1])}, {len(names) - most + 1} more"
-
-    return "; ".join(f"{cut(names)}: {what}" for what, names in changes.items())
+    return "; ".join(f"{_cut(names, most)}: {what}" for what, names in changes.items())
 
 
 def _alternatives(rows: Sequence[Mapping[str, Any]], digits: int) -> list[Block]:
@@ -211,12 +225,12 @@ def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Bloc
     return apart(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
-        else _event(event, digits)
+        else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)
         for event in shown(report["events"])
     )
 
 
-def _event(event: Mapping[str, Any], digits: int) -> list[Block]:
+def _event(event: Mapping[str, Any], digits: int, unguarded: str) -> list[Block]:
     def columns(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
         texts = aligned([number(value, digits) for value in values.values()])
         return list(zip(values, texts, strict=True))
@@ -225,7 +239,7 @@ def _event(event: Mapping[str, Any], digits: int) -> list[Block]:
     changed = change(event)
     time = number(event["t"], digits)
     title = f"t = {time}, jump {event['j']}: {what}{'; ' if changed else ''}{changed}\n"
-    fired = ", ".join(event["fired"]) or "immediate: the mode just entered was not valid"
+    fired = ", ".join(event["fired"]) or unguarded
     margins = sorted(
         event.get("margins", {}).items(), key=lambda item: item[0] not in event["fired"]
     )

@@ -131,7 +131,7 @@ class AccuracyRequest:
     decides: str = ""
 
     def reached(self, estimate: float | None) -> bool:
-        """Whether an error estimate satisfies the request; a budget takes any estimate."""
+        """Return whether an error estimate satisfies the request; a budget takes any estimate."""
         return estimate is not None and estimate <= (self.setting.accuracy or math.inf)
 
     def to_dict(self, estimate: float | None) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class EvaluatedRun:
 
     @property
     def counts_events(self) -> bool:
-        """Whether it has outputs that count or list events, of which there is an end."""
+        """True if outputs count or list events that are not endless."""
         counted = {name for name, value in self.outputs.items() if isinstance(value, int | list)}
         return not counted <= self.endless
 
@@ -349,12 +349,12 @@ class _Tightened(_Series):
             _, self._merged = paired(one.trace, other.trace)
         else:
             self.diverged = (
-                f"{runs} take different modes: there is no accuracy from t = "
-                f"{found.diverged:.6g} on"
+                f"{runs} take different modes from t = {found.diverged:.6g} on: no accuracy can be "
+                "stated after it"
             )
         if found.diverged is None and found.outputs == math.inf:
             names = [name for name, off in found.named.items() if off == math.inf]
-            self.diverged = f"{runs} have {', '.join(names)} the one, and not the other"
+            self.diverged = f"only one of the {runs} has the outputs {', '.join(names)}"
         decides = str(found.decides) if found.decides.off > 0.0 else ""
         return _Error(max(found.largest, _ROUNDED), decides)
 
@@ -366,8 +366,8 @@ class _Tightened(_Series):
             return ()
         return (
             (
-                f"modes shorter than {self._brief:g} of the run are ignored: from t = "
-                f"{self._merged:.6g} on the runs differ in such modes"
+                f"from t = {self._merged:.6g} on the runs differ in modes shorter than "
+                f"{self._brief:g} of the run, which the error estimate ignores"
             ),
         )
 
@@ -440,21 +440,19 @@ def within(
     over = taken > max(_OVERRUN * budget, budget + _MOMENT)
     if best.error is None and best.trace.outcome not in WITHOUT_ERROR:
         late = (
-            f", which took {taken:.2g} s, since compiling a mode cannot be cut short"
-            if over
-            else ""
+            f", of {taken:.2g} s, as the compilation of a mode is not interrupted" if over else ""
         )
         warnings = (
             (
-                f"the budget of {budget:g} s allowed one run{late}; for an error estimate allow "
-                f"{_ADVISED * taken:.2g} s"
+                f"the budget of {budget:g} s allowed one run{late}; for an error estimate take "
+                f"--budget {_ADVISED * taken:.2g}"
             ),
         )
     elif over:
         warnings += (
             (
-                f"the run took {taken:.2g} s, more than the budget of {budget:g} s, since "
-                "compiling a mode cannot be cut short; the next run has it compiled"
+                f"the run took {taken:.2g} s, more than the budget of {budget:g} s, as the "
+                "compilation of a mode is not interrupted; the next run needs none"
             ),
         )
     return replace(best, warnings=warnings, cost=runs.cost)
@@ -505,7 +503,7 @@ class _Refined(_Series):
                 size, decides, diverged = self._distance(run, now)
                 errors.append(size / (_step(run) / _step(now) - 1.0))
             error = _SAFE * max(errors)
-            self._reason = f"; runs at two steps differ most in {decides}"
+            self._reason = f". Runs at two steps differ most in {decides}"
             if diverged is not None:
                 self._reason += f", and take different modes from t = {diverged:.6g} on"
         self._before.append(now)
@@ -523,7 +521,7 @@ class _Refined(_Series):
 
     @property
     def stuck(self) -> bool:
-        """Whether the estimate no longer falls with the step."""
+        """True if the estimate no longer falls with the step."""
         known = self._estimates[_COMPARED:]
         return len(known) > _PATIENCE and not known[-1] < 0.5 * known[-1 - _PATIENCE]
 

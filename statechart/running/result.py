@@ -118,7 +118,7 @@ class Result:
 
     @cached_property
     def conditions(self) -> tuple[float | None, ...]:
-        """How much an error is magnified into the time of every event; None if unknown."""
+        """Condition number of the time of every event with respect to errors; None if unknown."""
         from statechart.observation.condition import conditions
 
         return conditions(self.observer, self.trace)

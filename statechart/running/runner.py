@@ -512,5 +512,5 @@ def as_overrides(parameters: Mapping[str, float] | None) -> dict[str, float]:
 
 
 def is_real(value: object) -> bool:
-    """Whether a value is a real number; annotations are not checked while a program runs."""
+    """Return whether a value is a real number: annotations are not checked at run time."""
     return isinstance(value, Real) and not isinstance(value, bool)

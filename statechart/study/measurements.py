@@ -54,7 +54,7 @@ class Errors(Record):
 
     @property
     def largest(self) -> float | None:
-        """Of state, times, outputs and path."""
+        """Largest error of state, times, outputs and path."""
         found = [x for x in (self.state, self.times, self.outputs, self.path) if x is not None]
         return max(found, default=None)
 
@@ -155,12 +155,12 @@ class Measurements(Record):
     left_out: dict[str, str] = Field(default={})
 
     def of(self, model: Declaration) -> bool:
-        """Whether a model is the one that was measured, by this version."""
+        """Return whether measurements belong to this model and this version."""
         return self.fingerprint == fingerprint(model)
 
     @property
     def complete(self) -> bool:
-        """Whether every setting was run or left out for a reason."""
+        """True if every setting was run or left out for a reason."""
         return len(self.points) + len(self.left_out) >= self.planned
 
     @property
@@ -190,7 +190,7 @@ class Measurements(Record):
         return {} if self.parted is not None else unsettled(steps, self.least)
 
     def comparable(self, point: Point) -> bool:
-        """Whether a point took the modes of the reference and has an error."""
+        """Return whether a point took the modes of the reference and has an error."""
         return point.same_modes and self.error(point) is not None
 
     def front(self, *, once: bool = False) -> tuple[Point, ...]:
@@ -299,7 +299,7 @@ def unsettled(points: Sequence[Point], least: float) -> dict[str, float]:
 
 
 def falls(pairs: Sequence[tuple[float, float]], least: float) -> bool:
-    """Whether errors fall with the step, or cannot be told not to."""
+    """Return whether errors fall with the step, within their uncertainty."""
     ordered = sorted(pairs)
     large = [(h, e) for h, e in ordered if e > max(RESOLVED * least, EPS)]
     if len(large) < MIN_POINTS or large[0] != ordered[0]:

@@ -55,7 +55,7 @@ class Run:
 
     @property
     def observer(self) -> Observer:
-        """Of the simulator that made it."""
+        """Outputs and events as the simulator of the reference evaluates them."""
         return self.evaluated.observer
 
     @property
@@ -112,7 +112,7 @@ class _Pair:
 
     @property
     def closeness(self) -> tuple[float, float]:
-        """What is less for a pair that stays together longer, or is nearer."""
+        """Sort key of a pair of references: longer agreement first, then smaller distance."""
         apart = self.apart
         if apart.parted is not None:
             return -apart.parted, 0.0

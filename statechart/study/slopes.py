@@ -172,7 +172,7 @@ class Note:
     differs: bool
 
     def says_one_of(self, texts: Collection[str]) -> bool:
-        """Whether it is one of some warnings, but for numbers in them."""
+        """Return whether a warning equals one of several, apart from its numbers."""
         return _alike(self.text) in map(_alike, texts)
 
 

@@ -281,7 +281,7 @@ class _Trade:
             self._time(point)
 
     def skips(self, setting: Setting) -> bool:
-        """Whether a setting is done, or left out; note it where it is left out from now on."""
+        """Return whether a setting is done or left out; record settings left out from now on."""
         if setting in self._points or setting.label in self._left_out:
             return True
         why = self._slow.get(setting.family)

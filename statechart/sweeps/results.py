@@ -82,7 +82,7 @@ def to_dict(plan: Plan, data: xr.Dataset, *, where: str | None) -> dict[str, Any
 
 
 def succeeded(report: dict[str, Any]) -> bool:
-    """Whether all cells are done, and some came to an end that the declaration names."""
+    """Return whether all cells are done and some reached a declared end."""
     return report["done"] == report["cells"] and any(o["succeeded"] for o in report["outcomes"])
 
 

@@ -133,7 +133,7 @@ class ClusterWatch:
             self._ask()
 
     def lost(self, future: Future[Any]) -> bool:
-        """Whether a worker left just when it had returned a result: run that once more.
+        """Return whether a worker left just after it returned a result: run that cell again.
 
         distributed asks for the status of a task after it has its result (`_cascade_future` of its
         executor), and unpacks the result of a task that was lost meanwhile as if it were an error.

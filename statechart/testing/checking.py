@@ -83,7 +83,7 @@ class CheckReport:
 
     @property
     def passed(self) -> bool:
-        """Whether no property was found not to hold."""
+        """True if no property was violated."""
         return all(result.failure is None for result in self.properties)
 
     @property
@@ -257,7 +257,10 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
         except (DeclarationError, DeclarationProblem) as error:
             if not subject.model.ranges:
                 hypothesis.reject()
-            record.failing = choice, f"the ranges allow what is no model: {_located(error)}"
+            record.failing = (
+                choice,
+                f"the ranges contain values that make no valid model: {_located(error)}",
+            )
             raise AssertionError(record.failing[1]) from None
         except AssertionError as error:
             record.failing = choice, str(error)
@@ -270,7 +273,9 @@ def _tested(subject: Subject, item: Property, examples: int, seed: int) -> Prope
     except AssertionError:
         assert record.failing is not None  # raised by what holds, or by nothing of ours
     except hypothesis.errors.Unsatisfiable:
-        return PropertyReport(item.name, skipped="no choice from the derived ranges is a model")
+        return PropertyReport(
+            item.name, skipped="no tried values of the parameters make a valid model"
+        )
     failure = None
     if record.failing is not None:
         failure = _failure(subject.model, item, *record.failing)

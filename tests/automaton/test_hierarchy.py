@@ -115,7 +115,7 @@ outputs:
     assert found["closes"] == 0
 
 
-def test_a_contact_may_be_said_to_start_closed(stick: Callable[[str], Path]) -> None:
+def test_a_contact_may_be_declared_closed_at_the_start(stick: Callable[[str], Path]) -> None:
     modes = "\nmodes: {tip: closed}\n"
     assert statechart.run(stick(modes)).trace.start_mode == ("pin",)
     with pytest.raises(DeclarationError, match="cannot start in mode 'free'"):

@@ -1,4 +1,4 @@
-"""Which entities of a declaration belong together."""
+"""Partition of a declaration into independent groups of entities."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def test_jumps_of_two_regions_alike_are_counted_apart() -> None:
     assert touched == {"floor1": 1, "floor2": 0, "pair": 0}
 
 
-def test_no_more_is_built_than_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_requested_modes_are_built(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise AssertionError("the product was enumerated")
 

@@ -1,4 +1,4 @@
-"""When guards fire: clocks, margins that leave their boundary slowly, both ends of a run."""
+"""Guards of charts: clocks, margins that leave their boundary slowly, both ends of a run."""
 
 from __future__ import annotations
 

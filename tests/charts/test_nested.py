@@ -230,7 +230,7 @@ regions:
         ("initial: b1", "initial: b", "b\n", "no state 'b' in 'b'"),
         ("a: {}", "a: {initial: b}", "initial: b", "holds no states of its own"),
         ("a: {}", "a: {history: deep}", "deep", "no state whose states it remembers; put it among"),
-        ("b2: {}", "b2: {history: deep, flows: {x: 1}}", "flows", "is a target, and no state"),
+        ("b2: {}", "b2: {history: deep, flows: {x: 1}}", "flows", "only a target of"),
         ("b2: {}", "b2: {history: full}", "full", "must be 'shallow' or 'deep'"),
         ("b2: {}", "a: {}", "a: {}\n      p", "names of states are unique in a region"),
         ("after: D", "after: 0*D", "0*D", "must be a finite time above 0, not 0; write a number"),

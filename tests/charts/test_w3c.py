@@ -28,7 +28,7 @@ def test_a_chart_ends_as_the_w3c_says(number: str) -> None:
 
 
 @pytest.mark.parametrize("number", REFUSED)
-def test_what_the_w3c_calls_an_error_is_refused_when_it_is_read(number: str) -> None:
+def test_charts_that_the_w3c_calls_errors_are_refused_when_read(number: str) -> None:
     declared, words = REFUSED[number]
     with pytest.raises(ValidationError, match=re.escape(words)):
         Chart.model_validate(declared)

@@ -156,7 +156,7 @@ def test_calls_are_found_with_their_arguments() -> None:
         ("mod(T, 1)", "along a run, write mod(time, T)"),
     ],
 )
-def test_what_is_not_periodic_is_refused(path: str, message: str) -> None:
+def test_formulas_that_are_not_periodic_are_refused(path: str, message: str) -> None:
     moved = SAW.replace(
         "outputs:", "regions: {r: {initial: a, variables: {s: 0}, states: {a: {}}}}\noutputs:"
     )
@@ -173,7 +173,7 @@ def test_what_is_not_periodic_is_refused(path: str, message: str) -> None:
         "joints: {pin: {point: {body: ball}, to: ['mod(time, 1)', 0]}}",
     ],
 )
-def test_what_is_read_off_a_run_and_pins_of_points_have_none(section: str) -> None:
+def test_mod_is_refused_in_outputs_and_in_pins_of_points(section: str) -> None:
     whole = f"kind: scene\nname: n\nbodies: {{ball: {{mass: 1}}}}\n{section}\n"
-    with pytest.raises(DeclarationError, match="mod jumps, and is not for what stands here"):
+    with pytest.raises(DeclarationError, match="mod jumps, and cannot stand in this field"):
         interpret(read_text(whole))

@@ -87,7 +87,7 @@ def test_validate_warns_of_what_needs_no_run(cli: Cli) -> None:
     )
     code, out, _ = cli("validate", cli.write(text))
     assert code == 0
-    assert "warning: the inertia of 'ball'" in out
+    assert "warning: body 'ball' is run as a point mass" in out
 
 
 def test_run_proves_the_motion_on_request(cli: Cli) -> None:
@@ -259,13 +259,13 @@ def test_an_override_at_fault_is_named_at_the_place_that_it_breaks(cli: Cli) -> 
 def test_output_has_the_report_tables_and_figure(cli: Cli) -> None:
     code, out, err = cli("run", "bouncing_ball", "--until", "1", "--output", "out", "--json")
     assert code == 0
-    assert "say --samples, or --no-samples" in err
+    assert "add --samples or --no-samples" in err
     written = {file.name for file in (cli.folder / "out").iterdir()}
     assert written >= {"run.json", "events.csv", "samples.csv", "trace.nc", "figure.svg"}
     assert json.loads((cli.folder / "out" / "run.json").read_text()) == json.loads(out)
 
 
-def test_samples_are_written_where_they_are_asked_for(cli: Cli) -> None:
+def test_samples_are_written_on_request(cli: Cli) -> None:
     asked = ("run", "box_stack", "--until", "0.01", "--output", "out", "--record")
     for options, names in (
         (("poses",), {"run.json", "events.csv", "trace.nc", "figure.svg", "figure.png"}),

@@ -1,4 +1,4 @@
-"""What `new` refuses: nothing is written, and the words are about the name or the place."""
+"""Refusals of `new`: nothing is written, and messages are about the name or the place."""
 
 from __future__ import annotations
 

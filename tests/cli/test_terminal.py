@@ -1,4 +1,4 @@
-"""What people meet at a terminal: version, completion, tables, bars, pages, quiet."""
+"""The terminal: version, completion, tables, progress bars, pages, quiet."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_the_page_of_a_run_is_opened(
     named = tmp_path / "mine.html"
     assert main(["view", "bouncing_ball", "--until", "0.1", "-o", str(named)]) == 0
     assert named.is_file()
-    assert "no browser could be opened" in capsys.readouterr().err
+    assert "no browser was found" in capsys.readouterr().err
     assert main(["view", "bouncing_ball", "-o", str(tmp_path / "mine.pdf")]) == 2
     assert "the suffix must be .html or .htm" in capsys.readouterr().err
 

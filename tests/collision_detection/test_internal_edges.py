@@ -1,4 +1,4 @@
-"""What slides over seams of edges, tiles and ramps moves as on one edge; steps and ends catch."""
+"""Internal edges: bodies slide over seams of edges, tiles and ramps as on one edge; steps catch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What crosses or turns through a surface within a step, with its ends or its rim, strikes it."""
+"""Bodies that cross a surface, or turn through it, within a step strike it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_disc_strikes_the_end_of_an_edge_that_its_middle_passes(sign):
 
 
 def test_a_rod_that_turns_over_a_pin_within_a_step_strikes_it():
-    """Of the pin at 0.8 it takes an impulse that turns the velocity there round."""
+    """The impulse at the pin (at 0.8) reverses the velocity there."""
     _, final = run(ROD, "{angle: 0.3, dangle: 300}", "circle: [0, 0.8], radius: 0.02")
     impulse = 2 * 300 * 0.8 / (1 + 3 * 0.8**2)
     assert math.hypot(final["it.dx"], final["it.dy"]) == pytest.approx(impulse, rel=0.03)

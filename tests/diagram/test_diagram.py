@@ -92,7 +92,7 @@ HOSTILE = (
 
 
 def bracketed() -> Diagram:
-    """What the tooltip of an edge joins begins with < and ends with >."""
+    """The first word of an edge's tooltip begins with < and the last ends with >."""
     return single(
         "<t>", (Node("a", "<a>"), Node("<b>", "b")), (Link("a", "<b>", "<c", "g", "r>>"),)
     )

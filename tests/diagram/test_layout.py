@@ -1,4 +1,4 @@
-"""What no picture may have: text on a line, or on other text; or more than a slide can show."""
+"""Layouts: no text on a line or on other text, and no picture larger than a slide."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page says is done in a shell, and what it prints is compared."""
+"""Pages that are followed: their commands run in a shell, and their output is compared."""
 
 from __future__ import annotations
 

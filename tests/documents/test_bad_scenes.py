@@ -1,4 +1,4 @@
-"""What a wrong scene gets: one message with its place and what to do, before anything is run."""
+"""Wrong scenes: one message with place and remedy, before anything is run."""
 
 from __future__ import annotations
 
@@ -130,18 +130,18 @@ outputs:
     [
         ("grain3.y", "@grain7.y", "unknown name 'grain7.y'; there are grain0.y to grain3.y"),
         ("grain3.y", "@grain.y", "there are grain0.y to grain3.y"),
-        ("mass: 1", "mass: 1 + @index", "'index': copies are alike but for their start"),
-        ("copies: n, ", "", "'index': it is the number of a copy; say how many"),
-        ("height: 0", "height: 0, displacement: [0, @lift]", "'lift': a control changes at"),
+        ("mass: 1", "mass: 1 + @index", "'index': copies differ only in their start"),
+        ("copies: n, ", "", "'index': it is the number of a copy; add copies"),
+        ("height: 0", "height: 0, displacement: [0, @lift]", "'lift': a control jumps"),
         ("0.3*index", "0.3*(index @% 2)", "a remainder as mod(a, b)"),
         ("0.3*index", "0.3*(index/@/2)", "rounded down it is floor(a/b)"),
         ("0.3*index", "@ceil(index/2)", "unknown function 'ceil'; write -floor(-x)"),
-        ("mass: 1", "mass: 1 + @floor(n/3)", "let a parameter be it: it stands in parameters"),
-        ("disc: r", "disc: r*(1 + @index)", "'index': copies are alike but for their start"),
+        ("mass: 1", "mass: 1 + @floor(n/3)", "write a parameter if its arguments are constant"),
+        ("disc: r", "disc: r*(1 + @index)", "'index': copies differ only in their start"),
         ("disc: r", "disc: r*@time", "'time': it changes along a run, and this does not"),
         ("friction: 0.5", "friction: @grain1.dx", "and this does not; write a formula of param"),
         ("height: 0", "line: [[0, @time], [1, 0]]", "a surface that moves has a displacement"),
-        ("height: 0", "height: @floor(x)", "floor jumps, and is for what is computed once"),
+        ("height: 0", "height: @floor(x)", "floor jumps, and may stand only in"),
         ("{disc: r}", "[{disc: @-r}]", "bodies.grain.shape.0.disc: must be positive, not -0.1"),
         ("[grain]", "[grain, @grain]", "'grain' is listed twice; list it once; bodies of one list"),
         ("[floor]", "[floor, @floor]", "'floor' is listed twice; list it once"),

@@ -1,4 +1,4 @@
-"""What people write by mistake, and what they are told to write, in files."""
+"""Mistakes in files, and the messages that name the remedy."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ MISTAKES = {
     "twice": ("e: 0", "e: 0, e: 1", "duplicate key 'e'; the first is on line 3"),
     "engine of another name": ("outputs:", "settings: {engine: moreau}\noutputs:", "'scipy' or 'i"),
     "no step": ("outputs:", "settings: {engine: impulse}\noutputs:", "13:20: settings.engine: the "
-                "engine impulse needs a step, or an accuracy; say --step 1e-3, or write"),
+                "engine impulse needs a step, or an accuracy; add --step 1e-3, or"),
     "force as a number": ("outputs:", "forces: {push: {body: rod, force: 3}}\noutputs:", "such as"),
     "pivot as a name": ("outputs:", "joints: {p: {point: {body: rod}, to: wall}}\noutputs:", "such "
                         "as [0, 0]"),

@@ -1,4 +1,4 @@
-"""What people write by mistake in Python, and what they are told: as of a file, by its path."""
+"""Mistakes in Python: the same messages as for a file, with the path of the field."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def test_steps_longer_than_a_contact_lasts_add_no_energy(stiffness: float, dampi
         ("stiffness: k,", "stiffness: ball.y,", "ball.y"),
     ],
 )
-def test_a_mistake_in_a_compliant_contact_is_told(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_compliant_contact_is_reported(old: str, new: str, told: str) -> None:
     assert old in _BALL
     with pytest.raises(DeclarationError, match=told):
         interpret(read_text(_BALL.replace(old, new), "soft.yaml"))

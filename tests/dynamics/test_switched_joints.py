@@ -197,7 +197,7 @@ def test_a_joint_that_closes_where_its_points_are_apart_says_so() -> None:
         statechart.run(interpret(read_text(apart, "joint.yaml")))
 
 
-def test_what_has_broken_does_not_close_again() -> None:
+def test_a_broken_joint_does_not_close_again() -> None:
     text = _CATCH.replace("time < 0.5", "abs(hook.X) <= 3 and time < 2")
     text = text.replace("stop: {time: 0.4}", "stop: {time: 1}").replace("dx: 1}", "dx: 4}")
     result = statechart.run(interpret(read_text(text, "joint.yaml")))
@@ -214,14 +214,14 @@ def test_what_has_broken_does_not_close_again() -> None:
         ("rope: 1,", "rope: 1, rod: 2,", "a joint is a rod or a rope"),
         ("rope: 1,", "rope: 1, angle: held,", "a rope has no angle"),
         ("rope: 1,", "rope: -1,", "must be positive"),
-        ("rope: 1,", "rope: 0.1,", "too short for the start"),
+        ("rope: 1,", "rope: 0.1,", "shorter than the distance of its ends"),
         ("rope: 1, restitution: 0.5", "restitution: 0.5", "restitution is for a rope"),
         ("rope: 1, restitution: 0.5", "rest: captured", "write enabled"),
         ("rope: 1, restitution: 0.5", "limits: [0, 1]", "a particle, which has no angle"),
         ("rope: 1,", "rope: 1, enabled: rope.X <= 1,", "rope.X"),
     ],
 )
-def test_a_mistake_in_a_joint_is_told(old: str, new: str, told: str) -> None:
+def test_a_mistake_in_a_joint_is_reported(old: str, new: str, told: str) -> None:
     assert old in _ROPE
     with pytest.raises(DeclarationError, match=re.escape(told)):
         statechart.run(interpret(read_text(_ROPE.replace(old, new), "joint.yaml")))

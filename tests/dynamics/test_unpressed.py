@@ -1,4 +1,4 @@
-"""What presses a surface along a direction in which nothing of the scene moves."""
+"""Normal forces along directions in which nothing of the scene moves."""
 
 from __future__ import annotations
 

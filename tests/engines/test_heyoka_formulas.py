@@ -1,4 +1,4 @@
-"""What heyoka is given of a mode: no operation of a step is about parameters alone."""
+"""Formulas for heyoka: no operation of a step is about parameters alone."""
 
 import math
 import re

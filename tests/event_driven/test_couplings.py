@@ -605,15 +605,6 @@ def test_steps_brake_a_car_as_events_do() -> None:
     assert found.trace.arcs[-1].mode == ("pin", "pin", "locked", "locked")
 
 
-def test_warning_of_steps_says_what_is_shown_of_brakes_that_share_a_load() -> None:
-    text = RAMP.replace("couplings: {", "couplings: {second: {bodies: [wheel], limit: s}, ")
-    result = steps(text.replace("time: 4", "time: 1"), 1e-2)
-    assert result.trace.arcs[-1].mode == ("locked", "locked")
-    assert result.warnings == (
-        "the forces of second, brake are indeterminate: one possible share is shown",
-    )
-
-
 def test_steps_end_where_a_limit_falls_below_zero() -> None:
     text = RAMP.replace("{static: s, kinetic: k}", "1 - time").replace("rate: 1.5", "rate: 1")
     with pytest.raises(statechart.NoConsistentMode, match="'brake': its limit is below zero"):
@@ -637,3 +628,83 @@ regions:
     assert names == ["hand let_go", "brake open", "hand see"]
     assert found.trace.jumps[0].t == pytest.approx(1.0, abs=2e-3)
     assert found.outputs["speed"] == pytest.approx(2.0, abs=2e-3)
+
+
+BRAKES = """
+kind: scene
+name: brakes
+parameters: {J: 2, a: 1, b: 2.5, rate: 1}
+coordinates: {phi: {}}
+bodies: {wheel: {mass: 1, inertia: J, position: [0, 0], angle: phi}}
+couplings:
+  one: {bodies: [wheel], limit: a}
+  other: {bodies: [wheel], limit: b}
+forces: {drive: {body: wheel, moment: rate*time}}
+stop: {time: 5}
+outputs: {speed: {value: dphi}, of_one: {value: one.M}, of_other: {value: other.M}}
+"""
+ALL_ENGINES = pytest.mark.parametrize("engine", ["taylor", "scipy", "impulse"])
+
+
+@ALL_ENGINES
+@pytest.mark.parametrize("rate", [1.0, -1.0])
+def test_parallel_brakes_slip_where_their_limits_together_are_reached(
+    engine: str, rate: float
+) -> None:
+    model = interpret(read_text(BRAKES))
+    options = {"engine": engine, "step": 1e-3} if engine == "impulse" else {"engine": engine}
+
+    def until(end: float):
+        return statechart.run(model, parameters={"rate": rate}, until=end, **options)
+
+    # Equal shares up to the limit of the weaker brake; then the stronger bears the rest.
+    for end, shares in ((1.5, (0.75, 0.75)), (3.0, (1.0, 2.0)), (3.4, (1.0, 2.4))):
+        result = until(end)
+        assert not result.trace.jumps
+        found = result.outputs["of_one"], result.outputs["of_other"]
+        within = 1e-3 if engine == "impulse" else 1e-12
+        assert found == pytest.approx([-rate * share for share in shares], abs=within)
+    result = until(5.0)
+    assert result.trace.jumps[0].cause == "slip"
+    within = 1e-3 if engine == "impulse" else EXACT
+    assert result.trace.jumps[-1].t == pytest.approx(3.5, abs=within)
+    assert result.outputs["speed"] == pytest.approx(rate * 1.5**2 / 2 / 2, abs=within)
+
+
+@ALL_ENGINES
+def test_brake_shares_a_couple_with_rolling_resistance_up_to_both_limits(engine: str) -> None:
+    text = (
+        ROLLING.replace("v0: 2", "v0: 0, b: 0.005").replace("time: 20", "time: 0.5")
+        + """
+couplings: {brake: {bodies: [ball], limit: b}}
+forces: {drive: {body: ball, moment: -0.1*time}}
+"""
+    )
+    found = steps(text, 1e-3) if engine == "impulse" else run(text, engine)
+    slips = (0.002 * 9.81 + 0.005) / 0.1
+    within = 2e-3 if engine == "impulse" else EXACT
+    assert found.trace.jumps[0].cause == "slip"
+    assert found.trace.jumps[0].t == pytest.approx(slips, abs=within)
+    assert found.trace.arcs[-1].mode == ("pin", "slip-", "slip-")
+    # 7/5 m r^2 w' = 0.1 (t - slips), and the ball goes r times its angle.
+    way = 0.1 * (0.5 - slips) ** 3 / 6 / (1.4 * 0.1)
+    assert found.outputs["way"] == pytest.approx(way, abs=within)
+
+
+@ALL_ENGINES
+@pytest.mark.parametrize("static", ["{static: 2, kinetic: 0.5}", "3"])
+def test_static_friction_holds_on_while_a_clutch_begins_to_slip(engine: str, static: str) -> None:
+    # The brake bears the clutch's limit, 1: more than in motion, less than at rest.
+    text = BRAKES.replace("limit: a}", f"limit: {static}}}").replace("phi: {}", "phi: {}, psi: {}")
+    text = text.replace(
+        "bodies: {wheel", "bodies: {top: {mass: 1, inertia: 1, position: [0, 0], angle: psi}, wheel"
+    )
+    text = text.replace("{bodies: [wheel], limit: b}", "{bodies: [top, wheel], limit: 1}")
+    text = text.replace("body: wheel, moment", "body: top, moment").replace("dphi", "dpsi")
+    text = text.replace("time: 5", "time: 3")
+    found = steps(text, 1e-3) if engine == "impulse" else run(text, engine)
+    within = 2e-3 if engine == "impulse" else EXACT
+    ((name, t),) = events(found.trace)
+    assert (name, t) == ("other slip", pytest.approx(1.0, abs=within))
+    assert found.trace.arcs[-1].mode == ("locked", "slip+")
+    assert found.outputs["speed"] == pytest.approx(2.0, abs=within)

@@ -141,7 +141,7 @@ def test_coefficients_of_contacts_are_constant_in_a_state_of_one_region() -> Non
         assert words in error, error
     curve = refused(ICE.replace("friction: 2*grip", "friction: 2/(1 + abs(base.V))"))
     assert "friction: 'base.V': it changes along a run" in curve, curve
-    assert "write a control, which states of a region set, with transitions where it" in curve
+    assert "write a control, which the states of a region set, and transitions where it" in curve
     two = TWO.replace("    friction: 0\n", "    friction: gain*push\n")
     assert "regions 'motor' and 'gear' both set what it depends on" in refused(two)
 

@@ -1,4 +1,4 @@
-"""What controllers remember: against closed forms, and with what nothing depends on it."""
+"""State of controllers: closed forms, and invariance where nothing depends on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was considered at a rebound is what the laws say of it."""
+"""Reasons of rebounds: the recorded candidates are those of the impact law."""
 
 from __future__ import annotations
 

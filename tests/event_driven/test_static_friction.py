@@ -262,7 +262,7 @@ def test_controllers_switch_both_coefficients(engine: str) -> None:
         ("{static: 0.5, mu_k: 0.3}", "write kinetic"),
     ],
 )
-def test_what_is_no_law_of_friction_is_refused(friction: str, words: str) -> None:
+def test_invalid_laws_of_friction_are_refused(friction: str, words: str) -> None:
     text = DRAGGED.replace("{static: s, kinetic: mu}", friction)
     with pytest.raises(DeclarationError) as caught:
         Runner(read_text(text, "f.yaml"))

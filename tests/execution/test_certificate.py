@@ -1,4 +1,4 @@
-"""What is proved of the motion: bounds of every step, and an estimate of what they amount to."""
+"""Certificates: bounds of every step, and the estimate of the global error."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_certificate_compiles_tape_kernel_for_one_signature_only(
 def test_a_run_without_steps_has_nothing_to_prove() -> None:
     trace = run("toppling_stick", until=0, certify=True).trace
     assert trace.certified is True
-    assert trace.evidence["motion"] == "there was no step to take"
+    assert trace.evidence["motion"] == "the run has no steps"
 
 
 def test_time_steps_cannot_be_certified():
@@ -189,7 +189,7 @@ def test_impacts_as_slow_as_rounding_leave_no_estimate(engine: str, s: float) ->
     if s == 1e-2 or motion.whole < math.inf:
         assert abs(result.outputs["ends"] - ends) < 10.0 * motion.whole < 1e-10
     else:
-        assert "the run by an amount that is not known" in str(motion)
+        assert "the whole run by an unknown amount" in str(motion)
 
 
 _SWING = """

@@ -1,4 +1,4 @@
-"""What happens as a run ends belongs to it: it is the begin of a run that is longer."""
+"""Runs that end at an event: the event belongs to the run, and a longer run begins alike."""
 
 from __future__ import annotations
 

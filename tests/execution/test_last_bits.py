@@ -1,4 +1,4 @@
-"""What is kept of times and gaps down to their last bits."""
+"""Last bits of times and gaps."""
 
 from __future__ import annotations
 

@@ -145,7 +145,7 @@ def test_a_trace_of_many_blocks_takes_few_files(monkeypatch: pytest.MonkeyPatch)
 
 
 def _mapped(array: Any) -> bool:
-    """Whether an array lies in a file."""
+    """Return whether an array is mapped from a file."""
     while isinstance(array, np.ndarray) and not isinstance(array, np.memmap):
         array = array.base
     return isinstance(array, np.memmap)

@@ -1,4 +1,4 @@
-"""When a compiled loop is taken that lies on disk, or is compiled."""
+"""Choice of the compiled loop: cached on disk, or worth compiling."""
 
 from statechart.execution.compiled_loop import _WORTH, _Worth
 

@@ -1,4 +1,4 @@
-"""What the machines beside this file give, by hand or by SciPy's integrators, mode by mode."""
+"""Reference solutions of the machines beside this file: by hand or by SciPy, mode by mode."""
 
 from __future__ import annotations
 

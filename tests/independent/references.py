@@ -1,4 +1,4 @@
-"""What the scenes beside this file give, worked out apart: by hand, or by SciPy's integrators.
+"""Reference solutions of the scenes beside this file: by hand, or by SciPy's integrators.
 
 Nothing here uses the packages under test. Where a motion has no closed form its equations are
 derived by hand and integrated to 1e-13, mode by mode.
@@ -286,7 +286,7 @@ def guided2() -> dict[str, Any]:
 
 
 def freeonly() -> dict[str, Any]:
-    """What only bounces is pushed along the normal alone, without loss."""
+    """Lossless bounces push along the normal only."""
     return {"v": 1.0, "e": 0.5 + 0.1 * 0.3**2 / 2 + 1.0}
 
 
@@ -419,7 +419,7 @@ def _in_a_ring(
         return float(m * (G * np.cos(y[0]) + reach * y[1] ** 2))
 
     def needed(t: float, y: Any) -> float:
-        """What friction has to be for it to roll."""
+        """Friction coefficient needed for rolling."""
         return float((big * gain(t) + G * np.sin(y[0])) / (1 / m + r**2 / inertia))
 
     def rates(friction: float, y: Any) -> list[float]:

@@ -1,4 +1,4 @@
-"""What is led between two sides: friction holds by what presses it, not by forces without cause.
+"""Guided bodies: friction is limited by the pressing load, without self-equilibrated forces.
 
 A point that touches both sides of a slot could be held against any load, were it wedged between
 them. Nothing wedges it: a slot whose sides are elastic, however stiff, presses with one of them.
@@ -133,7 +133,7 @@ def test_a_bead_on_a_spinning_hoop_turns_and_sticks(
 def test_a_block_that_two_sides_may_jam_gives_a_warning(mu: float, told: bool) -> None:
     text = _SLOT.replace("START", "{}").replace("friction: 0.3", f"friction: {mu}")
     result = run(text + _FORCE.replace("PUSH", "10*time"), "taylor", None)
-    may = [line for line in result.trace.warnings if "low, high may press on each other" in line]
+    may = [line for line in result.trace.warnings if "low, high may be wedged" in line]
     # From where H = V/mu on, long before H = mu V.
     assert [line.split(":")[0] for line in may] == [f"t = {G / mu / 10:.6g}"] * told
     assert (result.outputs["x"] == 0.0) == told

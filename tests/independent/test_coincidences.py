@@ -1,4 +1,4 @@
-"""What opens, slips or jams at one instant, against answers by hand."""
+"""Contacts that open, slip or jam at one instant, against answers by hand."""
 
 from __future__ import annotations
 

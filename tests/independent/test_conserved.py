@@ -1,4 +1,4 @@
-"""What is conserved, or balanced, in scenes whose motion has no short answer."""
+"""Conserved or balanced quantities of scenes without a closed form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a run ends whose condition is met by an impact, or by rest."""
+"""Ends of runs whose stop condition is met by an impact, or at rest."""
 
 from __future__ import annotations
 

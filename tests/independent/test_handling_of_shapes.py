@@ -1,4 +1,4 @@
-"""What handles shapes (a gripper, a shaker, a drum, a kerb, a slope) beside answers by hand."""
+"""A gripper, a shaker, a drum, a kerb and a slope, against answers by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where masonry, cards, ladders and bicycles give way: limit analysis and closed forms."""
+"""Collapse of masonry, cards, ladders and bicycles: limit analysis and closed forms."""
 
 from __future__ import annotations
 

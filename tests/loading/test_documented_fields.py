@@ -50,7 +50,7 @@ FIELDS = [
 
 
 def measured(annotation: object) -> bool:
-    """Whether values of a type are numbers or formulas."""
+    """Return whether values of a type are numbers or formulas."""
     if annotation is float:
         return True
     return any(measured(part) for part in get_args(annotation) if not _is_part(part))

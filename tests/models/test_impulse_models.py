@@ -83,7 +83,7 @@ def test_a_chart_is_refused_with_advice(name, capsys):
     assert "taylor or scipy" in capsys.readouterr().err
 
 
-def test_forces_that_stand_in_for_each_other_are_shared_and_said_to_be():
+def test_indeterminate_forces_are_shared_with_a_warning():
     exact = Runner("four_legged_table").run(until=0.1)
     found = Runner("four_legged_table", engine="impulse", step=1e-2).run(until=0.1)
     for name in ("V_A", "V_B", "V_C", "V_D"):

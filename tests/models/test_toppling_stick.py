@@ -88,7 +88,7 @@ def _energy(state: np.ndarray, inertia: float) -> float:
 
 
 @pytest.mark.parametrize("case", ANALYTIC["regime_boundaries"], ids=lambda c: f"I={c['I_G']}")
-def test_which_way_it_slips_first_changes_at_the_boundary(engine: str, case: dict) -> None:
+def test_the_direction_of_the_first_slip_changes_at_the_boundary(engine: str, case: dict) -> None:
     boundary = float(case["mu_backward_boundary_hp"])
     for factor, first in ((1 - 1e-6, "slide-"), (1 + 1e-6, "slide+")):
         trace = run(MODEL, engine, mu=boundary * factor, I_G=case["I_G"])

@@ -1,4 +1,4 @@
-"""Which mode a state calls for, against tables of Painleve's rod and contact mass matrices."""
+"""Mode selection against tables for Painleve's rod and contact mass matrices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which product modes are kinematically possible: reference lists, invariances, certificates."""
+"""Kinematic feasibility of product modes: reference lists, invariances, certificates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lifts off is free: rounding jams nothing, and no force acts without a cause."""
+"""Lift-off: round-off jams nothing, and no force acts without a cause."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from contacts.scene.joints import Force, Joint
 from contacts.scene.modes import Free, Slide
 from contacts.scene.parts import Body, Contact, Point, Surface
 from contacts.scene.scene import Scene
-from contacts.solvers.smallest_forces import springs
+from contacts.solvers.smallest_forces import INSIDE, springs
 from statechart.automaton.trace import Outcome, Trace
 from statechart.execution.simulator import Simulator
 from statechart.observation.observer import Observer
@@ -71,8 +71,11 @@ def numbers(scene: Scene, time: float = 0.0) -> tuple[Snapshot, SceneSetup]:
     return laws._tape.at(setup.values, setup.initial, time), setup
 
 
-def least(edges: Array, reach: Array, load: Array) -> Array:
-    """Return the smallest forces by a general optimiser, over amounts along edges of the cones."""
+def least(edges: Array, reach: Array, load: Array, limits: Array) -> Array:
+    """Return the smallest forces by a general optimiser, over amounts along edges of the cones.
+
+    The amounts of the last are at most the `limits`.
+    """
     count = len(edges)
     forces = lambda z: np.einsum("gk,gkd->gd", z.reshape(count, -1), edges)  # noqa: E731
     size = edges.shape[0] * edges.shape[1]
@@ -80,7 +83,8 @@ def least(edges: Array, reach: Array, load: Array) -> Array:
         lambda z: 0.5 * (forces(z) ** 2).sum(),
         np.ones(size),
         jac=lambda z: np.einsum("gd,gkd->gk", forces(z), edges).ravel(),
-        bounds=[(0.0, None)] * size,
+        bounds=[(0.0, None)] * (size - 2 * len(limits))
+        + [(0.0, limit) for limit in limits.repeat(2).tolist()],
         constraints={
             "type": "eq",
             "fun": lambda z: np.einsum("gdn,gd->n", reach, forces(z)) - load,
@@ -89,6 +93,38 @@ def least(edges: Array, reach: Array, load: Array) -> Array:
         options={"maxiter": 500, "ftol": 1e-14},
     )
     return forces(found.x)
+
+
+def _unbounded(cones: Array) -> Array:
+    return np.insert(cones, 2, np.inf, axis=1)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_springs_bear_the_smallest_couples_within_their_limits(seed: int) -> None:
+    # Beside contacts, couplings: |H| <= limit. The reference is by another method.
+    generator = np.random.default_rng(seed)
+    rough, count = int(generator.integers(0, 3)), int(generator.integers(4, 7))
+    mu, limits = generator.uniform(0.1, 1.0, count), generator.uniform(0.1, 1.0, count)
+    cones = np.stack([1.0 / np.hypot(1.0, mu), mu / np.hypot(1.0, mu), limits], axis=1)
+    cones[:rough, 2] = np.inf
+    reach = generator.normal(size=(count, 2, 3))
+    reach[rough:, 0] = 0.0
+    edges = np.stack([cones[:, :2], cones[:, :2] * [1.0, -1.0]], axis=1)
+    # Couplings by the difference of two couples of at most their limits.
+    edges[rough:] = [[0.0, 1.0], [0.0, -1.0]]
+    weights = generator.uniform(0.0, 1.0, (count, 2))
+    weights[rough:] = np.outer(limits[rough:], [1.0, 0.0]) * generator.uniform(0.7, 1.0)
+    load = np.einsum("gdn,gkd,gk->n", reach, edges, weights)
+    found, forces, zones, violation = springs(cones, np.zeros(count), reach, load, 1e-13)
+    assert found
+    assert violation <= 0.0
+    assert np.einsum("gdn,gd->n", reach, forces) == pytest.approx(load, rel=1e-10, abs=1e-12)
+    assert (np.abs(forces[rough:, 1]) <= limits[rough:] * (1.0 + 1e-12)).all()
+    at_limit = np.isclose(np.abs(forces[rough:, 1]), limits[rough:], rtol=1e-12)
+    assert (at_limit == (zones[rough:] != INSIDE)).all()
+    reference = least(edges, reach, load, limits[rough:])
+    assert (forces**2).sum() == pytest.approx((reference**2).sum(), rel=1e-8)
+    assert forces == pytest.approx(reference, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -101,11 +137,11 @@ def test_springs_bear_the_smallest_forces_in_their_cones(seed: int) -> None:
     reach = generator.normal(size=(count, 2, 3))
     edges = np.stack([cones, cones * [1.0, -1.0]], axis=1)
     load = np.einsum("gdn,gkd,gk->n", reach, edges, generator.uniform(0.0, 1.0, (count, 2)))
-    found, forces, _, violation = springs(cones, sliding, reach, load, 1e-13)
+    found, forces, _, violation = springs(_unbounded(cones), sliding, reach, load, 1e-13)
     assert found
     assert violation <= 0.0
     assert np.einsum("gdn,gd->n", reach, forces) == pytest.approx(load, rel=1e-12)
-    reference = least(edges, reach, load)
+    reference = least(edges, reach, load, np.empty(0))
     assert (forces**2).sum() == pytest.approx((reference**2).sum(), rel=1e-8)
     assert forces == pytest.approx(reference, abs=1e-5)
 
@@ -117,7 +153,7 @@ def test_springs_bear_what_is_in_no_cone_not_at_all(seed: int) -> None:
     reach = generator.normal(size=(4, 2, 2))
     reach[:, 1] *= 0.1
     reach[:, 0, 1] = np.abs(reach[:, 0, 1]) + 1.0  # all push upwards
-    assert not springs(cones, np.zeros(4), reach, np.array([0.3, -1.0]), 1e-13)[0]
+    assert not springs(_unbounded(cones), np.zeros(4), reach, np.array([0.3, -1.0]), 1e-13)[0]
 
 
 def reference(snapshot: Snapshot, laws: Any, still: list[bool]) -> list[Array]:
@@ -217,7 +253,7 @@ def test_above_four_contacts_the_mode_found_is_that_of_enumeration(seed: int) ->
     snapshot, setup = numbers(scene)
     closed = [True] * count
     choice = choose(snapshot, setup.contacts, closed, setup.scales, 5e-13, 1e-12)
-    assert any("uniqueness not checked" in note for note in choice.notes)
+    assert any("does not check that it is the only one" in note for note in choice.notes)
     still = [abs(contact.slip) < 1e-12 for contact in snapshot.contacts]
     options = [
         ALL if rest else ("free", "slide+" if contact.slip > 0 else "slide-")

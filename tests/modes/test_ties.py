@@ -1,4 +1,4 @@
-"""What breaks an inequality of a mode by round-off is a tie; what breaks it by more is not."""
+"""Ties: an inequality broken by round-off is a tie, one broken by more is not."""
 
 from __future__ import annotations
 

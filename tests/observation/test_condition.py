@@ -1,4 +1,4 @@
-"""How much an error of the state is magnified into the time of an event."""
+"""Condition number of the time of an event with respect to errors of the state."""
 
 from __future__ import annotations
 

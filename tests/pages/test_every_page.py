@@ -43,7 +43,7 @@ def of_one_mind(browser: Browser, result: statechart.Result) -> dict[str, Any]:
 
 
 def at_rest(result: statechart.Result, *times: float) -> bool:
-    """Whether all variables are the same at these times: a table that stands."""
+    """Return whether all variables are equal at these times: nothing moves."""
     names, readings = result.observer.automaton.names, map(result.at, times)
     states = [[reading.values[name] for name in names] for reading in readings]
     return states[0] == pytest.approx(states[1], abs=1e-6)

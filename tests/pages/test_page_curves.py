@@ -1,4 +1,4 @@
-"""Which points of a run the curves of its page are drawn by."""
+"""Sample points of the curves on a run's page."""
 
 from __future__ import annotations
 

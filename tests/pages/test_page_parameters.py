@@ -1,4 +1,4 @@
-"""Which parameters the page of a run lists."""
+"""Parameters listed on a run's page."""
 
 from __future__ import annotations
 

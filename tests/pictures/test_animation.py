@@ -69,7 +69,7 @@ def test_the_command_line_takes_the_same_words(tmp_path):
         (["--animate", "a.gif", "--speed", "inf"], "a speed is a positive number"),
         (["--animate", "a.gif", "--size", "20"], "120 to 1920 pixels"),
         (["--animate", "a.gif", "--trail", "-1"], "a trail reaches back"),
-        (["--speed", "2", "--trail", "0"], "--speed and --trail say how a film is shown"),
+        (["--speed", "2", "--trail", "0"], "--speed and --trail need --animate"),
     ],
     ids=lambda part: " ".join(part) if isinstance(part, list) else None,
 )

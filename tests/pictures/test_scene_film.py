@@ -1,4 +1,4 @@
-"""What a scene looks like: shapes, places and forces against closed forms."""
+"""Pictures of scenes: shapes, places and forces against closed forms."""
 
 import dataclasses
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What figures show of runs by steps: what moves, and no rounding of impulses."""
+"""Figures of runs by steps: curves that move, without round-off of impulses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from statechart.reporting.figure import figure
 from statechart.running.runner import Runner
 
 
-def test_speeds_that_are_left_of_impulses_are_not_drawn() -> None:
+def test_round_off_velocities_after_impulses_are_not_drawn() -> None:
     # A belt carries boxes against a wall: none turns, but for what their impulses are known to.
     text = """
 kind: scene

@@ -1,4 +1,4 @@
-"""What a model asserts of all of its runs: reported with its least margin, tested by `check`."""
+"""Invariants of models: reported with their least margin, tested by `check`."""
 
 from __future__ import annotations
 

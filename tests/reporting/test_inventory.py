@@ -1,4 +1,4 @@
-"""What a run says that it built, and left out."""
+"""Inventory of a run: the parts that it built, and those it left out."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_a_bar_on_two_points_has_seven_modes_of_nine(listed) -> None:
     assert "leave A no slip" in refused[0]["reason"]
 
 
-def test_a_contact_in_the_air_is_judged_as_if_it_touched_and_its_gap_told(listed) -> None:
+def test_an_open_contact_is_classified_as_if_closed_and_its_gap_reported(listed) -> None:
     found = listed(BAR)["feasibility"]["remarks"]
     assert found == ["B does not touch (gap 0.199667): judged as if it did"]
     assert listed(BAR, "--set", "tilt=0")["feasibility"]["remarks"] == []

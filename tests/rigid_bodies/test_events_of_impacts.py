@@ -1,4 +1,4 @@
-"""What outputs call the changes of bodies in an impact, of those that are struck and of others."""
+"""Event names of impacts: bodies that are struck, and others whose contacts change."""
 
 from __future__ import annotations
 

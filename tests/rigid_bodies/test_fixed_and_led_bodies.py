@@ -369,7 +369,7 @@ def test_the_own_step_follows_led_bodies_and_not_thin_fixed_ones() -> None:
     assert step(without + bat) == pytest.approx(0.1 * 0.1 / 50, rel=0.1)
 
 
-def test_a_wheel_that_turns_faster_than_steps_see_is_told() -> None:
+def test_a_wheel_that_turns_too_fast_for_the_step_gives_a_warning() -> None:
     bodies = """
   ball: {mass: 1, inertia: 0.004, shape: {disc: 0.1}, start: {y: 1}}
   vane: {position: [5, 0], angle: 900*time, shape: {polygon: [[-1, -0.1], [1, -0.1], [1, 0.1],

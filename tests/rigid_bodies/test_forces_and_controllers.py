@@ -160,7 +160,7 @@ def test_flows_that_depend_on_how_bodies_move_are_refused():
 def test_paths_of_surfaces_use_no_controls_that_jump():
     more = BANG
     surfaces = ", plate: {edge: [[-1, 0.0], [0.8, 0.0]], displacement: [0, push]}"
-    with pytest.raises(DeclarationError, match="'push': a control changes at an instant"):
+    with pytest.raises(DeclarationError, match="'push': a control jumps"):
         interpret(read_text(text(more, surfaces=surfaces, names=", plate")))
 
 

@@ -106,7 +106,7 @@ def test_one_number_twice_is_one_number():
     assert both == one
 
 
-def test_what_is_struck_slips_under_kinetic_friction():
+def test_struck_shapes_slip_under_kinetic_friction():
     """A disc that falls with a slip: both bounds of its impulse are mu times the normal one."""
     text = """
 kind: scene

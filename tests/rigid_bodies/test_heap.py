@@ -127,7 +127,7 @@ def test_bodies_that_overlap_at_the_start_are_refused():
     ):
         Runner(interpret(read_text(TWO.replace("1 + 3*index", "0.75 + 3*index")))).run()
     row = TWO.replace("copies: 2", "copies: 3").replace("3*index", "1.875*index")
-    with pytest.raises(DeclarationError, match=r"3 bodies start in something in all, 0\.125 at"):
+    with pytest.raises(DeclarationError, match=r"3 bodies overlap, by 0\.125 at"):
         Runner(interpret(read_text(row))).run()
 
 
@@ -161,7 +161,7 @@ def test_a_body_inside_several_things_is_advised_a_way_out_of_all():
     walls = f"{wall}\n  other: {{line: [[0.9, -5], [0.9, 5]]}}"
     narrow = TWO.replace("  ground: {height: 0}", walls)
     narrow = narrow.replace("surfaces: [ground]", "surfaces: [ground, wall, other]")
-    with pytest.raises(DeclarationError, match="no small move takes it out of all that it is in"):
+    with pytest.raises(DeclarationError, match="no small move frees it"):
         Runner(interpret(read_text(narrow))).run()
 
 

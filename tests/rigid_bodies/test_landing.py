@@ -1,4 +1,4 @@
-"""What falls and does not bounce is in contact from when it touches."""
+"""Landing without a bounce: the contact is closed from the moment of touching."""
 
 from __future__ import annotations
 

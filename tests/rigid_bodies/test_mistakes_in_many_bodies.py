@@ -1,4 +1,4 @@
-"""What is said of scenes of many bodies that cannot be, or cease to be, run."""
+"""Messages of many-body scenes that cannot be run, or stop."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ settings: {engine: impulse, step: 1e-3}
 
 def test_copies_at_one_place_are_advised_to_use_index():
     text = SCENE.replace("x: 0.3*index, ", "")
-    told = (
-        r"11:12: .*'grain0' and 'grain1' start in one place; .* on index, such as x: 0\.21\*index"
-    )
+    told = r"11:12: .*'grain0' and 'grain1' start at the same place; .* such as x: 0\.21\*index"
     with pytest.raises(DeclarationError, match=told):
         Runner(read_text(text)).run()
     Runner(read_text(text.replace("y: r", "x: 0.21*index, y: r"))).start()
@@ -148,11 +146,11 @@ def test_a_body_that_reaches_an_undefined_height_is_reported(surface, told):
     [
         (
             'x: "0.3*sin(index)", y: 1 + 0.3*cos(3*index)',
-            "at least 118 of 120 bodies start in others of their kind; let where they start depend "
+            "at least 118 of 120 copies overlap; write a start that depends "
             'on index, such as x: "0.21*mod(index, 10)" and y: 0.21*floor(index/10)',
         ),
-        ("y: 1", "and 'grain1' start in one place; let where they start depend on index, such as"),
-        ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start in one place"),
+        ("y: 1", "and 'grain1' start at the same place; write a start that depends on index,"),
+        ('x: "0.21*mod(index, 90)", y: 0.1', "'grain0' and 'grain90' start at the same place"),
         ('x: "0.21*mod(index, 12)", y: 0.1 + 0.21*floor(index/12)', ""),
     ],
 )

@@ -116,7 +116,7 @@ def test_a_pawl_holds_at_the_step_of_the_run_and_sinks_with_a_warning_at_long_on
     (said,) = [warning for warning in long.warnings if "inner radius" in warning]
     assert "'pawl'" in said
     assert "'wheel'" in said
-    assert "inner radius of 0.004" in said
+    assert "of inner radius 0.004" in said
 
 
 THRUST = """\

@@ -1,4 +1,4 @@
-"""What rests stays where it is, and what is a millionth too steep slides."""
+"""Rest: bodies keep their places, and a slope a millionth too steep lets them slide."""
 
 from __future__ import annotations
 

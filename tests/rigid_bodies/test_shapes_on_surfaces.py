@@ -339,8 +339,8 @@ def test_transformed_scenes_move_alike(change):
 @pytest.mark.parametrize(
     ("starts", "words"),
     [
-        ({"disc": at(0.0, 2.0)}, "every body starts outside of 'drum', whose solid is around it"),
-        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "body 'box' starts outside of 'drum'"),
+        ({"disc": at(0.0, 2.0)}, "every body starts outside the hollow circle 'drum'"),
+        ({"disc": at(0.0, 0.0), "box": at(0.0, 2.0)}, "body 'box' starts outside the hollow"),
         ({"disc": "x: 0"}, "has a radius of 0.04"),
     ],
 )

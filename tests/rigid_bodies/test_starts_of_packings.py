@@ -1,4 +1,4 @@
-"""Where steps have left bodies they can start again."""
+"""Packings: a run can start where another ended."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def bridge(mass, step):
 
 def test_joints_that_add_energy_end_the_run(monkeypatch):
     monkeypatch.setattr(rigid_body_run, "_ADDED", 1e-3)
-    with pytest.raises(StepTooLarge, match=r"joints have added .* take") as caught:
+    with pytest.raises(StepTooLarge, match=r"for the joints: these have added .* take") as caught:
         Runner(interpret(read_text(bridge(500, 1e-3)))).run()
     assert 1e-6 < float(str(caught.value).rsplit("take ", 1)[1].split()[0]) < 1e-2
 

@@ -1,4 +1,4 @@
-"""What a model answers for itself, without a run."""
+"""Inspection of a model without a run."""
 
 from __future__ import annotations
 

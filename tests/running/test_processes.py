@@ -1,4 +1,4 @@
-"""What travels to another process: models, settings, runners, and what a run gave."""
+"""Pickling: models, settings, runners and results travel to another process."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_run_in_another_process_is_the_run_in_this_one(
     assert there.to_dict(explain=True)["events"] == here.to_dict(explain=True)["events"]
 
 
-def test_a_runner_travels_as_its_model_and_what_is_asked_for(pool: ProcessPoolExecutor) -> None:
+def test_a_runner_is_pickled_as_its_model_and_settings(pool: ProcessPoolExecutor) -> None:
     runner = Runner(SCENE, engine="scipy", method="RK45", accuracy=1e-4)
     found = pool.submit(runner.run, {"mu": 0.3}).result()
     here = runner.run({"mu": 0.3})

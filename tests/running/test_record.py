@@ -1,4 +1,4 @@
-"""What runs by steps keep: outputs are the same to the bit, and what needs more says so."""
+"""Recording policies by steps: outputs equal to the bit, and refusals name what is missing."""
 
 from __future__ import annotations
 
@@ -224,8 +224,8 @@ def test_missing_recordings_are_refused_with_the_option_to_set(tmp_path):
     ("asked", "words"),
     [
         ({"record": "pose"}, "poses"),
-        ({"record": "poses", "accuracy": 1e-2}, "an accuracy compares the events"),
-        ({"record": "poses", "engine": "scipy"}, "the engine scipy records modes"),
+        ({"record": "poses", "accuracy": 1e-2}, "an accuracy needs the events"),
+        ({"record": "poses", "engine": "scipy"}, "the engine scipy always records modes"),
     ],
 )
 def test_unsupported_recording_is_refused_with_the_reason(asked, words):

@@ -176,7 +176,7 @@ def test_runs_that_come_no_nearer_are_given_up_and_exit_with_1(
     assert code == 1
     assert not report["asked"]["reached"]
     assert "the accuracy 0.001 was not reached" in said.err
-    assert "reduce the difference; runs at two steps differ most in output distance (" in said.err
+    assert "reduce the difference. Runs at two steps differ most in output distance (" in said.err
 
 
 def test_a_force_that_falls_to_zero_is_judged_on_the_scale_of_forces() -> None:
@@ -187,7 +187,7 @@ def test_a_force_that_falls_to_zero_is_judged_on_the_scale_of_forces() -> None:
     assert 0.0 <= result.outputs["V_min"] <= 1e-3
 
 
-def test_the_command_line_reports_what_was_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_reports_the_request(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["run", "toppling_stick", "--engine", "impulse", "--accuracy", "1e-3"]
     assert main([*arguments, "--step", "2e-3", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

@@ -104,7 +104,7 @@ def test_options_that_a_stream_lacks_are_reported() -> None:
         list(dice)
 
 
-def test_a_run_that_cannot_go_on_says_so_after_all_that_it_made() -> None:
+def test_a_stream_raises_the_error_after_its_last_arc() -> None:
     pieces: list[object] = []
     with pytest.raises(NoConsistentMode):
         pieces.extend(Runner("no_slip_pencil", engine="taylor").stream())

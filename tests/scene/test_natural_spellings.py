@@ -60,7 +60,7 @@ stop: {time: 1}
 """
 
 
-def test_forces_that_need_those_of_a_contact_are_told_the_law_that_has_them() -> None:
+def test_forces_that_use_contact_forces_are_advised_the_matching_law() -> None:
     rim = "contacts: {rim: {point: {body: ball}, radius: 0.1, surface: floor, modes: [pin]}}"
     force = "forces: {f: {body: ball, force: [0, 0], moment: -0.01*%s*sign(ball.dangle)}}"
     for quantity, advice in (("V", "rolling_resistance: LENGTH"), ("gap", "stiffness and damping")):

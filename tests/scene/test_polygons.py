@@ -1,4 +1,4 @@
-"""What is said of corners that make no convex polygon."""
+"""Messages about corners that make no convex polygon."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def model(surface: str = HOLLOW, radius: str = "r") -> Any:
 @pytest.mark.parametrize(
     ("surface", "radius", "told"),
     [
-        ("ring: {height: x**2}", "r", "a slope is an incline, or a line"),
+        ("ring: {height: x**2}", "r", "write a slope as an incline or a line"),
         ("ring: {edge: [[0, 0], [1, 0]]}", "r", "a small circle"),
         (HOLLOW, "0", "contacts.rim.radius: must be positive, not 0"),
         (HOLLOW, "-r", "must be positive, not -0.2"),

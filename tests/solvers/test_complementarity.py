@@ -223,7 +223,7 @@ def stack(
 
 
 @pytest.mark.parametrize(("masses", "decades"), [(0, 1), (3, 1), (0, 12)])
-def test_stacks_are_solved_or_said_not_to_be(masses: float, decades: float) -> None:
+def test_stacks_are_solved_or_reported_unsolved(masses: float, decades: float) -> None:
     random = np.random.default_rng(6)
     unsolved = 0
     for _ in range(600):

@@ -39,7 +39,7 @@ def pushed(mass, fall, back, bound):
 @pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("fall", [1e-3, 1.0])
 def test_push_out_of_penetration_is_limited_by_the_energy_bound(mass, fall):
-    """Of the speed u it takes the work of m u (u + v) / 2, which may be m v^2 / 8."""
+    """A speed u takes the work m u (u + v) / 2, at most m v^2 / 8."""
     speed = 0.5 * (math.sqrt(2.0) - 1.0) * fall
     expected = [mass * (fall + speed), 0.0]
     assert pushed(mass, fall, 0.5 * fall, mass * fall**2 / 8.0) == pytest.approx(expected, rel=1e-9)

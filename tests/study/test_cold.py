@@ -1,4 +1,4 @@
-"""What the first run of a process costs, measured in processes in which nothing ran."""
+"""Cost of the first run of a process, measured in fresh processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs of a study warn of is carried, and told as the reason of a deviation."""
+"""Warnings of runs in studies, and their use as reasons of deviations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs are compared with: two that agree, a third where they do not, and what that says."""
+"""Reference runs: two that agree, a third where they do not, and the report of it."""
 
 from __future__ import annotations
 

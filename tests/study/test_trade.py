@@ -349,7 +349,7 @@ def test_the_command_measures_and_a_run_uses_it(
     Path("ball.yaml").write_text(OSCILLATOR.replace("time: 50", "time: 10"))
     assert main(arguments) == 0
     asked = json.loads(capsys.readouterr().out)["asked"]
-    assert asked["basis"] == "estimated: the study given is of another model or version"
+    assert asked["basis"] == "guessed: the study is of another model or version"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a sweep says of itself on stderr."""
+"""Progress lines of a sweep on stderr."""
 
 from __future__ import annotations
 

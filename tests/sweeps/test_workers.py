@@ -280,6 +280,6 @@ def test_a_script_that_its_processes_run_again_is_advised(
     assert (advice in said.stdout) == advised
 
 
-def test_no_workers_are_asked_for_by_default() -> None:
+def test_no_workers_are_requested_by_default() -> None:
     with crew(None, None) as executor:
         assert executor is None

@@ -1,4 +1,4 @@
-"""Whether properties fail where they must: broken laws and automata are caught and shrunk."""
+"""Property tests: broken laws and automata are caught and shrunk."""
 
 import dataclasses
 import json
@@ -495,7 +495,7 @@ def test_ranges_that_allow_no_model_are_a_failure_of_the_ranges():
     report = check(scene, examples=30, seed=2)
     first = report.properties[0]
     assert first.failure is not None
-    assert "the ranges allow what is no model" in first.failure.message
+    assert "the ranges contain values that make no valid model" in first.failure.message
     assert "mass" in first.failure.message
     assert first.failure.parameters == {"mu": 0.0, "e": 0.0}
 

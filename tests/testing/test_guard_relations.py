@@ -1,4 +1,4 @@
-"""Whether the truth of relations is compared with the modes of a run, whatever its margins say."""
+"""Truth of relations compared with the modes of a run, independent of margins."""
 
 from __future__ import annotations
 

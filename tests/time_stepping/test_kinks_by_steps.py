@@ -42,6 +42,23 @@ def test_a_ball_comes_to_rest_in_a_valley_of_two_pieces(pieces, step):
     assert sum(jump.cause in ("enable", "disable") for jump in trace.jumps) < 20
 
 
+@pytest.mark.parametrize(
+    ("slopes", "into"), [((0.4, 0.7), (-0.3, -1.0)), ((1.0, 1.2), (0.2, -0.8))]
+)
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+def test_a_ball_that_starts_in_a_kink_into_the_ground_stays_there(slopes, into, step):
+    text = VALLEY.replace("x: -0.5, y: 0.4, dx: 0.3", "dx: {}, dy: {}".format(*into))
+    text = text.replace("{s: 0.4, q: 0.7}", "{{s: {}, q: {}}}".format(*slopes))
+    text = text.replace("restitution: 0.3", "restitution: 0").replace("time: 3", "time: 0.5")
+    for word, piece in zip(
+        ("SURFACE_A", "SURFACE_B", "ENABLED_A", "ENABLED_B"), EDGES, strict=True
+    ):
+        text = text.replace(word, piece)
+    trace = statechart.run(interpret(read_text(text)), engine="impulse", step=step).trace
+    assert trace.final[:2] == pytest.approx([0, 0], abs=2 * step)
+    assert trace.final[2:] == pytest.approx([0, 0], abs=1e-9)
+
+
 STEEP = """
 kind: scene
 name: steep

@@ -63,7 +63,7 @@ def test_arcs_too_large_to_keep_are_recomputed(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_steps_of_a_chunk_that_ends_early_hold_their_own_memory() -> None:
-    """Of room for 500 steps, 3 of which were taken, no more than these is kept."""
+    """A buffer for 500 steps of which 3 were taken keeps only these."""
     chunk = Chunk.allocate(1e-3, np.zeros(12), 6, 2, 500).first(3)
     steps = Steps.of(chunk, np.zeros(3, np.bool_), 6, Clock())
     for rows in (steps.states, steps.solved, steps.felt, steps.struck):

@@ -1,4 +1,4 @@
-"""What controllers remember, along steps: against the same scene by its events."""
+"""State of controllers by steps, against the same scene by events."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ regions:
     transitions: [{name: lift, from: waiting, to: lifting, guard: time >= later}]
 """
 )
-TOLD = "a contact may slide as well as lift off"
+TOLD = "friction presses a contact into its surface so that it may slide as well as lift off"
 
 
 @pytest.mark.parametrize(

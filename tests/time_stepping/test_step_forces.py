@@ -1,4 +1,4 @@
-"""What time steps call an impulse and what they call a force."""
+"""Forces and impulses of time steps."""
 
 from __future__ import annotations
 

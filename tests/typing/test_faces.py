@@ -1,4 +1,4 @@
-"""What users import: every public name once, as the types say, and nothing before it is used."""
+"""Public interface: every name once, with its types, and lazy imports."""
 
 from __future__ import annotations
 

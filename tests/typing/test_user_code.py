@@ -1,4 +1,4 @@
-"""What users write passes mypy --strict, and what they must not write does not."""
+"""User code under mypy --strict: correct code passes, misuse is reported."""
 
 from __future__ import annotations
 
