@@ -92,7 +92,7 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
 
     for name, joint in scene.joints.items():
         gate = joint.enabled
-        if joint.rope is None:
+        if joint.rope is None or scene.collisions:
             joints[name] = _as_captured(name, joint)
         elif _uses_forces(scene, gate):
             holder = f"{name}_{CLOSED}"
