@@ -8,7 +8,7 @@ import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
 from contacts.solvers.contact_rows import PADDED
-from statechart.arrays import Array, Ints
+from statechart.arrays import Array, Bools, Ints
 
 MEMORY = 10
 """What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
@@ -18,8 +18,9 @@ its normal; slip that the impulses may have missed; whether it slid (1)."""
 RESTITUTION, KINETIC, STIFFNESS, DAMPING, ROLLING = 2, 3, 5, 6, 7
 """Places in `BodyNumbers.materials`."""
 
-BOTH, ALONG_X, ALONG_Y = range(3)
-"""What a joint holds."""
+BOTH, ALONG_X, ALONG_Y, ROD, ROPE, TURN, LEAST, GREATEST = range(8)
+"""What a row of a joint holds: a point, along both axes or one; a distance, exactly or at most;
+the relative angle, exactly, at least or at most."""
 
 # Contacts that there is place for at first.
 _PER_PIECE = 8
@@ -43,11 +44,16 @@ class PieceNumbers(NamedTuple):
 
 
 class JointNumbers(NamedTuple):
-    """The joints of a scene."""
+    """The rows of the joints of a scene: first one of each joint, then those of angles."""
 
     bodies: Ints  # (j, 2): of the point, and of what it is held to; -1: a place in the world.
     at: Array  # (j, 2, 2): the points in the frames of these bodies.
     holds: Ints  # shape (j,)
+    owners: Ints  # (j,): which joint.
+    # (j, 2): distance or angle, and restitution where one is bounded.
+    sizes: Array
+    on: Bools  # (j,): which joints are closed now; in place.
+    passes: Bools  # (j,): whose bodies touch each other while the joint is off.
 
 
 class BodyNumbers(NamedTuple):

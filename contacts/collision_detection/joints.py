@@ -10,10 +10,17 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from contacts.collision_detection.active_contacts import ActiveContacts, warm_start
 from contacts.collision_detection.body_numbers import (
     ALONG_Y,
     BOTH,
+    GREATEST,
+    LEAST,
+    ROD,
+    ROPE,
+    TURN,
     BodyNumbers,
     JointNumbers,
     Memory,
@@ -21,6 +28,7 @@ from contacts.collision_detection.body_numbers import (
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import carried
 from contacts.solvers.contact_rows import GUIDED, HELD
+from contacts.time_stepping.chunk import BESIDE, HIT, LASTING, SLOW, arriving
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
@@ -30,11 +38,34 @@ _ANGLE_ROUND_OFF = 2.0**-50
 _SHORTER = 1.0 - 1e-9
 
 
+# A velocity at which a row that is off, or far from its bound, never presses.
+_OFF = 1e300
+
+
+@kernel
+def is_bound(holds: int) -> bool:
+    """Return whether a row bounds a distance or an angle from one side."""
+    return holds in (ROPE, LEAST, GREATEST)
+
+
 @kernel
 def _bent(x: float, y: float, across: bool, turn: float) -> float:
     """Return how far the end of an arm goes in a step beyond what the rate of its turning says."""
     c, s = math.cos(turn) - 1.0, math.sin(turn) - turn
     return s * x + c * y if across else c * x - s * y
+
+
+@kernel
+def _leave_open(apart: float, d: int, h: float, past: float, closing: Array) -> None:
+    """Write how far a joint is left open along d in a step of length h after one of length past.
+
+    Between detections arms are open by what they bend, as they are where a step is taken in parts:
+    closed in the first of these, that would throw what they bear.
+    """
+    if h < _SHORTER * past:
+        closing[0, d], closing[1, d] = apart, apart / past
+    closed = h * closing[1, d]
+    closing[0, d] = closing[0, d] - closed if abs(closing[0, d]) > abs(closed) else 0.0
 
 
 @kernel
@@ -64,9 +95,9 @@ def _joint_rows(
             b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
             if b < 0:
                 axis = 1 if across else 0
-                now = paths[1, j, axis]
-                before[d] -= (now - paths[0, j, axis]) / h
-                free[d] -= (paths[2, j, axis] - now) / h
+                now = paths[1, joints.owners[j], axis]
+                before[d] -= (now - paths[0, joints.owners[j], axis]) / h
+                free[d] -= (paths[2, joints.owners[j], axis] - now) / h
                 apart, size = apart - now, size + abs(now)
                 continue
             x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
@@ -84,16 +115,138 @@ def _joint_rows(
         if not abs(apart) > _ANGLE_ROUND_OFF * size:
             closing[0, d] = 0.0
             continue
-        # Between detections arms are open by what they bend, as they are where a step is taken in
-        # parts: closed in the first of these, that would throw what they bear.
-        if h < _SHORTER * past:
-            closing[0, d], closing[1, d] = apart, apart / past
-        closed = h * closing[1, d]
-        closing[0, d] = closing[0, d] - closed if abs(closing[0, d]) > abs(closed) else 0.0
+        _leave_open(apart, d, h, past, closing)
         wanted[d] += (apart - closing[0, d]) / h
+    return _path_bend(paths, joints.owners[j]) / h
+
+
+@kernel
+def _path_bend(paths: Array, j: int) -> float:
+    """Return by how much the path of the place of joint j bends in a step."""
     bend_x = paths[2, j, 0] - 2.0 * paths[1, j, 0] + paths[0, j, 0]
     bend_y = paths[2, j, 1] - 2.0 * paths[1, j, 1] + paths[0, j, 1]
-    return math.hypot(bend_x, bend_y) / h
+    return math.hypot(bend_x, bend_y)
+
+
+@kernel
+def _distance_row(
+    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, h: float, m: int,
+    active: ActiveContacts,
+) -> tuple[float, float]:  # fmt: skip
+    """Write how fast the distance of a joint's ends falls as contact m; return what is left of it.
+
+    And by how much less is left in a step than its rate says, as the ends go round and their arms
+    turn, as a velocity.
+    """
+    ends, rates, bent, owner = np.zeros((2, 2)), np.zeros((3, 2)), np.zeros(2), joints.owners[j]
+    arms = np.zeros((2, 2))
+    for side in range(2):
+        b, sign = joints.bodies[j, side], 1.0 - 2.0 * side
+        if b < 0:
+            for d in range(2):
+                now = ends[side, d] = paths[1, owner, d]
+                rates[0, d] -= (now - paths[0, owner, d]) / h
+                rates[1, d] -= (paths[2, owner, d] - now) / h
+            continue
+        x, y = carried(mid.places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+        rx, ry = x - mid.places[b, 0], y - mid.places[b, 1]
+        ends[side, 0], ends[side, 1], arms[side, 0], arms[side, 1] = x, y, rx, ry
+        for k, bodies in ((0, mid.old), (1, mid.loose)):
+            rates[k, 0] += sign * (bodies[b, 0] - bodies[b, 2] * ry)
+            rates[k, 1] += sign * (bodies[b, 1] + bodies[b, 2] * rx)
+        bent[0] += sign * _bent(rx, ry, False, h * mid.old[b, 2]) / h
+        bent[1] += sign * _bent(rx, ry, True, h * mid.old[b, 2]) / h
+    far = math.hypot(ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1])
+    ux, uy = 1.0, 0.0
+    if far > 0.0:
+        ux, uy = (ends[0, 0] - ends[1, 0]) / far, (ends[0, 1] - ends[1, 1]) / far
+    for side in range(2):
+        sign, at = 2.0 * side - 1.0, 3 * side
+        if joints.bodies[j, side] >= 0:
+            active.rows[m, 0, at], active.rows[m, 0, at + 1] = sign * ux, sign * uy
+            turn = arms[side, 0] * uy - arms[side, 1] * ux
+            active.rows[m, 0, at + 2] = sign * turn
+    active.before[m, 0] = -(ux * rates[0, 0] + uy * rates[0, 1])
+    active.free[m, 0] = -(ux * rates[1, 0] + uy * rates[1, 1])
+    around = ux * rates[0, 1] - uy * rates[0, 0]
+    further = ux * bent[0] + uy * bent[1]
+    further += 0.5 * h * around * around / far if far > 0.0 else 0.0
+    return joints.sizes[j, 0] - far, further
+
+
+@kernel
+def _angle_row(
+    joints: JointNumbers, j: int, mid: Midpoint, m: int, active: ActiveContacts
+) -> float:
+    """Write how fast a relative angle grows, or falls to its greatest, as contact m.
+
+    Return how far it is from its bound, or above what holds it.
+    """
+    sign, angle = -1.0 if joints.holds[j] == GREATEST else 1.0, 0.0
+    for side in range(2):
+        b, way = joints.bodies[j, side], sign * (1.0 - 2.0 * side)
+        if b >= 0:
+            active.rows[m, 0, 3 * side + 2] = way
+            angle += way * mid.places[b, 2]
+            active.before[m, 0] += way * mid.old[b, 2]
+            active.free[m, 0] += way * mid.loose[b, 2]
+    return angle - sign * joints.sizes[j, 0]
+
+
+@kernel
+def _bounded(
+    gap: float, bend: float, lasting: bool, level: float, h: float, e: float, fall: float, m: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write what a row that bounds a distance or an angle is to do: it is struck as contacts are.
+
+    `e`: restitution; `fall`: what gravity changes velocities by in a step.
+    """
+    nearing = -active.before[m, 0]
+    slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall)
+    closing, reached = h * (slow - active.free[m, 0] + bend), (0.5 + BESIDE) * h * nearing
+    role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
+    active.memory[m, 0], active.memory[m, 1] = level, max(above, 0.0)
+    active.memory[m, 3] = above
+    active.hit[m] = role == HIT
+    active.wanted[m, 0] = _OFF
+    if role == LASTING:
+        active.wanted[m, 0] = above / h - bend
+    elif role == HIT:
+        active.wanted[m, 0] = -e * nearing
+    if not lasting:
+        active.pushes[m, 0] = 0.0
+
+
+@kernel
+def _other_row(
+    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, memory: Memory, place: int, h: float,
+    fall: float, m: int, active: ActiveContacts,
+) -> float:  # fmt: skip
+    """Write the row of a distance or an angle as contact m; see `_joint_rows`."""
+    holds, bend = joints.holds[j], 0.0
+    for d in range(2):
+        active.before[m, d] = active.free[m, d] = active.wanted[m, d] = 0.0
+        for k in range(6):
+            active.rows[m, d, k] = 0.0
+    if holds in (ROD, ROPE):
+        gap, bend = _distance_row(joints, j, mid, paths, h, m, active)
+    else:
+        gap = _angle_row(joints, j, mid, m, active)
+    past, closing = memory.past[0], active.closing[m]
+    if past > 0.0:
+        _leave_open(gap, 0, h, past, closing)
+    gap -= closing[0, 0]
+    if holds in (ROD, TURN):
+        if place < 0 and past > 0.0:
+            # A joint that closes keeps what it is open by.
+            closing[0, 0], gap = gap, 0.0
+        active.wanted[m, 0] = gap / h - bend
+    else:
+        lasting = place >= 0 and memory.contacts[place, 1] == 1.0
+        level = memory.contacts[place, 0] if place >= 0 else 0.0
+        _bounded(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
+    return _path_bend(paths, joints.owners[j]) / h
 
 
 @kernel
@@ -114,24 +267,46 @@ def add_joints(
     """
     joints, pieces = numbers.joints, len(numbers.pieces.sizes)
     first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
-    past = memory.past[0]
+    past, fall = memory.past[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     for j in range(len(joints.holds)):
         b = joints.bodies[j, 0]
         active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
+        on, bounds = joints.on[joints.owners[j]], is_bound(joints.holds[j])
         active.materials[m, 0] = HELD if joints.holds[j] == BOTH else GUIDED
         active.materials[m, 1] = active.materials[m, 2] = 0.0
+        if bounds or not on:
+            active.materials[m, 0], active.materials[m, 2] = 1.0, joints.sizes[j, 1]
         active.laws[m], active.ways[m] = -1, 0
         active.yields[m], active.twins[m] = 0.0, 0
         active.hit[m] = False
         while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
             at_old += 1
         _, _, place = warm_start(memory, at_old, first + j, 0, h, m, active)
+        if place >= 0 and memory.contacts[place, 9] == 0.0:
+            # It was off.
+            place = -1
         for d in range(2):
             active.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
             active.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
-        mid.pull[b] += _joint_rows(joints, j, mid, places, h, past, m, active)
-        active.keys[m, 0], active.keys[m, 1] = first + j, 0
         active.memory[m, 0] = active.memory[m, 1] = 0.0
+        if joints.holds[j] >= ROD:
+            pull = _other_row(joints, j, mid, places, memory, place, h, fall, m, active)
+        else:
+            pull = _joint_rows(joints, j, mid, places, h, past, m, active)
+            if place < 0 and past > 0.0:
+                # A joint that closes keeps what it is open by.
+                for d in range(2):
+                    open_by = h * active.wanted[m, d]
+                    active.closing[m, 0, d] += open_by
+                    active.wanted[m, d] = 0.0
+        if on:
+            mid.pull[b] += pull
+        else:
+            active.hit[m] = False
+            for d in range(2):
+                active.wanted[m, d] = _OFF
+                active.pushes[m, d] = 0.0
+        active.keys[m, 0], active.keys[m, 1] = first + j, 0
         m += 1
     return m
 
@@ -145,6 +320,8 @@ def bent_on(
     Where its body turns by `turn` in that and not by `than`, beyond what the rate says; as the row
     counts it. And how far it goes round.
     """
+    if joints.holds[j] >= ROD:
+        return 0.0, 0.0
     b = joints.bodies[j, side]
     x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
     rx, ry = x - places[b, 0], y - places[b, 1]
@@ -155,9 +332,11 @@ def bent_on(
 
 @kernel
 def held(joints: JointNumbers, one: int, other: int) -> bool:
-    """Return whether a joint holds two bodies together."""
+    """Return whether a joint holds two bodies together, which then do not touch."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]
+        if joints.passes[joints.owners[j]] and not joints.on[joints.owners[j]]:
+            continue
         if (a == one and b == other) or (a == other and b == one):
             return True
     return False

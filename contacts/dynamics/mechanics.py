@@ -471,7 +471,7 @@ class Mechanics(Geometry):
         for name in self._switched.keys() - self.used_friction.keys():
             result[f"{name}.friction"] = self._coefficients[name]["friction"]
         for name, joint in self.scene.joints.items():
-            if joint.limits is not None:
+            if joint.limits is not None and not self.scene.collisions:
                 low, high = (self.forces[stop][0] for stop in stops(name))
                 result[f"{name}.M"] = self._arm(joint.point) * (low - high)
         result["energy"] = self.energy

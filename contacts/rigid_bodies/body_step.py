@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import RESISTS, ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import BOTH, GREATEST, ROPE, BodyNumbers, Memory
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
-from contacts.collision_detection.joints import add_joints
+from contacts.collision_detection.joints import add_joints, is_bound
 from contacts.collision_detection.midpoint import (
     Prescribed,
     apply_forces,
@@ -201,12 +201,20 @@ def _store_joints(
             both += velocity(active.bodies, active.rows, rates, i, d)
             both -= velocity(active.bodies, active.rows, mid.loose, i, d)
             chunk.gained[k] += 0.5 * space.pressed[i, d] * both
-        memory.contacts[i, 0], memory.contacts[i, 1] = 0.0, 1.0
+        # As of contacts: a level, and whether it lasts; and whether the joint is closed.
+        lasts = space.pressed[i, 0] > 0.0 and not space.bounces[i]
+        bounds, closed = is_bound(holds[j]), 0.0 if active.hit[i] else -1.0
+        memory.contacts[i, 0] = active.memory[i, 0]
+        memory.contacts[i, 1] = 1.0 if lasts or not bounds else closed
+        memory.contacts[i, 9] = 1.0 if numbers.joints.on[numbers.joints.owners[j]] else 0.0
         for d in range(2):
             memory.contacts[i, 2 + d] = space.pressed[i, d]
             memory.contacts[i, 4 + d] = active.closing[i, 0, d]
             memory.contacts[i, 6 + d] = active.closing[i, 1, d]
-            if d == 0 or holds[j] == BOTH:
+            if holds[j] == GREATEST and d == 0:
+                # The couple of both limits is one force.
+                chunk.solved[k, at - 1] -= space.steady[i, d] / chunk.h
+            elif d == 0 or holds[j] in (BOTH, ROPE):
                 chunk.solved[k, at] = space.steady[i, d] / chunk.h
                 at += 1
     if space.apart[0] > 0.0:

@@ -180,7 +180,7 @@ class BodyStepper(Stepper):
         if overrides:
             check_physical(self._declared, known)
         moved = self._bodies.starts.at(values, known)
-        bodies = body_numbers(self._declared, known, self._owners)
+        bodies = body_numbers(self._declared.expanded, known, self._owners)
         setup = self._setup(values, moved, remembered, bodies)
         anything = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 

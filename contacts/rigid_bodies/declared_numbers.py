@@ -14,6 +14,11 @@ from contacts.collision_detection.body_numbers import (
     ALONG_X,
     ALONG_Y,
     BOTH,
+    GREATEST,
+    LEAST,
+    ROD,
+    ROPE,
+    TURN,
     BodyNumbers,
     JointNumbers,
     PieceNumbers,
@@ -26,7 +31,7 @@ from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
 from contacts.solvers.dependence import column_scales, implied, rank
 from contacts.solvers.step_impulses import smoothed
-from contacts.states import implied_joints
+from contacts.states import CLOSED, implied_joints
 from statechart.arrays import Array, Ints
 from statechart.documents.fields import FormulaText, value_of
 from statechart.errors import DeclarationProblem
@@ -115,14 +120,26 @@ def symbols_of(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(f"p{i}", real=True) for i in range(len(names)))
 
 
-_HOLDS = {("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y}
+_HOLDS = {
+    ("X", "Y"): BOTH, ("X",): ALONG_X, ("Y",): ALONG_Y, ("T",): ROD, ("V", "H"): ROPE,
+}  # fmt: skip
 _HELD = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
 
 
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
     """Evaluate the joints of a scene whose bodies have these names, copies one by one."""
-    bodies, at = [], []
-    for joint in scene.joints.values():
+    # What joints capture is known when they close.
+    known = {**dict.fromkeys(scene.controlled.memory, 0.0), **known}
+    bodies, at, rows, angles = [], [], [], []
+    for j, joint in enumerate(scene.joints.values()):
+        rebound = parse(joint.restitution or 0).value(known)
+        length = joint.rope if joint.rod is None else joint.rod
+        kind = _HOLDS[tuple(c for c in joint.components if c != "M")]
+        rows.append((kind, j, parse(length or 0).value(known), rebound))
+        if joint.angle is not None:
+            angles.append((TURN, j, 0.0, 0.0))
+        for bound, limit in zip((LEAST, GREATEST), joint.limits or (), strict=False):
+            angles.append((bound, j, parse(limit).value(known), rebound))
         ends = [joint.point, joint.to if isinstance(joint.to, Point) else None]
         bodies.append([-1 if end is None else names.index(end.body) for end in ends])
         at.append(
@@ -131,11 +148,21 @@ def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]
                 for end in ends
             ]
         )
+    table = np.array(rows + angles, dtype=float).reshape(-1, 4)
+    owners, initial = table[:, 1].astype(np.int64), scene.controlled.initial
     return JointNumbers(
-        np.array(bodies, dtype=np.int64).reshape(-1, 2),
-        np.array(at, dtype=float).reshape(-1, 2, 2),
-        np.array([_HOLDS[joint.components] for joint in scene.joints.values()], dtype=np.int64),
+        np.array(bodies, dtype=np.int64).reshape(-1, 2)[owners],
+        np.array(at, dtype=float).reshape(-1, 2, 2)[owners],
+        table[:, 0].astype(np.int64),
+        owners,
+        table[:, 2:].copy(),
+        np.array([initial.get(name, CLOSED) == CLOSED for name in scene.joints], dtype=np.bool_),
+        np.array([joint.rest is not None for joint in scene.joints.values()], dtype=np.bool_),
     )
+
+
+# Angles at the start may be beyond limits by this many radians.
+_ANGLE_NEAR = 1e-9
 
 
 def closed_joints(
@@ -164,7 +191,13 @@ def closed_joints(
         At the first joint that is open, or whose points move apart.
     """
     (at, rates), own = moved.reshape(2, -1, 3), joints.at.copy()
+    sizes = joints.sizes.copy()
+    for j in np.flatnonzero(joints.holds == TURN).tolist():
+        one, other = joints.bodies[j].tolist()
+        sizes[j, 0] = at[one, 2] - (at[other, 2] if other >= 0 else 0.0)
     for j, name in enumerate(scene.joints):
+        if not joints.on[j]:
+            continue
         ends, moving = [places[j]], [speeds[j]]
         for side in (0, 1):
             b = int(joints.bodies[j, side])
@@ -172,6 +205,10 @@ def closed_joints(
                 arm = _arm(at[b, 2], joints.at[j, side])
                 ends.insert(side, at[b, :2] + arm)
                 moving.insert(side, rates[b, :2] + rates[b, 2] * np.array([-arm[1], arm[0]]))
+        _check_angles(joints, j, name, at)
+        if joints.holds[j] in (ROD, ROPE):
+            _check_distance(joints, j, name, ends, moving, near, slow)
+            continue
         held = _HELD[int(joints.holds[j])]
         apart = float(np.hypot.reduce((ends[0] - ends[1])[held]))
         if apart > near:
@@ -194,13 +231,54 @@ def closed_joints(
         missing = np.zeros(2)
         missing[held] = (ends[1] - ends[0])[held]
         own[j, 0] += _arm(-at[joints.bodies[j, 0], 2], missing)
-    return joints._replace(at=own)
+    return joints._replace(at=own, sizes=sizes)
+
+
+def _check_distance(
+    joints: JointNumbers, j: int, name: str, ends: Sequence[Array], moving: Sequence[Array],
+    near: float, slow: float,
+) -> None:  # fmt: skip
+    """Check that a rod has its length where a run starts, and that a rope is no longer."""
+    way, length = ends[0] - ends[1], float(joints.sizes[j, 0])
+    far, rod = float(np.hypot(*way)), joints.holds[j] == ROD
+    if far > length + near or (rod and far < length - near):
+        raise DeclarationProblem(
+            f"joint {name!r} is {length:.7g} long, and its ends are {far:.7g} apart at the start",
+            advice=f"write {'rod' if rod else 'rope'}: {far:.7g}, or start the body elsewhere",
+            loc=("joints", name, "rod" if rod else "rope"),
+        )
+    parting = float(way @ (moving[0] - moving[1])) / far if far > 0.0 else 0.0
+    if rod and abs(parting) > slow:
+        raise DeclarationProblem(
+            f"joint {name!r} does not hold at the start: its ends move apart at {parting:.6g}",
+            advice="let the body start with a velocity across the rod",
+            loc=("joints", name),
+        )
+
+
+def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> None:
+    """Check that a relative angle is within its limits where a run starts."""
+    for j in np.flatnonzero(joints.owners == owner).tolist():
+        one, other = joints.bodies[j].tolist()
+        angle = float(at[one, 2] - (at[other, 2] if other >= 0 else 0.0))
+        sign = {LEAST: 1.0, GREATEST: -1.0}.get(int(joints.holds[j]), 0.0)
+        if sign * (angle - float(joints.sizes[j, 0])) < -_ANGLE_NEAR:
+            raise DeclarationProblem(
+                f"the relative angle of joint {name!r} is {angle:.7g} at the start, beyond its "
+                f"limit {joints.sizes[j, 0]:.7g}",
+                advice="start within the limits",
+                loc=("joints", name, "limits"),
+            )
 
 
 def implied_remarks(scene: Scene, joints: JointNumbers, moved: Array) -> tuple[str, ...]:
     """Return what is said of joints that others imply where a run starts; see `closed_joints`."""
     at, rows, names = moved.reshape(2, -1, 3)[0], [], []
-    for j, name in enumerate(scene.joints):
+    every = [*scene.joints]
+    for j, holds in enumerate(joints.holds.tolist()):
+        name = every[joints.owners[j]]
+        if not joints.on[joints.owners[j]] or holds not in _HELD:
+            continue
         both = np.zeros((2, *at.shape))
         for side in (0, 1):
             b = int(joints.bodies[j, side])

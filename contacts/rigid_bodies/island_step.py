@@ -313,6 +313,9 @@ def _pair(numbers: BodyNumbers, active: ActiveContacts, i: int) -> int:
     one, other = active.bodies[i]
     bodies, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
     surfaces = len(numbers.surfaces.kinds)
+    joint = active.keys[i, 0] - pieces * (pieces + surfaces)
+    if joint >= 0:
+        return int(-1 - joint)
     if other < 0:
         q = active.keys[i, 0] % (pieces + surfaces)
         other = numbers.pieces.bodies[q] if q < pieces else bodies + q - pieces

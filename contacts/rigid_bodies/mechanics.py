@@ -165,15 +165,20 @@ class BodyMechanics(Mechanics):
     def joint_rows(self) -> tuple[JointRow, ...]:
         """Rows of all joints: names and forces; the steps know the rest as numbers."""
         nothing, rows = sp.S.Zero, list[JointRow]()
-        for name, joint in self.scene.joints.items():
-            for component in joint.components:
-                force = sp.Symbol(f"{component}{len(rows)}", real=True)
-                key = f"{name}.redundant_{component.lower()}"
-                redundant = self.parameters.symbols[key]
-                row = JointRow(
-                    name, component, nothing, nothing, nothing, (), force, nothing, redundant
-                )
-                rows.append(row)
+        for turns in (False, True):
+            for name, joint in self.scene.joints.items():
+                for component in joint.forces:
+                    if (component == "M") != turns:
+                        continue
+                    force = sp.Symbol(f"{component}{len(rows)}", real=True)
+                    key = f"{name}.redundant_{component.lower()}"
+                    redundant = self.parameters.symbols.get(key, nothing)
+                    rows.append(
+                        JointRow(
+                            name, component, nothing, nothing, nothing, (), force, nothing,
+                            redundant,
+                        )
+                    )  # fmt: skip
         return tuple(rows)
 
     def given_in(self, states: Mapping[str, str]) -> Tape:

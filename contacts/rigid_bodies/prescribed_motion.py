@@ -14,6 +14,7 @@ from contacts.dynamics.controllers import given
 from contacts.dynamics.geometry import surface_frame
 from contacts.rigid_bodies.declared_numbers import symbols_of, touched
 from contacts.rigid_bodies.mechanics import BodyMechanics
+from contacts.scene.expansion import captured
 from contacts.scene.joints import Path
 from contacts.scene.scene import Scene
 from statechart.arrays import Array
@@ -168,6 +169,7 @@ class PrescribedMotion:
         self._mechanics, self._paths = mechanics, paths
         self._known, self._values = known, values
         self.controlled = bool(mechanics.scene.regions)
+        self.joints = tuple(mechanics.scene.joints)
         # Where what has a path was at the last detection, and what the length of that step was.
         self._last: tuple[Positions, float] | None = None
         self._saved: tuple[Positions, float] | None = None
@@ -181,6 +183,17 @@ class PrescribedMotion:
         self._states = states
         self.forces = self._mechanics.forces_at(states, self._values)
         self._given = self._mechanics.given_in(states)
+
+    def captured(self, joint: str, remembered: Array) -> dict[str, float]:
+        """Return the pose that a joint has captured as it closed: x, y and turn."""
+        known = dict(zip(self._mechanics.memory, remembered.tolist(), strict=True))
+        names = captured(joint, self._mechanics.scene.joints[joint])
+        return {name.rpartition(".")[2]: known[name] for name in names}
+
+    def place_of(self, joint: int, time: float, remembered: Array) -> Array:
+        """Return where a joint holds its point in the world at an instant."""
+        found: Array = self._now(time, remembered).places[0, joint]
+        return found
 
     def forget(self) -> None:
         """Take back the last steps."""

@@ -10,7 +10,17 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts
-from contacts.collision_detection.body_numbers import BOTH, BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import (
+    ALONG_X,
+    ALONG_Y,
+    BOTH,
+    GREATEST,
+    ROD,
+    ROPE,
+    TURN,
+    BodyNumbers,
+    Memory,
+)
 from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
@@ -18,6 +28,7 @@ from contacts.rigid_bodies.island_step import ratio_remarks
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.workspace import Workspace
+from contacts.states import CLOSED
 from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
 from contacts.time_stepping.stability import UNSTABLE, Held, check_followed
 from contacts.time_stepping.step_rejection import depth_left
@@ -165,8 +176,8 @@ class DetectedContacts(NamedTuple):
         """Return the contacts of a step, behind which joints stand."""
         many = int(memory.many[0])
         bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
-        both = holds == BOTH
-        joints = [rows[met:many, 0], rows[met:many][both, 1]]
+        both, firm = holds == BOTH, active.materials[met:many, 0] < 0.0
+        joints = [rows[met:many][firm, 0], rows[met:many][both & firm, 1]]
         return cls(
             gaps,
             active.keys[:met, 0].copy(),
@@ -175,7 +186,10 @@ class DetectedContacts(NamedTuple):
             active.materials[:met, 1] > 0.0,
             Held(bodies[:met], rows[:met, 0].copy()),
             Held(bodies[:met], rows[:met, 1].copy()),
-            Held(np.concatenate([bodies[met:], bodies[met:][both]]), np.concatenate(joints)),
+            Held(
+                np.concatenate([bodies[met:][firm], bodies[met:][both & firm]]),
+                np.concatenate(joints),
+            ),
         )
 
     def deepest_of(
@@ -249,7 +263,50 @@ class RigidBodyRun(SteppedSystem):
     def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
         """Go on with controllers in other states; see `SteppedSystem`."""
         self._around.switch(states)
+        on = self.numbers.joints.on
+        for j, joint in enumerate(self._around.joints):
+            if joint in states:
+                if states[joint] == CLOSED and not on[j]:
+                    self._close(j, joint, at[1], at[2])
+                on[j] = states[joint] == CLOSED
         return np.zeros(0, np.int64)
+
+    def _close(self, j: int, joint: str, state: Array, time: float) -> None:
+        """Let a joint hold the pose that it has captured.
+
+        Raises
+        ------
+        NoConsistentMode
+            If it captures no place, and its points are apart by more than a step moves them.
+        """
+        joints, remembered = self.numbers.joints, state[6 * self._moving :]
+        pose = self._around.captured(joint, remembered)
+        joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
+        if "x" in pose or "y" in pose:
+            if joints.bodies[j, 1] >= 0:
+                joints.at[j, 1] = pose["x"], pose["y"]
+            return
+        poses, rates = state[: 6 * self._moving].reshape(2, -1, 3)
+        ends = [self._around.place_of(j, time, remembered)] * 2
+        speed = 0.0
+        for side, b in enumerate(joints.bodies[j].tolist()):
+            if b >= 0:
+                (x, y, turn), (u, v) = poses[b], joints.at[j, side]
+                c, s = math.cos(turn), math.sin(turn)
+                ends[side] = np.array([x + c * u - s * v, y + s * u + c * v])
+                speed += math.hypot(*rates[b, :2]) + abs(rates[b, 2]) * math.hypot(u, v)
+        way = np.abs(ends[0] - ends[1])
+        holds = int(joints.holds[j])
+        if holds == ROD:
+            apart = abs(math.hypot(*way) - float(joints.sizes[j, 0]))
+        else:
+            apart = float({ALONG_X: way[0], ALONG_Y: way[1]}.get(holds, math.hypot(*way)))
+        size = float(self.numbers.sizes[: self._moving].max())
+        if apart > 2.0 * self._length * speed + _JUMPED_INTO * size:
+            raise NoConsistentMode(
+                f"joint {joint!r} closes at t = {time:.6g} while its points are {apart:.3g} apart; "
+                "write rest: captured, or let enabled hold where they meet"
+            )
 
     def forget(self) -> None:
         """Take back the last steps."""
@@ -428,7 +485,8 @@ class RigidBodyRun(SteppedSystem):
     ) -> tuple[Chunk, int]:
         """Return the steps that could be taken, and how they ended."""
         bodies = self._moving
-        joint_forces = int((1 + (self.numbers.joints.holds == BOTH)).sum())
+        holds = self.numbers.joints.holds
+        joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
         solved = 3 * bodies + joint_forces
         # One step more, for the last detection.
         ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)

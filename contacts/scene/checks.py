@@ -704,14 +704,13 @@ def check_collisions(scene: SceneFields) -> None:
                 key=True,
             )
     for name, joint in scene.joints.items():
-        for key in ("angle", "rod", "rope", "limits", "enabled", "rest"):
-            if getattr(joint, key):
-                raise DeclarationProblem(
-                    f"a joint of bodies that collide has no {key} yet",
-                    advice="let bodies touch by the points of contacts, without collisions",
-                    loc=("joints", name, key),
-                    key=True,
-                )
+        if joint.rope is not None and joint.enabled:
+            raise DeclarationProblem(
+                "a rope of bodies that collide is never off",
+                advice="remove enabled, or let a joint with rod hold the distance",
+                loc=("joints", name, "enabled"),
+                key=True,
+            )
     _check_memory(scene)
     for name, body in scene.bodies.items():
         if not body.prescribed and body.coordinates != ("x", "y", "angle"):

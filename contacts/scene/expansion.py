@@ -78,6 +78,9 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     joints: dict[str, Joint] = {}
 
     def touches(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
+        if scene.collisions:
+            # Steps of bodies with shapes have rows for bounds of distances and angles.
+            return
         surfaces[f"{name}.surface"] = surface
         contacts[name] = Contact(
             point=joint.point,
@@ -89,7 +92,7 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
 
     for name, joint in scene.joints.items():
         gate = joint.enabled
-        if joint.rope is None:
+        if joint.rope is None or scene.collisions:
             joints[name] = _as_captured(name, joint)
         elif _uses_forces(scene, gate):
             holder = f"{name}_{CLOSED}"
@@ -219,7 +222,7 @@ def _start(scene: SceneFields) -> dict[str, float]:
     texts: dict[str, Any] = {}
     for name, coordinate in scene.coordinates.items():
         texts |= {name: coordinate.start, scene.rate_name(name): coordinate.rate}
-    for name, body in scene.bodies.items():
+    for name, body in scene.single_bodies().items():
         for c in body.coordinates:
             texts[f"{name}.{c}"] = body.start.get(c, 0)  # type: ignore[call-overload]
             texts[f"{name}.d{c}"] = body.start.get(f"d{c}", 0)  # type: ignore[call-overload]
@@ -230,7 +233,7 @@ def _start(scene: SceneFields) -> dict[str, float]:
 
 def _frame(scene: SceneFields, name: str) -> tuple[str, str, str]:
     """Return the position and the angle of a body as formulas."""
-    body = scene.bodies[name]
+    body = scene.single_bodies()[name]
     if body.position is not None:
         x, y = body.position
         return f"({x})", f"({y})", f"({0 if body.angle is None else body.angle})"

@@ -1,0 +1,291 @@
+"""Welds, rods, ropes, limits and joints that let go between bodies with shapes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+from statechart.automaton.trace import Outcome
+from statechart.documents.yaml_reader import read_text
+from statechart.errors import DeclarationError
+from statechart.loading.load import interpret
+from statechart.running.runner import Runner
+
+G = 9.81
+
+ONE = """
+kind: scene
+name: one
+parameters: {{m: 2, l: 1, e: 0, x: 0, y: 0, a: 0, v: 0, u: 0, w: 0}}
+gravity: 9.81
+bodies:
+  bar:
+    mass: m
+    inertia: m*l**2/12
+    shape: {{polygon: [[-l/2, -0.01], [l/2, -0.01], [l/2, 0.01], [-l/2, 0.01]]}}
+    start: {{x: x, y: y, angle: a, dx: v, dy: u, dangle: w}}
+joints:
+  held: {joint}
+collisions:
+  all: {{bodies: [bar], friction: 0.5, restitution: 0}}
+stop: {{time: {end}}}
+settings: {{engine: impulse, step: 1e-3}}
+outputs:
+{outputs}
+"""
+
+
+def run(joint, outputs, end, parameters=None, **settings):
+    text = ONE.format(
+        joint=joint, end=end, outputs="\n".join(f"  {n}: {{{o}}}" for n, o in outputs.items())
+    )
+    return Runner(interpret(read_text(text)), **settings).run(parameters, throw=False)
+
+
+def test_a_cantilever_bears_its_weight_by_a_couple():
+    """Of a bar welded to a wall by its end: m g l/2."""
+    outputs = run(
+        "{point: {body: bar, at: [-l/2, 0]}, to: [-l/2, 0], angle: held}",
+        {"M": "value: held.M", "Y": "value: held.Y", "angle": "value: bar.angle"},
+        0.5,
+    ).outputs
+    assert outputs["M"] == pytest.approx(2 * G / 2, rel=1e-9)
+    assert outputs["Y"] == pytest.approx(2 * G, rel=1e-9)
+    assert outputs["angle"] == pytest.approx(0, abs=1e-12)
+
+
+def test_welded_bodies_swing_as_one():
+    """Two bars end to end on a pivot: a bar of twice the length, from a small angle."""
+    text = """
+kind: scene
+name: welded
+parameters: {l: 0.5, a: 0.05}
+gravity: 9.81
+bodies:
+  up: {mass: 1, inertia: l**2/12,
+    shape: {polygon: [[-0.01, -l/2], [0.01, -l/2], [0.01, l/2], [-0.01, l/2]]},
+    start: {x: l/2*sin(a), y: -l/2*cos(a), angle: a}}
+  low: {mass: 1, inertia: l**2/12,
+    shape: {polygon: [[-0.01, -l/2], [0.01, -l/2], [0.01, l/2], [-0.01, l/2]]},
+    start: {x: 1.5*l*sin(a), y: -1.5*l*cos(a), angle: a}}
+joints:
+  pivot: {point: {body: up, at: [0, l/2]}, to: [0, 0]}
+  weld: {point: {body: low, at: [0, l/2]}, to: {body: up, at: [0, -l/2]}, angle: held}
+collisions: {all: {bodies: [up, low], friction: 0, restitution: 0}}
+stop: {time: 3}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  bent: {maximum: abs(low.angle - up.angle)}
+  swings: {value: time, at: first up.angle < -0.05}
+  angle: {value: up.angle}
+"""
+    text = text.replace("  swings: {value: time, at: first up.angle < -0.05}\n", "")
+    outputs = Runner(interpret(read_text(text))).run().outputs
+    period = 2 * math.pi * math.sqrt(2 / 3 * 1.0 / G) * 2 / math.pi * ellipk(math.sin(0.025) ** 2)
+    assert outputs["bent"] < 1e-9
+    assert outputs["angle"] == pytest.approx(0.05 * math.cos(2 * math.pi * 3 / period), abs=1e-4)
+
+
+def test_a_rope_that_becomes_taut_takes_the_velocity_along_it():
+    """Falls 0.8 beside its pivot: then as a pendulum with the velocity across the rope."""
+    fallen = math.sqrt(2 * G * 0.8)
+    lowest = math.sqrt((0.6 * fallen) ** 2 + 2 * G * 0.2)
+    for step in (2e-3, 5e-4):
+        result = run(
+            "{point: {body: bar}, to: [0, 0], rope: 1}",
+            {
+                "fast": "maximum: 'hypot(bar.dx, bar.dy)'",
+                "far": "maximum: 'hypot(bar.x, bar.y)'",
+                "speed": "maximum: -bar.dx",
+            },
+            1.0,
+            {"x": 0.6},
+            step=step,
+        )
+        assert result.outputs["fast"] == pytest.approx(max(fallen, lowest), rel=5 * step)
+        assert result.outputs["speed"] == pytest.approx(lowest, rel=10 * step)
+        assert result.outputs["far"] == pytest.approx(1, abs=4 * step)
+
+
+def test_a_hanging_rope_bears_the_weight():
+    outputs = run(
+        "{point: {body: bar}, to: [0, 0], rope: 1}", {"V": "value: held.V"}, 0.2, {"y": -1}
+    ).outputs
+    assert outputs["V"] == pytest.approx(2 * G, rel=1e-9)
+
+
+def test_a_rope_rebounds_by_its_restitution():
+    fallen = math.sqrt(2 * G)
+    outputs = run(
+        "{point: {body: bar}, to: [0, 0], rope: 1, restitution: 0.5}",
+        {"up": "maximum: bar.dy"},
+        0.6,
+        step=2e-4,
+    ).outputs
+    assert outputs["up"] == pytest.approx(0.5 * fallen, rel=2e-3)
+
+
+def test_a_rod_is_a_pendulum():
+    """From the horizontal: sqrt(2 g) at the lowest point, after K(1/2)/sqrt(g) = 0.59196 s."""
+    quarter = float(ellipk(0.5)) / math.sqrt(G)
+    for step in (2e-3, 5e-4):
+        outputs = run(
+            "{point: {body: bar}, to: [0, 0], rod: 1}",
+            {
+                "speed": "maximum: 'hypot(bar.dx, bar.dy)'",
+                "far": "maximum: 'abs(hypot(bar.x, bar.y) - 1)'",
+                "T": "maximum: held.T",
+                "x": "value: bar.x",
+            },
+            0.592,
+            {"x": 1},
+            step=step,
+        ).outputs
+        assert outputs["speed"] == pytest.approx(math.sqrt(2 * G), rel=2 * step)
+        assert outputs["T"] == pytest.approx(3 * 2 * G, rel=5 * step)
+        assert outputs["far"] < 4 * step
+        assert outputs["x"] == pytest.approx((quarter - 0.592) * math.sqrt(2 * G), abs=step)
+
+
+def test_a_rod_pendulum_keeps_its_energy():
+    outputs = run(
+        "{point: {body: bar}, to: [0, 0], rod: 1}",
+        {"most": "maximum: energy", "least": "minimum: energy"},
+        20,
+        {"x": 1},
+    ).outputs
+    assert outputs["most"] - outputs["least"] < 0.02 * 2 * 2 * G
+
+
+def test_a_bar_rebounds_at_its_limit():
+    """A bar on a pivot at its end falls from the horizontal onto a stop 0.3 below."""
+    omega = math.sqrt(3 * G * math.sin(0.3))
+    result = run(
+        "{point: {body: bar, at: [-l/2, 0]}, to: [0, 0], limits: [-0.3, 1], restitution: e}",
+        {"down": "minimum: bar.dangle", "up": "maximum: bar.dangle", "least": "minimum: bar.angle"},
+        0.4,
+        {"x": 0.5, "e": 0.5},
+        step=2e-4,
+    ).outputs
+    assert result["down"] == pytest.approx(-omega, rel=2e-3)
+    assert result["up"] == pytest.approx(0.5 * omega, rel=4e-3)
+    assert result["least"] == pytest.approx(-0.3, abs=1e-3)
+
+
+def test_a_limit_bears_the_weight():
+    outputs = run(
+        "{point: {body: bar, at: [-l/2, 0]}, to: [0, 0], limits: [0, 1]}",
+        {"M": "value: held.M", "angle": "value: bar.angle"},
+        0.3,
+        {"x": 0.5},
+    ).outputs
+    assert outputs["M"] == pytest.approx(2 * G / 2, rel=1e-9)
+    assert outputs["angle"] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_bar_in_flight_is_caught_by_its_end():
+    """The angular momentum about the hook stays: m v l/2 = m l^2/3 w."""
+    for step in (2e-3, 5e-4):
+        outputs = run(
+            "{point: {body: bar, at: [0, 0.25]}, to: [0, 0], rest: captured, enabled: time >= 0.1}",
+            {"spin": "value: bar.dangle", "events": "count: held.enable"},
+            0.105,
+            {"v": 3},
+            step=step,
+        ).outputs
+        inertia = 1 / 12 + 0.25**2
+        assert outputs["spin"] == pytest.approx(3 * 0.25 / inertia, rel=40 * step)
+        assert outputs["events"] == 1
+
+
+def test_a_joint_that_lets_go_throws():
+    """A bar spins about a pivot at its end, and flies on with the velocity of its middle."""
+    result = run(
+        "{point: {body: bar, at: [-l/2, 0]}, to: [0, 0], enabled: time < 0.2}",
+        {"gone": "value: time, at: first held.disable", "vx": "value: bar.dx"},
+        0.4,
+        {"x": 0.5, "w": 3, "u": 1.5},
+    )
+    trace = result.trace
+    free = trace.arcs[-1].states(np.array([0.0, 0.1]))
+    assert result.outputs["gone"] == pytest.approx(0.2, abs=2e-3)
+    assert free[1, 3] == pytest.approx(free[0, 3], abs=1e-9)
+    assert free[1, 4] - free[0, 4] == pytest.approx(-G * 0.1, rel=1e-6)
+    assert free[1, 5] == pytest.approx(free[0, 5], abs=1e-9)
+    assert math.hypot(*free[0, 3:5]) == pytest.approx(0.5 * abs(free[0, 5]), rel=2e-2)
+
+
+def test_a_joint_breaks_at_its_strength():
+    """A bar on a pivot from the horizontal: at the angle b below it pulls by m g 5/2 sin b."""
+    outputs = run(
+        "{point: {body: bar, at: [-l/2, 0]}, to: [0, 0], enabled: abs(held.X) <= 10}",
+        {"angle": "value: bar.angle, at: first held.disable"},
+        1,
+        {"x": 0.5},
+        step=2e-4,
+    ).outputs
+    # X = m (l/2) (-w' sin b + w^2 cos b) with w' = 3 g cos b/(2 l), w^2 = 3 g sin b/l.
+    b = -outputs["angle"]
+    force = 2 * 0.5 * (1.5 * G * math.cos(b) * math.sin(b) + 3 * G * math.sin(b) * math.cos(b))
+    assert force == pytest.approx(10, rel=5e-3)
+
+
+def test_a_gripper_takes_a_box_along():
+    text = """
+kind: scene
+name: gripper
+gravity: 9.81
+parameters: {b: 0.1}
+bodies:
+  arm: {mass: 1, inertia: 0.01, shape: {polygon: [[-b, 0], [b, 0], [b, b], [-b, b]]},
+    start: {y: 0.4, dy: -0.2*pi}}
+  box: {mass: 2, inertia: 0.01, shape: {polygon: [[-b, -b], [b, -b], [b, b], [-b, b]]},
+    start: {x: 0.02, y: b}}
+  lamp: {mass: 1, inertia: 0.001, shape: {disc: 0.05}, start: {x: 0.6, y: 1}}
+surfaces: {floor: {height: 0}}
+joints:
+  cord: {point: {body: lamp}, to: [1, 1.3], rope: 0.5}
+  lead: {point: {body: arm}, to: [0, "0.4 - 0.2*sin(pi*time)"], angle: held}
+  suction:
+    point: {body: box}
+    to: {body: arm}
+    angle: held
+    rest: captured
+    enabled: time >= 0.5 and time < 0.9
+collisions:
+  all: {bodies: [arm, box, lamp], surfaces: [floor], friction: 0.5, restitution: 0}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+outputs:
+  lifted: {maximum: box.y}
+  force: {maximum: suction.Y}
+  cord: {minimum: lamp.y}
+"""
+    result = Runner(interpret(read_text(text))).run()
+    # A rope beside a joint that lets go.
+    assert result.outputs["cord"] == pytest.approx(0.8, abs=1e-3)
+    lifted = 0.1 + 0.2 * (1 - math.sin(0.9 * math.pi))
+    assert result.outputs["lifted"] == pytest.approx(lifted, abs=2e-2)
+    assert result.trace.outcome == Outcome.HORIZON
+
+
+def test_mistakes():
+    for joint, message in {
+        "{point: {body: bar}, to: [0, 0], rope: 1}": "ends are 2 apart",
+        "{point: {body: bar}, to: [0, 0], rod: 1}": "ends are 2 apart",
+        "{point: {body: bar}, to: [0, 0], rope: 3, enabled: time < 1}": "is never off",
+        "{point: {body: bar}, to: [2, 0], limits: [0.1, 1]}": "beyond its limit",
+    }.items():
+        with pytest.raises(DeclarationError, match=message):
+            run(joint, {"y": "value: bar.y"}, 1, {"x": 2})
+
+
+def test_points_that_do_not_meet_are_not_joined():
+    result = run(
+        "{point: {body: bar}, to: [0, 3], enabled: time >= 0.1}", {"y": "value: bar.y"}, 0.2
+    )
+    assert result.trace.outcome == Outcome.NO_CONSISTENT_MODE
+    assert "rest: captured" in result.trace.message
