@@ -619,7 +619,9 @@ def write_modes(
             chunk.solved[k, used_at + scene.used[i]] = mu
         if pressed and not met.hit[i] and not memory.closed[i]:
             chunk.closing[k] = max(chunk.closing[k], chunk.gaps[k, i] - memory.level[i])
-        chunk.struck[k, i] = sudden[a] and pressed
+        # What another contact's impulse stops as its own would is struck, too.
+        met_alike = met.hit[i] and velocity_after(problem.delassus, answer.least, pushes, a, 0) == 0
+        chunk.struck[k, i] = sudden[a] and (pressed or met_alike)
         if chunk.struck[k, i] and not met.hit[i]:
             # A jamming contact falls freely up to the middle of the step, where it is struck.
             falling = -0.5 * (problem.before[a, 0] + problem.free[a, 0])
