@@ -19,7 +19,7 @@ RESTITUTION, KINETIC, STIFFNESS, DAMPING, ROLLING = 2, 3, 5, 6, 7
 """Places in `BodyNumbers.materials`."""
 
 BOTH, ALONG_X, ALONG_Y, ROD, ROPE, TURN, LEAST, GREATEST = range(8)
-"""What a row of a joint holds: a point, along both axes or one; a distance, exactly or at most;
+"""Constraint of a row of a joint: a point, along both axes or one; a distance, exactly or at most;
 the relative angle, exactly, at least or at most."""
 
 # Contacts that there is place for at first.

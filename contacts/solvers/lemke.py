@@ -20,7 +20,7 @@ from statechart.kernels.jit import kernel
 FOUND, RAY, SPENT = range(3)
 
 UNKNOWNS = 4
-"""Of a contact: normal impulse, tangential one to either side, slip speed."""
+"""Unknowns of a contact: normal impulse, tangential one to either side, slip speed."""
 
 # Of a pivot relative to the largest entry of its column: smaller ones are round-off.
 _SMALLEST_PIVOT = 1e-11

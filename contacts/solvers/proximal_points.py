@@ -362,7 +362,7 @@ def followed(
 
 @kernel
 def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tuple[float, int]:
-    """Solve contacts of which no other one presses than did; return the residual, and eliminations.
+    """Solve contacts with open ones kept open; return the residual, and eliminations.
 
     Impulses are found from nothing, in place: of those with the same motion the smallest. What is
     open stays so as long as that solves the problem: a box that just fits under a lid is else stuck

@@ -16,7 +16,7 @@ from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
 INSIDE, UPPER, LOWER, APEX = range(4)
-"""Where ``w = J y`` is: inside the cone or the interval; off it, nearest to its edge or end with
+"""Zone of ``w = J y``: inside the cone or the interval; off it, nearest to its edge or end with
 H > 0, with H < 0; off it, nearest to its tip."""
 
 

@@ -219,7 +219,7 @@ def is_sliding(problem: ContactProblem, least: Array, impulses: Array, a: int) -
 def steady_impulses(
     problem: ContactProblem, least: Array, pushes: Array, allowed: float
 ) -> tuple[Array, Bools]:
-    """Return the impulses (m, 2) of a step that are forces, and who slides under them.
+    """Return the impulses (m, 2) of a step that are forces, and which contacts slide under them.
 
     They are those that there would be without the contacts that something strikes at an instant.
     An impact takes off a contact no more than what that bears; what feels none bears forces alone.

@@ -15,7 +15,7 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
 DONE, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(5)
-"""How a chunk ended: with its last step, before an inertia that determines no motion, a number that
+"""End of a chunk: with its last step, before an inertia that determines no motion, a number that
 is none, more contacts than there is place for, or more motion than the step follows."""
 
 APART, LASTING, HIT = range(3)

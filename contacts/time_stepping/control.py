@@ -32,7 +32,7 @@ from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.regions import Raised, Region
 from statechart.automaton.trace import Jump
 from statechart.charts.guard_watch import Listening
-from statechart.errors import EventLoop
+from statechart.errors import EventLoop, UnsolvedImpulses
 
 _TOLD = 4  # of those that follow each other for ever
 _MOST_TURNS = 100
@@ -147,7 +147,8 @@ class StepControl:
     def _closed(self, joint: str, state: Array, recorder: Recorder, h: float) -> Array:
         """Return the state after a joint closes and stops, without rebound, what is in contact.
 
-        Raises `NoConsistentMode` if its points are apart by more than a step moves them.
+        Raises `NoConsistentMode` if its points are apart by more than a step moves them, and
+        `UnsolvedImpulses` where no impulses stop the contacts.
         """
         setup, time = self._memory.within(self._setup, state), recorder.clock.high
         motion, named = self._memory.parted(state), self._states.named(self.states)
@@ -166,7 +167,12 @@ class StepControl:
             jacobians = snapshot.jacobians[touching]
             matrix, _ = delassus_matrix(snapshot.mass, jacobians, snapshot.forces)
             least, nothing = jacobians @ snapshot.velocity, np.zeros(len(edges))
-            _, pushes = forces_by_lemke(matrix, least, edges, nothing)
+            solved, pushes = forces_by_lemke(matrix, least, edges, nothing)
+            if not solved:
+                raise UnsolvedImpulses(
+                    f"no impulses stop the contacts of what joint {joint!r} closes on at "
+                    f"t = {time:.6g}; close it away from contacts, or at another time"
+                )
             impulses = np.einsum("ckn,ck->n", jacobians, pushes)
             change = np.linalg.lstsq(snapshot.mass, impulses)[0]
             motion = snapshot.moved(motion, snapshot.velocity + change)

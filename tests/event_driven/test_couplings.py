@@ -388,12 +388,14 @@ def test_limit_that_falls_below_zero_ends_the_run_with_its_name() -> None:
         run(text)
 
 
-def test_controller_listens_to_a_coupling_and_opens_it() -> None:
-    text = RAMP.replace("forces: {drive: {body: wheel, moment: rate*time}}", "").replace(
-        "phi: {}", "phi: {rate: 3}"
+# A controller that opens a brake on a wheel without a drive, and hears it open.
+OPENED = (
+    (
+        RAMP.replace("rate*time", "0")
+        .replace("phi: {}", "phi: {rate: 3}")
+        .replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
     )
-    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
-    text += """
+    + """
 regions:
   hand:
     initial: holds
@@ -402,8 +404,12 @@ regions:
       - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
       - {name: see, from: rests, to: away, on: brake.open}
 """
+)
+
+
+def test_controller_listens_to_a_coupling_and_opens_it() -> None:
     # J w' = -k down to a speed of 2, then no couple.
-    result = run(text)
+    result = run(OPENED)
     assert [name for name, _ in events(result.trace)] == ["hand let_go", "brake open", "hand see"]
     assert result.trace.jumps[0].t == pytest.approx(1.0, abs=EXACT)
     assert result.outputs["speed"] == pytest.approx(2.0, abs=EXACT)
@@ -614,18 +620,7 @@ def test_steps_end_where_a_limit_falls_below_zero() -> None:
 
 
 def test_controllers_of_stepped_runs_hear_a_coupling() -> None:
-    text = RAMP.replace("rate*time", "0").replace("phi: {}", "phi: {rate: 3}")
-    text = text.replace("kinetic: k}}", "kinetic: k}, enabled: in(hand.holds)}")
-    text += """
-regions:
-  hand:
-    initial: holds
-    states: {holds: {}, rests: {}, away: {}}
-    transitions:
-      - {name: let_go, from: holds, to: rests, guard: brake.M <= -1.5 and dphi <= 2}
-      - {name: see, from: rests, to: away, on: brake.open}
-"""
-    found = steps(text, 1e-3)
+    found = steps(OPENED, 1e-3)
     names = [name for name, _ in events(found.trace)]
     assert names == ["hand let_go", "brake open", "hand see"]
     assert found.trace.jumps[0].t == pytest.approx(1.0, abs=2e-3)

@@ -46,7 +46,7 @@ def run(joint, outputs, end, parameters=None, **settings):
 
 
 def test_a_cantilever_bears_its_weight_by_a_couple():
-    """Of a bar welded to a wall by its end: m g l/2."""
+    """The couple of a bar welded to a wall by its end is m g l/2."""
     outputs = run(
         "{point: {body: bar, at: [-l/2, 0]}, to: [-l/2, 0], angle: held}",
         {"M": "value: held.M", "Y": "value: held.Y", "angle": "value: bar.angle"},
