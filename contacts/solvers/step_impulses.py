@@ -77,7 +77,7 @@ def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
             soft += 1
     contacts = ContactRows(
         bodies, threes, rows, columns, np.empty((count, 3)), cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), np.int64(1), np.int64(0),
+        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0,
     )  # fmt: skip
     complete(contacts)
     return contacts
