@@ -81,7 +81,7 @@ def _count(kernel: jit.Kernel) -> int:
     return sum(not one.inner.overloads for one in kernel.below)
 
 
-def intrinsic(function: Callable[..., Any]) -> Any:
+def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
     """Return a function that writes its own LLVM code."""
     made = intrinsic(function)
     # Made while what calls it is compiled, it would be seen by the next compilation only.

@@ -159,7 +159,7 @@ class Intrinsic:
         """The kernel as numba compiles it."""
         from statechart.kernels import compiler
 
-        return compiler.intrinsic(self.py_func)
+        return compiler.intrinsic_dispatcher(self.py_func)
 
 
 @overload
