@@ -148,7 +148,7 @@ class Outputs:
         if accumulator.motion:
             trace.require_motion()
         accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
-        return accumulator.values
+        return accumulator.result
 
     def of_batch(
         self, batch: Batch, jump_of: Callable[[int, int], Jump]
@@ -411,12 +411,12 @@ class OutputAccumulator:
     depend on the pieces. Implements `statechart.automaton.time_stepper.OutputStream`.
     """
 
-    def __init__(self, outputs: Outputs, *, begun: bool = False) -> None:
+    def __init__(self, outputs: Outputs, *, started: bool = False) -> None:
         self._outputs, self._observer = outputs, outputs.observer
         self._listed: list[list[float]] = [[] for _ in outputs.at]
         self._counted = [0] * len(outputs.counts)
         self.values = outputs.empty_values(1, 0)
-        self.started = begun
+        self.started = started
         self._last: tuple[Arc, ...] = ()
         self._waiting: list[Jump] = []
 
@@ -452,10 +452,10 @@ class OutputAccumulator:
         """Take the end of the run, with the whole run or no arcs; return the outputs."""
         last = piece if piece.arcs else replace(piece, arcs=self._last)
         self.take(last, (), self._waiting, ended=True)
-        return self.values
+        return self.result
 
     @property
-    def values(self) -> dict[str, OutputValue]:
+    def result(self) -> dict[str, OutputValue]:
         """The outputs, in the order of the declaration."""
         found = self._outputs.values_by_run(
             self.values, [[one] for one in self._listed], [[count] for count in self._counted]
