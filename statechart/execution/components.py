@@ -144,8 +144,8 @@ class MergedRun:
         proved = all(trace.certified for _, trace in named)
         return automaton.trace(
             self._setup.values,
-            arcs=LazySequence(self._arc, lambda: len(self._spans), kept=jumps < _KEPT),
-            jumps=LazySequence(self._jump, lambda: jumps, kept=jumps < _KEPT),
+            arcs=LazySequence(self._arc, lambda: len(self._spans), cached=jumps < _KEPT),
+            jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _KEPT),
             initial=self._state([part.trace.initial for part in parts]),
             final=self._state(finals),
             start_mode=self._key([part.trace.start_mode for part in parts]),
