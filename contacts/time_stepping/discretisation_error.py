@@ -21,7 +21,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stability import DEPENDENT, Swings
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.time_stepper import USUAL
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 
 # A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
 _LITTLE = 1e-3
@@ -59,9 +59,9 @@ def velocity_change(
         velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
         np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
     )  # fmt: skip
-    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), USUAL.tolerance)
+    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), DEFAULT_IMPULSES.tolerance)
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if missed <= USUAL.tolerance and np.isfinite(change).all() else None
+    return change if missed <= DEFAULT_IMPULSES.tolerance and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):
