@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.contact_rows import BEGINS, ON_TRIAL, overload
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
@@ -433,24 +434,44 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 @kernel
 def change_friction(
-    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array,
-    began: Bools,
-) -> bool:  # fmt: skip
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array
+) -> bool:
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
-    A slip that would turn in the step is stopped, as long as static friction holds it. What that
-    does not hold slips under kinetic friction (`began`, in place): each changes twice at most.
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; what an impact stops need not last. What static friction does not hold slips under
+    kinetic friction: what slipped before the step first, then one by one the most overloaded, as
+    each relieves the others. Each contact changes three times at most.
     """
-    changes = False
-    for a in range(len(problem.which)):
-        i, direction = problem.which[a], problem.directions[a]
+    ways, first, most, changes = problem.directions, -1, 0.0, False
+    for a in range(len(ways)):
+        i, normal = problem.which[a], pushes[a, 0]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        if not _has_two(scene, i) or began[a] or slip == 0.0 or slip * direction > 0.0:
+        judged = _has_two(scene, i) and abs(ways[a]) != BEGINS and normal > 0.0
+        if not judged or slip == 0.0 or (abs(ways[a]) == 1 and slip * ways[a] > 0.0):
             continue
-        began[a] = direction == 0
-        problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
-        write_cone(scene, tape, i, problem.directions[a], problem.cones[a])
-        changes = True
+        if abs(ways[a]) == 1:
+            ways[a], changes = 0, True
+            write_cone(scene, tape, i, 0, problem.cones[a])
+            if not of_group(problem.sudden, problem.groups, problem.groups[a]):
+                ways[a] = ON_TRIAL
+                problem.wanted[a, 1] -= problem.before[a, 1]
+            continue
+        load = overload(slip, problem.delassus[2 * a + 1, 2 * a + 1], normal, problem.cones[a])
+        if abs(problem.before[a, 1]) > scene.rounding:
+            load = math.inf
+        if load > most:
+            first, most = a, load
+    if changes:
+        return True
+    for a in range(len(ways)):
+        if ways[a] == ON_TRIAL and first in (a, -1):
+            ways[a], changes = 0, True
+            problem.wanted[a, 1] += problem.before[a, 1]
+    if first >= 0:
+        slip = velocity_after(problem.delassus, least, pushes, first, 1)
+        ways[first], changes = BEGINS if slip > 0.0 else -BEGINS, True
+        write_cone(scene, tape, problem.which[first], ways[first], problem.cones[first])
     return changes
 
 
