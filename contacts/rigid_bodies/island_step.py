@@ -22,7 +22,6 @@ from contacts.solvers.contact_rows import (
     BEGINS,
     HELD,
     ON_TRIAL,
-    PADDED,
     ContactRows,
     add,
     along,
@@ -170,7 +169,7 @@ def island_rows(
                     space.rows[a, d, k] = row
                     space.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
         space.cones[a, 0], space.cones[a, 1] = cones[i, 0], cones[i, 1]
-    if sides == PADDED:
+    if space.padded == 1:
         moved = _add_pads(members, active, moved, pads, space)
     for a in range(count):
         for side in range(sides):
@@ -179,6 +178,7 @@ def island_rows(
     contacts = ContactRows(
         space.bodies[:count], moved, space.rows[:count], space.columns[:count], space.own[:count],
         space.cones[:count], space.laws[:count], space.rates, space.spare,
+        space.shared, space.padded,
     )  # fmt: skip
     complete(contacts)
     return contacts
