@@ -296,11 +296,12 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 
 @kernel
-def _is_alone(groups: Ints, a: int) -> bool:
-    """Return whether a contact is the only one of its group."""
+def _is_alone(groups: Ints, a: int, without: Bools) -> bool:
+    """Return whether a contact is the only one of its group, but for the first ones `without`."""
     alone = True
     for b in range(len(groups)):
-        alone = alone and (b == a or groups[b] != groups[a])
+        left_out = b < len(without) and without[b]
+        alone = alone and (b == a or left_out or groups[b] != groups[a])
     return alone
 
 
@@ -439,21 +440,23 @@ def change_friction(
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
     A slip that would turn in the step stops if static friction bears what would hold it over the
-    whole step; what an impact stops need not last. What static friction does not hold slips under
-    kinetic friction: what slipped before the step first, then one by one the most overloaded, as
-    each relieves the others. Each contact changes three times at most.
+    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
+    slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most.
     """
-    ways, first, most, changes = problem.directions, -1, 0.0, False
+    ways, first, most, way, changes = problem.directions, -1, 0.0, 0, False
     for a in range(len(ways)):
         i, normal = problem.which[a], pushes[a, 0]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
         judged = _has_two(scene, i) and abs(ways[a]) != BEGINS and normal > 0.0
         if not judged or slip == 0.0 or (abs(ways[a]) == 1 and slip * ways[a] > 0.0):
             continue
+        turned = BEGINS if slip > 0.0 else -BEGINS
         if abs(ways[a]) == 1:
-            ways[a], changes = 0, True
-            write_cone(scene, tape, i, 0, problem.cones[a])
-            if not of_group(problem.sudden, problem.groups, problem.groups[a]):
+            struck = of_group(problem.sudden, problem.groups, problem.groups[a])
+            ways[a], changes = turned if struck and scene.used[i] >= 0 else 0, True
+            write_cone(scene, tape, i, ways[a], problem.cones[a])
+            if not struck:
                 ways[a] = ON_TRIAL
                 problem.wanted[a, 1] -= problem.before[a, 1]
             continue
@@ -461,7 +464,7 @@ def change_friction(
         if abs(problem.before[a, 1]) > scene.rounding:
             load = math.inf
         if load > most:
-            first, most = a, load
+            first, most, way = a, load, turned
     if changes:
         return True
     for a in range(len(ways)):
@@ -469,9 +472,8 @@ def change_friction(
             ways[a], changes = 0, True
             problem.wanted[a, 1] += problem.before[a, 1]
     if first >= 0:
-        slip = velocity_after(problem.delassus, least, pushes, first, 1)
-        ways[first], changes = BEGINS if slip > 0.0 else -BEGINS, True
-        write_cone(scene, tape, problem.which[first], ways[first], problem.cones[first])
+        ways[first], changes = way, True
+        write_cone(scene, tape, problem.which[first], way, problem.cones[first])
     return changes
 
 
@@ -502,12 +504,9 @@ def contact_problem(
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
         if scene.carriers[i] >= 0:
             sudden[a] = met.hit[scene.carriers[i]]
-        if scene.plastic and rebounds[a] and not _is_alone(groups, a):
-            rebounds[a], met.wanted[i, 0] = False, 0.0
         write_cone(scene, tape, i, directions[a], cones[a])
         put(met.before[i], before[a])
         put(met.free[i], free[a])
-        put(met.wanted[i], wanted[a])
         yields[a] = scene.soft[i, 0] > 0.0
         apart[a] = yields[a] or is_coupling(scene, i)
         if yields[a]:
@@ -515,6 +514,10 @@ def contact_problem(
     loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
     load_couplings(scene, tape, which, loads, delassus, free)
     for a in range(m):
+        # Couples and compliant forces are finite: no impact is simultaneous with them.
+        if scene.plastic and rebounds[a] and not _is_alone(groups, a, apart):
+            rebounds[a], met.wanted[which[a], 0] = False, 0.0
+        put(met.wanted[which[a]], wanted[a])
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
@@ -545,7 +548,8 @@ def split_forces(
                 sudden[a], jammed = True, i + 1
             clear = SUM_ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # The impulses of others decide, too, where there are others.
-            off = least[a, 0] > clear and memory.closed[i] and _is_alone(problem.groups, a)
+            off = least[a, 0] > clear and memory.closed[i]
+            off = off and _is_alone(problem.groups, a, np.zeros(0, np.bool_))
             several = several or (paradox and off)
     steady, slides = steady_impulses(problem, least, pushes, allowed)
     return ContactForces(least, pushes, steady, slides, several, jammed)
