@@ -101,7 +101,9 @@ def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     return next(filter(None, words), "")
 
 
-def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]) -> str:
+def sections_with_key(
+    model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]
+) -> str:
     """Return to which parts a key belongs that has no meaning where it stands; empty for none.
 
     Those on the way to it come first. A key that is nearly a known one belongs here.
@@ -286,7 +288,7 @@ def _argument(word: str, value: object, known: list[str]) -> str:
         return f"write {meant}=...; known: {listed}"
     if meant in {part.name for part in fields(Setting)}:
         return (
-            f"pass it to a runner, Runner(model, {meant}=...), or write it into settings of the model; "
+            f"pass it to a runner, Runner(model, {meant}=...), or write it into the settings; "
             f"known: {listed}"
         )
     advice = close_matches(word, known)

@@ -94,7 +94,8 @@ def find(path_or_name: str) -> Path:
             return found
     if exists:
         return path
-    if path.suffix in (".yaml", ".yml") and not close_matches(path.stem, shipped()).startswith("did"):
+    meant = close_matches(path.stem, shipped())
+    if path.suffix in (".yaml", ".yml") and not meant.startswith("did"):
         raise DeclarationError(
             f"no such file: {path_or_name!r}", advice="`statechart new NAME` writes one"
         )

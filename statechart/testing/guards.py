@@ -147,7 +147,9 @@ def _assert_at(
         moved = replace(jump, before=changed, after=changed)
         allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
     if value < -allowed:
-        raise AssertionError(f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}")
+        raise AssertionError(
+            f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}"
+        )
 
 
 def _assert_margins(

@@ -102,7 +102,7 @@ def scene(**changes: object) -> Scene:
         ),
         (
             lambda: run(scene(), 0.3),
-            "run: too many positional arguments; these may be positional: model; pass the others by name: p",
+            "run: too many positional arguments; these may be positional: model; pass the",
         ),
         (run, "run: 'model' is missing; it takes model, parameters, until, study, "),
         (
