@@ -235,12 +235,7 @@ class ControllerState:
             projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
-        within = of_motion.within
-        return of_motion._replace(
-            tape=self._whole(of_motion.tape),
-            project=project,
-            within=None if within is None else self._whole(within),
-        )
+        return of_motion._replace(project=project)
 
     def updated(
         self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array
@@ -260,14 +255,3 @@ class ControllerState:
         remembered = tape.at(state, setup.values, clock.high)
         check_updated(cause, self._names, remembered)
         return np.concatenate([state[: self._size], remembered])
-
-    def _whole(self, tape: Tape) -> Tape:
-        """Return a tape of the motion as one of the state: what is remembered stands between."""
-        count = len(self._names)
-        time = tape.reads == tape.n_variables
-        return replace(
-            tape,
-            n_variables=tape.n_variables + count,
-            n_parameters=tape.n_parameters - count,
-            reads=np.where(time, tape.n_variables + count, tape.reads).astype(np.int32),
-        )
