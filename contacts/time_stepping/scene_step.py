@@ -106,11 +106,11 @@ def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
 
 @kernel
 def _is_at_kink(
-    tape: TapeValues, change: Array, i: int, h: float, deepest: float, acute: int
+    tape: TapeValues, change: Array, i: int, h: float, lies: float, acute: int
 ) -> bool:
     """Return whether a point is near the kink of a valley, beyond the end of the edge of contact i.
 
-    It is as near as it lies deep in the other edge, or goes in some steps. In an obtuse valley it
+    It is as near as it lies deep in one of the edges, or goes in some steps. In an obtuse valley it
     is beyond the end wherever it lies on the other edge: `acute` (0 or 1) leaves those out.
     """
     n, numbers, row = tape.size, tape.numbers, tape.first + tape.per * i
@@ -120,7 +120,7 @@ def _is_at_kink(
             changes[d] += numbers[row + d * n + j] * change[j]
     at = row + 2 * n + 2
     speed = math.hypot(numbers[at + 1], numbers[at + 2]) + math.hypot(changes[0], changes[1])
-    reach = _STEPS * (h * speed - deepest)
+    reach = _STEPS * (h * speed - lies)
     beyond = max(numbers[at], -numbers[at + 3])
     return numbers[at + 3] < 0.0 < numbers[at + 4 + acute] and beyond <= reach
 
@@ -151,8 +151,9 @@ def switch_contacts(
     deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
+        lies = min(deepest[i], memory.level[i])
         for acute in range(2):
-            at_kink[i, acute] = _is_at_kink(tape, change, i, h, deepest[i], acute)
+            at_kink[i, acute] = _is_at_kink(tape, change, i, h, lies, acute)
         if scene.soft[i, 0] > 0.0:
             deepest[i] = -math.inf
     for i in range(len(off)):
