@@ -20,7 +20,15 @@ import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts
 from contacts.rigid_bodies.rigid_body_run import RigidBodyRun
-from contacts.solvers.contact_rows import LAW, ContactRows, complete, measured, scale, swept
+from contacts.solvers.contact_rows import (
+    LAW,
+    PAIR,
+    ContactRows,
+    complete,
+    measured,
+    scale,
+    swept,
+)
 from contacts.solvers.contact_solver import _by_lemke, solve_rows
 from contacts.solvers.proximal_points import by_proximal_points
 from contacts.time_stepping.scene_stepper import SteppedScene
@@ -333,6 +341,7 @@ def contacts_of(problem: Problem) -> ContactRows:
     contacts = ContactRows(
         problem.bodies, moving, problem.rows, problem.columns, np.empty((count, 3)), problem.cones,
         np.empty((count, LAW)), np.empty((3, 3 * moving + 3)), np.empty((7, count, 2)),
+        int(problem.bodies.shape[1] != PAIR), 0,
     )  # fmt: skip
     with np.errstate(all="ignore"):
         complete(contacts)

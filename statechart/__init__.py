@@ -121,7 +121,7 @@ _HOMES = {
     "documents.outputs": ("Count", "Integral", "Maximum", "Minimum", "Value"),
     "loading.load": ("load",),
     "running.accuracy": ("AccuracyRequest",),
-    "running.drawing": ("draw", "graph"),
+    "running.drawing": ("draw", "graph", "notebook"),
     "running.inspection": ("Modes", "equations", "modes"),
     "running.result": ("Reading", "Result"),
     "running.runner": ("Runner", "run"),
@@ -149,7 +149,7 @@ def __getattr__(name: str) -> Any:
             stacklevel=2,
         )
         name = new
-    if name not in __all__:
+    if name not in __all__ and name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOME.get(name, 'errors')}"), name)
 

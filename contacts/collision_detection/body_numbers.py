@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
-from contacts.solvers.contact_rows import PADDED
 from statechart.arrays import Array, Bools, Ints
 
 MEMORY = 10
@@ -77,9 +76,9 @@ class BodyNumbers(NamedTuple):
     joints: JointNumbers
 
     @property
-    def sides(self) -> int:
-        """Blocks of rates that a row moves: of two bodies, and of a pad; see `island_rows`."""
-        return PADDED if self.materials[:, STIFFNESS:].any() else 2
+    def padded(self) -> int:
+        """1 where contacts may have pads (see `contacts.rigid_bodies.island_step`), 0 else."""
+        return int(self.materials[:, STIFFNESS:].any())
 
 
 class Memory(NamedTuple):

@@ -20,7 +20,6 @@ from contacts.collision_detection.joints import bent_on
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
     HELD,
-    PADDED,
     ContactRows,
     add,
     along,
@@ -167,7 +166,7 @@ def island_rows(
                     space.rows[a, d, k] = row
                     space.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
         space.cones[a, 0], space.cones[a, 1] = cones[i, 0], cones[i, 1]
-    if sides == PADDED:
+    if space.padded == 1:
         moved = _add_pads(members, active, moved, pads, space)
     for a in range(count):
         for side in range(sides):
@@ -176,6 +175,7 @@ def island_rows(
     contacts = ContactRows(
         space.bodies[:count], moved, space.rows[:count], space.columns[:count], space.own[:count],
         space.cones[:count], space.laws[:count], space.rates, space.spare,
+        space.shared, space.padded,
     )  # fmt: skip
     complete(contacts)
     return contacts

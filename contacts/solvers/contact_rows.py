@@ -24,9 +24,6 @@ its first one is."""
 STEEPEST = 2.0**-12
 """No cone's edge is steeper: its normal part, of 1, counts as at least this."""
 
-PAIR = 2
-"""Bodies that a contact of bodies moves. Rows in coordinates have another number of blocks."""
-
 LAW = 9
 """Numbers that `law_of` writes."""
 
@@ -34,8 +31,8 @@ BEST, NOW, CHANGE, ALONG, LEAST, TRIED, KEPT = range(7)
 """What solvers have in `ContactRows.spare`: the best impulses, those of a sweep or a step, by how
 much they change, and how they went on; what is asked; impulses that are tried, and kept."""
 
-PADDED = 3
-"""Blocks of rates that rows of bodies move where some contacts have pads of their own, too."""
+PAIR = 2
+"""Bodies that a contact of bodies moves. The block behind them is its pad, if there are pads."""
 
 # What a contact's own impulses do to its velocity is known to this part.
 _ROW_ROUND_OFF = 1e-13
@@ -65,11 +62,15 @@ class ContactRows(NamedTuple):
     # moves, how they went on, and before; see `BEST`.
     rates: Array  # shape (3, 3 b + 3)
     spare: Array  # shape (7, m, 2)
+    # 1 where all contacts move the same blocks, of coordinates; 0 where each moves bodies of its
+    # own. 1 where contacts of bodies may have pads.
+    shared: int
+    padded: int
 
     @classmethod
-    def room(cls, most: int, bodies: int, sides: int = 2) -> ContactRows:
-        """Return place for so many contacts that move `sides` blocks each, of so many bodies."""
-        blocks = bodies + (most if sides == PADDED else 0)
+    def room(cls, most: int, bodies: int, padded: int = 0) -> ContactRows:
+        """Return place for so many contacts of so many bodies, with pads if they are `padded`."""
+        blocks, sides = bodies + padded * most, PAIR + padded
         return cls(
             np.empty((most, sides), np.int64),
             0,
@@ -80,6 +81,8 @@ class ContactRows(NamedTuple):
             np.empty((most, LAW)),
             np.empty((3, 3 * blocks + 3)),
             np.empty((7, most, 2)),
+            0,
+            padded,
         )
 
 
@@ -169,7 +172,7 @@ def moved(contacts: ContactRows, impulses: Array, rates: Array) -> None:
 @kernel
 def yields(contacts: ContactRows, i: int) -> bool:
     """Return whether contact i is compliant: it moves a pad."""
-    return contacts.bodies.shape[1] == PADDED and contacts.rows[i, 0, 7] != 0.0
+    return contacts.padded == 1 and contacts.rows[i, 0, 7] != 0.0
 
 
 @kernel

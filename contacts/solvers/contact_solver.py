@@ -16,8 +16,6 @@ import math
 import numpy as np
 
 from contacts.solvers.contact_rows import (
-    PADDED,
-    PAIR,
     TRIED,
     ContactRows,
     add,
@@ -47,13 +45,6 @@ _SMALL = 8
 _SWEEPS = 64
 # Contacts up to which Lemke's algorithm is tried: its time grows with their third power, or more.
 _LEMKE = 64
-
-
-@kernel
-def _have_coordinates(contacts: ContactRows) -> bool:
-    """Return whether all contacts move the same coordinates, and not bodies of their own."""
-    sides = contacts.bodies.shape[1]
-    return sides != PAIR and sides != PADDED
 
 
 @kernel
@@ -87,7 +78,7 @@ def solve_rows(
     size = scale(contacts, least)
     left = measured(contacts, least, size, impulses)
     # All contacts of coordinates move the same, so that Newton's equations are as small as that.
-    same = _have_coordinates(contacts)
+    same = contacts.shared == 1
     # Of coordinates they are solved anew at each step: what rests has no velocity at all.
     if not same and left <= (_AT_REST if rests else VERIFIED):
         return left, 0
@@ -166,7 +157,7 @@ def _by_lemke(
         if not good:
             continue
         exact, missed, steps = found.copy(), math.inf, 0
-        if _have_coordinates(contacts):
+        if contacts.shared == 1:
             missed, steps = by_last_status(contacts, least, exact)
         if missed <= allowed:
             put_rows(exact, found)

@@ -56,6 +56,7 @@ def _rows_of(contacts: ContactRows, chosen: Ints) -> ContactRows:
         np.empty((count, sides), np.int64), contacts.moving, np.empty((count, 2, 3 * sides)),
         np.empty((count, 2, 3 * sides)), np.empty((count, 3)), np.empty((count, 2)),
         np.empty((count, LAW)), contacts.rates, contacts.spare,
+        contacts.shared, contacts.padded,
     )  # fmt: skip
     for a in range(count):
         i = chosen[a]

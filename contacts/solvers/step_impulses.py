@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, PADDED, PAIR, ContactRows, complete, slope
+from contacts.solvers.contact_rows import LAW, ContactRows, complete, slope
 from contacts.solvers.contact_solver import solve_rows
 from contacts.solvers.island_impulses import island_impulses, work_share
 from contacts.solvers.saddle_point import largest_size
@@ -59,8 +59,6 @@ def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
     for i in which:
         soft += 1 if problem.apart[i] else 0
     threes, soft = (soft + 2) // 3, n
-    # As many blocks as rows of bodies have tell those of bodies.
-    threes = PADDED + 1 if PAIR <= threes <= PADDED else threes
     bodies, cones = np.empty((count, threes), np.int64), np.empty((count, 2))
     rows, columns = np.zeros((count, 2, 3 * threes)), np.zeros((count, 2, 3 * threes))
     for a in range(count):
@@ -79,7 +77,7 @@ def coordinate_rows(problem: ContactProblem, which: Ints) -> ContactRows:
             soft += 1
     contacts = ContactRows(
         bodies, threes, rows, columns, np.empty((count, 3)), cones, np.empty((count, LAW)),
-        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)),
+        np.empty((3, 3 * threes + 3)), np.empty((7, count, 2)), 1, 0,
     )  # fmt: skip
     complete(contacts)
     return contacts

@@ -291,7 +291,7 @@ class Declaration(Part):
 
     def _repr_html_(self) -> str:
         """Return the scene and the statechart, for a notebook."""
-        return str(import_module("statechart.running.drawing").notebook(self))
+        return str(_public("notebook")(self))
 
     def alternatives(self) -> Mapping[str, Self]:
         """Return the model under the other choices that its laws leave open, by their names."""
@@ -439,5 +439,5 @@ def _of_output(name: str) -> str:
 
 
 def _public(name: str) -> Any:
-    """Return a function of the public page: what a model is asked for stands above it."""
+    """Return a function of the package's face: runs and drawings stand above declarations."""
     return getattr(import_module("statechart"), name)

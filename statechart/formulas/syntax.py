@@ -203,10 +203,11 @@ class Reader:
                 advice = DELAY if past else f"write a product as {name.text}*(...); {advice}"
             self.source.fail(f"unknown function {name.text!r}", name.offset, advice)
         opening = self.advance()
-        arguments = [self.sum()]
+        arguments, marks = [self.sum()], [opening.offset]
         while self.token.text == ",":
-            self.advance()
+            marks.append(self.advance().offset)
             arguments.append(self.sum())
+        marks.append(self.token.offset)
         function = FUNCTIONS[name.text]
         most = function.most
         # In a mapping between braces YAML ends a value at its first comma.
@@ -215,7 +216,7 @@ class Reader:
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
-        return self._checked(Call(name.text, tuple(arguments), name.offset))
+        return self._checked(Call(name.text, tuple(arguments), name.offset, tuple(marks)))
 
     def close(self, opening: _Token, advice: str = _CLOSE) -> None:
         """Read the parenthesis that closes `opening`."""

@@ -63,6 +63,8 @@ class Call:
     function: str
     arguments: tuple[Node, ...]
     offset: int = field(default=0, compare=False)
+    # Offsets of its opening parenthesis, commas and closing parenthesis.
+    marks: tuple[int, ...] = field(default=(), compare=False)
 
 
 Node = Number | Constant | Name | Unary | Binary | Call
