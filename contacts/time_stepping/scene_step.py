@@ -105,9 +105,7 @@ def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
 
 
 @kernel
-def _is_at_kink(
-    tape: TapeValues, change: Array, i: int, h: float, lies: float, acute: int
-) -> bool:
+def _is_at_kink(tape: TapeValues, change: Array, i: int, h: float, lies: float, acute: int) -> bool:
     """Return whether a point is near the kink of a valley, beyond the end of the edge of contact i.
 
     It is as near as it lies deep in one of the edges, or goes in some steps. In an obtuse valley it
