@@ -41,7 +41,7 @@ def plain(blocks: Iterable[Block]) -> str:
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 
-def apart(parts: Iterable[Sequence[Block]]) -> list[Block]:
+def join_blocks(parts: Iterable[Sequence[Block]]) -> list[Block]:
     """Return parts of a text as one, an empty line between them."""
     result: list[Block] = []
     for part in parts:
@@ -87,7 +87,7 @@ def aligned(texts: Sequence[str]) -> list[str]:
     ]
 
 
-def whole(number: int) -> str:
+def grouped(number: int) -> str:
     """Return a number of things as people read it: a huge one as a power, such as about 1.4e143."""
     # A float ends at 1e308, and Python writes no integer of more than 4300 digits.
     return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
@@ -95,7 +95,7 @@ def whole(number: int) -> str:
 
 def several(count: int, noun: str) -> str:
     """Return how many of something there are: ``1 step``, ``2 steps``."""
-    return f"{whole(count)} {noun}{'' if count == 1 else 's'}"
+    return f"{grouped(count)} {noun}{'' if count == 1 else 's'}"
 
 
 def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:

@@ -93,7 +93,7 @@ class Mechanics(Geometry):
         }
         self._asked = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
-            for i, member in enumerate(scene.asked_states)
+            for i, member in enumerate(scene.condition_states)
         }
         # Joints that can be off: 1 while they are closed.
         self._closed = {

@@ -387,7 +387,7 @@ class SceneLaws:
         )
         roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
         following = flow_in(setup, target, roles, warning=warning, notes=notes)
-        return jump, following._replace(doubted=choice.doubted)
+        return jump, following._replace(near_bound=choice.near_bound)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Tell whether margins of contact forces alone fell."""

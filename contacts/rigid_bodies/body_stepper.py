@@ -32,7 +32,7 @@ from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
-from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
+from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.control import StepControl
@@ -41,7 +41,7 @@ from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
-from statechart.automaton.time_stepper import USUAL
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
@@ -62,7 +62,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
             lambda state: State(),
             BODY_EDGES,
             superstates,
-            blow=BODY_BLOW,
+            blow=BODY_IMPACT,
             default="free",
         )
         for name in declared.moving()
@@ -111,7 +111,7 @@ class BodyStepper(Stepper):
             stops,
             regions,
             Controllers(mechanics),
-            again=BODY_BLOW,
+            again=BODY_IMPACT,
             forces=None,
             sticks=np.zeros(len(declared.moving()), dtype=np.bool_),
         )
@@ -125,7 +125,7 @@ class BodyStepper(Stepper):
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters; see `own_step`."""
-        setup, bodies = self._made({}, USUAL.tolerance, False)
+        setup, bodies = self._made({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
         for name, region in controlled.flat.items():
@@ -151,7 +151,7 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides, USUAL.tolerance, False)[0]
+        return self._made(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool

@@ -333,7 +333,7 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     for loc, text, least, most, words, advice, shown, slips in limits(scene):
         region = scene.controlled.region_of(text)
         known = {**values, **slips}
-        for state, seen in scene.controlled.seen_in_states(text, known, Formula.value):
+        for state, seen in scene.controlled.values_by_state(text, known, Formula.value):
             with found:
                 value = value_of(text, seen, *loc)
                 if least <= value <= most or loc in wrong:

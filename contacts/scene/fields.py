@@ -431,7 +431,7 @@ class SceneFields(Declaration):
         return frozenset(found)
 
     @cached_property
-    def asked_states(self) -> tuple[Member, ...]:
+    def condition_states(self) -> tuple[Member, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
         texts = [text for contact in self.contacts.values() for text in contact.enabled]
         texts += [text for coupling in self.couplings.values() for text in coupling.enabled]

@@ -59,7 +59,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
         yield from _spread(scene)
     with suppress(DeclarationError, DeclarationProblem):
         # Other checks report formulas that have no value.
-        yield from _inside_out(scene)
+        yield from _starts_inside(scene)
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
     for formula, _ in fields_of(scene):
@@ -125,7 +125,7 @@ def _spread(scene: SceneFields) -> Iterator[str]:
             )
 
 
-def _inside_out(scene: SceneFields) -> Iterator[str]:
+def _starts_inside(scene: SceneFields) -> Iterator[str]:
     """Say whose centre of mass starts in the solid of a line that its points are to touch."""
     known = scene.values()
     known |= {name: parse(one.start).value(known) for name, one in scene.coordinates.items()}

@@ -190,7 +190,7 @@ def stiffness(
     state (6 b + w,) is that of the step.
     """
     n = inverse.size
-    outputs, variables, colours = tape.apart(2 * n)
+    outputs, variables, colours = tape.coloured_sparsity(2 * n)
     changes = np.where(variables % 3 == 2, _CHANGE, _CHANGE * size)
     changes[variables >= n] /= h
     found = np.zeros(len(outputs))

@@ -118,7 +118,7 @@ class Flow(NamedTuple):
     values: Array | None = None
     # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
     # begin.
-    doubted: bool = False
+    near_bound: bool = False
     # The signs of its switches as a role; none where it has no switches. Kept by the executor.
     signs: Roles = ()
 

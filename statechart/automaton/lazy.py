@@ -9,7 +9,7 @@ from typing import Generic, TypeVar, overload
 T = TypeVar("T")
 
 # Number of items, from the first on, that a sequence keeps once they are made.
-_MAX_KEPT = 1 << 12
+_MAX_CACHED = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
@@ -19,19 +19,19 @@ class LazyMapping(Mapping[str, T], Generic[T]):
         self._make = make
 
     @cached_property
-    def _made(self) -> Mapping[str, T]:
+    def _mapping(self) -> Mapping[str, T]:
         made = self._make()
         del self._make  # and what it holds
         return made
 
     def __getitem__(self, label: str) -> T:
-        return self._made[label]
+        return self._mapping[label]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
+        return iter(self._mapping)
 
     def __len__(self) -> int:
-        return len(self._made)
+        return len(self._mapping)
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
         return dict, (dict(self),)
@@ -45,9 +45,9 @@ class LazySequence(Sequence[T], Generic[T]):
     """
 
     def __init__(
-        self, make: Callable[[int], T], count: Callable[[], int], *, kept: bool = True
+        self, make: Callable[[int], T], count: Callable[[], int], *, cached: bool = True
     ) -> None:
-        self._make, self._count, self.keeps = make, count, kept
+        self._make, self._count, self.keeps = make, count, cached
         self.source: object = None
         self._seen: dict[int, T] = {}
 
@@ -77,7 +77,7 @@ class LazySequence(Sequence[T], Generic[T]):
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if self.keeps and place < _MAX_KEPT:
+            if self.keeps and place < _MAX_CACHED:
                 self._seen[place] = found
         return found
 

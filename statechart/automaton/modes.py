@@ -149,7 +149,7 @@ def _minimal(
     def inserted(equations: Iterable[sp.Expr]) -> list[sp.Expr]:
         return [e.xreplace(known).xreplace(substitution) for e in equations]
 
-    left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
+    left = [coordinates.accelerations[i] for i in coordinates.remaining(elimination)]
     forces = [u for u in automaton.unknowns if u not in coordinates.accelerations]
     free = [force for force in forces if force not in elimination.forces]
     held = [force for force in forces if force in elimination.forces]
@@ -239,7 +239,7 @@ class ModeReconstruction:
     places: Ints32  # (k,): of the outputs among the variables.
     anchors: Tape  # Outputs: the anchors, of the state in which a flow begins.
 
-    def begun(self, state: Array, parameters: Array, time: float) -> Reconstruction:
+    def start(self, state: Array, parameters: Array, time: float) -> Reconstruction:
         """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""
         anchors = self.anchors.at(contiguous(state), parameters, time)
         program = self.tape.program

@@ -63,7 +63,7 @@ class Coordinates:
     # Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
     mass_unit: sp.Symbol | None = None
 
-    def left(self, elimination: Elimination) -> tuple[int, ...]:
+    def remaining(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the places of the coordinates that are left."""
         return tuple(i for i, q in enumerate(self.positions) if q not in elimination.positions)
 

@@ -54,7 +54,7 @@ class Switches:
     gradients: int
     automaton: Automaton
 
-    def piece(self, signs: Any) -> Mode:
+    def mode_with_signs(self, signs: Any) -> Mode:
         """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
         count = len(self.mode.margins) - len(self.automaton.stop_margins)
         sliding = [i for i, n in enumerate(signs) if n == SLIDES]

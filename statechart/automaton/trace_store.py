@@ -28,7 +28,7 @@ Kind = tuple[Key, Roles]
 
 ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `TraceBuffer.used`."""
-MADE = -1
+JUMP_OBJECT = -1
 """As the kind of an event's source: the jump is kept as it was made."""
 
 # Size of a buffer: arcs and events, times, coefficients.
@@ -360,7 +360,7 @@ class TraceRecorder(TraceStore):
         self._reserve(0, 0, 0, 1)
         self.made[len(self.jumps)] = jump
         block = self.buffer
-        block.events[block.used[EVENTS]] = MADE
+        block.events[block.used[EVENTS]] = JUMP_OBJECT
         block.used[EVENTS] += 1
 
     def replace_last(self, jump: Jump) -> None:

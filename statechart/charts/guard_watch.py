@@ -137,10 +137,10 @@ class GuardWatch:
         """Return the name of a guard of one atom that has no value; None where there is none."""
         return next((self.margins[k] for k in self.singles if math.isnan(rows[k, 0])), None)
 
-    def hold(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
+    def truths(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
         """Return which guards (m, g) hold, from their atoms (m, a); `active` returns (m,)."""
         found = [
-            condition.rows(atoms[:, first : first + len(condition.atoms)], active)
+            condition.truths(atoms[:, first : first + len(condition.atoms)], active)
             for condition, first in zip(self.conditions, self.firsts, strict=True)
         ]
         return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
@@ -367,7 +367,7 @@ class Listening:
             name: region.awaited for name, region in declared.items() if region.awaited
         }
 
-    def heard(
+    def pending_after(
         self, pending: Mapping[str, tuple[Raised, ...]], jump: Jump
     ) -> dict[str, tuple[Raised, ...]]:
         """Return what is pending once `jump` has happened; a region hears its own ends alone."""

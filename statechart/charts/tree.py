@@ -127,7 +127,7 @@ class Tree:
             last[parent] = max(last[parent], last[index])
         return tuple(sorted(range(len(self.nodes)), key=lambda node: (last[node], -node)))
 
-    def beside(self, one: int, other: int) -> bool:
+    def are_orthogonal(self, one: int, other: int) -> bool:
         """Tell whether two nodes are in different regions of a state, active side by side."""
         meet = self.common(one, other)
         return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
@@ -183,7 +183,7 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
     bare = Tree(tuple(nodes), ())
     written = list(declared_transitions(region, *loc))
     arrows = [_arrow(bare, places, *found, by_place) for found in written]
-    _check_apart(arrows, [at for _, at in written])
+    _check_distinct(arrows, [at for _, at in written])
     return Tree(tuple(nodes), tuple(arrows))
 
 
@@ -320,7 +320,7 @@ def _arrow(
         )
     if target < 0:
         return Arrow(declared, source, -1)
-    if bare.beside(source, target):
+    if bare.are_orthogonal(source, target):
         meet = bare.common(source, target)
         raise DeclarationProblem(
             f"{declared.source!r} and {declared.target!r} are in regions of "
@@ -332,7 +332,7 @@ def _arrow(
     return Arrow(declared, source, target)
 
 
-def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
+def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
     """Check that transitions can be told apart, and that none is always preceded by another."""
     named: set[tuple[str, int, int]] = set()
     timed: set[str] = set()

@@ -30,7 +30,9 @@ STATE = "on"
 
 _ATOM = re.compile(r"[\w.]+")
 # Those of what is computed once, and of what is read off a run.
-_APART = frozenset(("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings"))
+_NOT_WRAPPED = frozenset(
+    ("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings")
+)
 _EVENTS = {"mod": ("wrap", "unwrap"), "floor": ("rise", "fall")}
 
 
@@ -96,7 +98,7 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
         return value
 
     fields = {part: getattr(document, part) for part in type(document).model_fields}
-    fields |= {part: rewritten(value) for part, value in fields.items() if part not in _APART}
+    fields |= {part: rewritten(value) for part, value in fields.items() if part not in _NOT_WRAPPED}
     if not regions:
         return document, {}
     counts = {own: _count(own, *key) for key, own in regions.items()}
@@ -162,7 +164,7 @@ def check_wrapping(
         for wrap in wraps(text):
             call = wrap.call
             _check(document, wrap, loc, values)
-            if loc[0] in _APART or any(loc[: len(part)] == part for part in still):
+            if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
                 raise DeclarationProblem(
                     f"{call.function} jumps, and cannot stand in this field",
                     advice="write it in paths of surfaces and led bodies, flows, forces, controls, "

@@ -328,7 +328,7 @@ def region_chart(
     begins = {*nesting.initial.values()}
     first = nesting.configurations.get(start or "", (start,))[0]
     initial = nesting.initial.get("")
-    if initial is None or first not in _begun(region, initial):
+    if initial is None or first not in _initial_states(region, initial):
         initial = first
 
     def node(name: str) -> Node:
@@ -369,7 +369,7 @@ def region_chart(
     return Chart(nodes, tuple(links), title)
 
 
-def _begun(region: Region, name: str) -> set[str]:
+def _initial_states(region: Region, name: str) -> set[str]:
     """Return the state with those that it begins with, where all of a parallel one do."""
     nesting, found = region.nesting, {name}
     if name in nesting.parallel:
@@ -377,7 +377,7 @@ def _begun(region: Region, name: str) -> set[str]:
     else:
         inner = [nesting.initial[name]] if name in nesting.initial else []
     for state in inner:
-        found |= _begun(region, state)
+        found |= _initial_states(region, state)
     return found
 
 

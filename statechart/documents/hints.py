@@ -101,7 +101,9 @@ def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     return next(filter(None, words), "")
 
 
-def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]) -> str:
+def sections_with_key(
+    model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]
+) -> str:
     """Return to which parts a key belongs that has no meaning where it stands; empty for none.
 
     Those on the way to it come first. A key that is nearly a known one belongs here.

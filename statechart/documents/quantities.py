@@ -133,14 +133,14 @@ def written(powers: Powers | None, units: Mapping[str, str]) -> str:
     return "/".join([" ".join(above) or "1", *below])
 
 
-def beside(unit: str) -> str:
+def unit_suffix(unit: str) -> str:
     """Return a unit as it stands beside a number: a ratio has none."""
     return "" if unit == "1" else unit
 
 
 def entitled(what: str, unit: str) -> str:
     """Return what stands at an axis, such as height in m."""
-    return f"{what} in {beside(unit)}" if beside(unit) else what
+    return f"{what} in {unit_suffix(unit)}" if unit_suffix(unit) else what
 
 
 def _power(unit: str, exponent: Fraction) -> str:
@@ -157,7 +157,7 @@ def _force(units: Mapping[str, str]) -> str:
     return units.get("force", "N" if known == ("kg", "m", "s") else "")
 
 
-Known = dict[str, Powers]
+Dimensions = dict[str, Powers]
 Fact = tuple[Node, Node | Powers]
 """A formula, and what it measures or another that measures the same."""
 
@@ -171,9 +171,9 @@ _COUNTS = range(1, 13)
 _MAX_OPERATIONS = 200
 
 
-def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
+def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
     """Return what names measure."""
-    found, short = _Known(known), [fact for fact in facts if _short(fact)]
+    found, short = _Inference(known), [fact for fact in facts if _short(fact)]
     for _ in range(_MAX_PASSES):
         before = dict(found)
         for left, right in short:
@@ -246,7 +246,7 @@ def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)
 
 
-class _Known(Known):
+class _Inference(Dimensions):
     """Dimensions of names, of which the first ones are certain."""
 
     def __init__(self, known: Mapping[str, Powers]) -> None:
@@ -260,7 +260,7 @@ class _Known(Known):
             self[name] = powers
 
 
-def _unify(left: Node, right: Node | Powers, known: _Known) -> None:
+def _unify(left: Node, right: Node | Powers, known: _Inference) -> None:
     """Note what follows from two formulas that measure the same."""
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Powers):
@@ -273,7 +273,7 @@ def _unify(left: Node, right: Node | Powers, known: _Known) -> None:
             _infer_names(one, powers, known)
 
 
-def _unify_parts(node: Node, known: _Known) -> None:
+def _unify_parts(node: Node, known: _Inference) -> None:
     """Note what sums and sines in a formula tell."""
     for part in nodes(node):
         match part:
@@ -285,7 +285,7 @@ def _unify_parts(node: Node, known: _Known) -> None:
                     _infer_names(part, whole, known)
 
 
-def _infer_names(node: Node, powers: Powers, known: _Known) -> None:
+def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
     """Note what names in a formula measure, which as a whole is measured so."""
     match node:
         case Name():

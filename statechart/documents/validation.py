@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.hints import elsewhere, example, known_keys, other_word
+from statechart.documents.hints import example, known_keys, other_word, sections_with_key
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
     DeclarationError,
@@ -211,7 +211,7 @@ def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str
         if details["input"] is None and not key.isdecimal():
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
         return no_name(key)
-    return elsewhere(model, loc, known)
+    return sections_with_key(model, loc, known)
 
 
 def _message_and_advice(
@@ -436,13 +436,13 @@ class Built:
 
     def existing(self, loc: Loc) -> Loc:
         """Return the parts of `loc` that lead down the data, as Python names them."""
-        return self._followed(loc)[0]
+        return self._descend(loc)[0]
 
     def value(self, loc: Loc) -> Any:
         """Return the value at `loc`, or at its nearest ancestor that exists."""
-        return self._followed(loc)[1]
+        return self._descend(loc)[1]
 
-    def _followed(self, loc: Loc) -> tuple[Loc, Any]:
+    def _descend(self, loc: Loc) -> tuple[Loc, Any]:
         value: Any = self._data
         found: list[str | int] = []
         for part in loc:

@@ -35,7 +35,7 @@ from statechart.execution.finding import (
 )
 from statechart.formulas.series import sizes_at
 from statechart.kernels.boxes import Steps
-from statechart.kernels.defect import unseen
+from statechart.kernels.defect import find_defect
 from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
 FOLLOWED = "the slopes of all steps were compared with the rates"
@@ -192,7 +192,7 @@ class Advance:
         watch, path, rates = self.watch, self.path, self.compiled.rates
         where = found.crossing or found.undecided
         while True:
-            step, s, off, _ = unseen(
+            step, s, off, _ = find_defect(
                 rates.parts,
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
@@ -354,7 +354,7 @@ def _blind(
     where = found.crossing or found.undecided
     left = search(
         within,
-        np.full(len(within.outputs), watch.constraints.room),
+        np.full(len(within.outputs), watch.constraints.max_depth),
         path,
         watch.parameters,
         watch.start,

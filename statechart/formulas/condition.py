@@ -112,7 +112,7 @@ class Condition:
         """Return whether it holds; None where atoms that are not known leave it open."""
         return _truth(self.root, of, active)
 
-    def rows(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
+    def truths(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
         """Return where it holds (m,): `atoms` (m, a) say where each of them does.
 
         `active` returns arrays (m,).

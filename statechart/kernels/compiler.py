@@ -24,7 +24,7 @@ _njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class
 _TYPING = _njit()(lambda: None).typingctx
 
 
-def part(kernel: jit.Kernel) -> Any:
+def inner_dispatcher(kernel: jit.Kernel) -> Any:
     """Return what compiles a kernel into each of those that call it."""
     made = _njit(no_cpython_wrapper=True)(kernel.py_func)
     compile_ = made.compile
@@ -81,7 +81,7 @@ def _count(kernel: jit.Kernel) -> int:
     return sum(not one.inner.overloads for one in kernel.below)
 
 
-def native(function: Callable[..., Any]) -> Any:
+def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
     """Return a function that writes its own LLVM code."""
     made = intrinsic(function)
     # Made while what calls it is compiled, it would be seen by the next compilation only.
@@ -90,7 +90,7 @@ def native(function: Callable[..., Any]) -> Any:
 
 
 @typeof_impl.register(jit.Kernel)
-@typeof_impl.register(jit.Native)
+@typeof_impl.register(jit.Intrinsic)
 def _type(value: Any, context: Any) -> Any:
     """Let kernels see in another kernel what numba made of it."""
     return _TYPING.resolve_value_type(value.inner)

@@ -9,7 +9,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.jit import kernel
-from statechart.kernels.whole import whole
+from statechart.kernels.tolerant_floor import tolerant_floor
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
@@ -23,7 +23,7 @@ OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *
 SKIP = -1
 """In the place of an operation that is not to be run."""
 
-_whole = kernel(whole)
+_tolerant_floor = kernel(tolerant_floor)
 
 
 class TapeCode(NamedTuple):
@@ -69,7 +69,7 @@ def _one(op: int, a: float, exponent: int) -> float:
     if op == ABS:
         return abs(a)
     if op == FLOOR:
-        return _whole(a)
+        return _tolerant_floor(a)
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
 
 
@@ -205,7 +205,7 @@ def tape_table(
 
 
 @kernel
-def off_by(
+def largest_deviation(
     code: Ints32,
     constants: Array,
     outputs: Ints32,

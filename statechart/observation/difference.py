@@ -189,7 +189,7 @@ def distance(reference: Trace, trace: Trace) -> float:
     return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
 
 
-def modes_apart(reference: Trace, trace: Trace) -> float:
+def mode_disagreement(reference: Trace, trace: Trace) -> float:
     """Return for which part of the time that both last two runs are in different modes."""
     end = min(reference.t_end, trace.t_end)
     if not end > 0.0:

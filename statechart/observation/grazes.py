@@ -42,7 +42,7 @@ class Graze(NamedTuple):
     guard: str  # Its name.
     t: float  # When.
     least: float  # Its least value there; where it has fired, what it would have been.
-    room: float  # What it may be off by.
+    uncertainty: float  # What it may be off by.
     fired: bool  # Whether it has.
     turned: bool = False  # Whether an event of another region turned it back.
 
@@ -63,7 +63,7 @@ def _sentence(several: Sequence[Graze]) -> str:
             f"{graze.guard} comes to its boundary at t = {graze.t:.6g}, where another event turns "
             f"it back, and does not fire{again}"
         )
-    if graze.least < -graze.room:
+    if graze.least < -graze.uncertainty:
         return (
             f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, "
             "less than its tolerance at the start of the flow, and does not fire; start the "
@@ -73,8 +73,8 @@ def _sentence(several: Sequence[Graze]) -> str:
     would = "would have been" if graze.fired else "is"
     return (
         f"{graze.guard} {how} at t = {graze.t:.6g}, where its least value {would} "
-        f"{graze.least:.2g} and the run leaves {graze.room:.2g} open: whether it passes is not "
-        f"known{again}"
+        f"{graze.least:.2g} and the run leaves {graze.uncertainty:.2g} open: whether it passes is "
+        f"not known{again}"
     )
 
 
@@ -95,7 +95,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     times = [jump.t for jump in trace.jumps]
     found: list[Graze] = []
     for (roles, _), arcs in groups.items():
-        look = _Look(trace, simulator.compiled(roles, trace.zeros))
+        look = _GuardScan(trace, simulator.compiled(roles, trace.zeros))
         for first in range(0, len(arcs), _ARCS):
             some = arcs[first : first + _ARCS]
             found += look.between(some)
@@ -109,7 +109,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     return tuple(sorted(found, key=lambda one: one.t))
 
 
-class _Look:
+class _GuardScan:
     """Looks at the guards of one mode."""
 
     def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
@@ -152,7 +152,7 @@ class _Look:
             at = self._least(arc, k, tau.item(i - 1), tau.item(i + 1))
             graze = self._open(arc, k, at, 0.0, fired=False)
             sides = column[edges[place] : i], column[i + 1 : edges[place + 1]]
-            if graze and min(map(np.fmax.reduce, sides)) > graze.room:
+            if graze and min(map(np.fmax.reduce, sides)) > graze.uncertainty:
                 yield graze
 
     def _grid(self, arcs: Sequence[Arc]) -> tuple[Array, Array, Ints]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.time_stepper import USUAL, Impulses
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES, Impulses
 from statechart.documents.setting import Record, Setting
 from statechart.engines.engine import Allowance, Engine
 from statechart.engines.request import choose
@@ -68,10 +68,11 @@ class Observers:
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             asked = Impulses(
-                setting.impulse_tolerance or USUAL.tolerance, setting.impulse_bound or USUAL.bound
+                setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
+                setting.impulse_bound or DEFAULT_IMPULSES.bound,
             )
             return SteppingSimulator(
-                self._automaton, setting.step, asked, setting.kept, progress=self._progress
+                self._automaton, setting.step, asked, setting.recorded, progress=self._progress
             )
         automaton = nudged(self._automaton) if off else self._automaton
         engine, solved = self.engine(setting), self._solved

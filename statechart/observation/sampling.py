@@ -154,7 +154,7 @@ def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> li
     ]
 
 
-def seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
+def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
     """Return expressions as others see a mode: without the forces that it hides."""
     hidden = mode.hidden if mode else {}
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)

@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.trace import Outcome
-from statechart.documents.quantities import beside
+from statechart.documents.quantities import unit_suffix
 from statechart.tabular import (
     DIGITS,
     FEW,
     Block,
     Table,
     aligned,
-    apart,
     ends,
+    join_blocks,
     number,
     plain,
     several,
@@ -59,7 +59,7 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]
     ]
     if "alternatives" in report:
         parts.append(_alternatives(report["alternatives"], digits))
-    return apart(parts)
+    return join_blocks(parts)
 
 
 def _head(report: Mapping[str, Any]) -> str:
@@ -209,7 +209,7 @@ def _values(
     rows = [
         (f"  ... {text} more: {_ALL}", "")
         if isinstance(text, int)
-        else (f"  {name}", f"{text.ljust(width)}  {beside(units.get(name, ''))}".rstrip())
+        else (f"  {name}", f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip())
         for name, text in lines
     ]
     return [f"{title}\n", Table(rows)]
@@ -222,7 +222,7 @@ def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `explanation`: titles and tables."""
-    return apart(
+    return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
         else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)

@@ -17,7 +17,7 @@ from statechart.documents.yaml_reader import read_text
 from statechart.loading.load import load
 from statechart.reporting.text import _values, change, summary
 from statechart.running.runner import Runner
-from statechart.tabular import aligned, ends, number, several, shortest, table, whole
+from statechart.tabular import aligned, ends, grouped, number, several, shortest, table
 
 GRAINS = """\
 kind: scene
@@ -95,7 +95,7 @@ def test_a_huge_number_of_modes_is_a_power(report) -> None:
     ids=["one", "counted", "first", "grains", "beyond floats", "beyond text"],
 )
 def test_whole_numbers(number: int, said: str) -> None:
-    assert whole(number) == said
+    assert grouped(number) == said
 
 
 def test_few_values_are_all_listed() -> None:

@@ -73,7 +73,7 @@ def plain(words: str) -> str:
     return literal
 
 
-def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+def state_attributes(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     """Return the look of a state that holds no others, its own loops among its lines."""
     faint = node.infeasible is not None
     ink = FAINT if faint else INK
@@ -101,7 +101,7 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     }
 
 
-def title_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+def title_attributes(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     """Return the look of the name of a state that holds others, with what is its own."""
     colour = FRAME if node.infeasible is None else FAINT
     rows = [text(node.label + mark(node, style.reasons), bold=True, colour=colour)]
@@ -109,7 +109,7 @@ def title_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     return {"shape": "plain", "label": table(rows, align="LEFT")}
 
 
-def arrow_look(
+def arrow_attributes(
     links: Sequence[Link], style: Style, *, narrow: bool = False, counted: bool = True
 ) -> dict[str, str] | None:
     """Return the look of words on an arrow, narrow ones below each other; None without words."""

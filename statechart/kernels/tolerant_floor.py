@@ -12,7 +12,7 @@ _ALL_WHOLE = 2.0**53
 """From here on every float is a whole number."""
 
 
-def whole(a: float) -> float:
+def tolerant_floor(a: float) -> float:
     """Return the largest whole number that is not above `a`, but for rounding."""
     if not abs(a) < _ALL_WHOLE:
         return a
