@@ -199,7 +199,7 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open: shared forces, displacements, relieved joints."""
+    """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
 
     Every unknown has its equation, and the matrix of the pairs is definite but for signs: their
     pivots do not vanish whatever the state is. Displacements are eliminated first, by contacts
