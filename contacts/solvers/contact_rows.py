@@ -68,9 +68,12 @@ class ContactRows(NamedTuple):
     padded: int
 
     @classmethod
-    def room(cls, most: int, bodies: int, padded: int = 0) -> ContactRows:
-        """Return place for so many contacts of so many bodies, with pads if they are `padded`."""
-        blocks, sides = bodies + padded * most, PAIR + padded
+    def room(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
+        """Return place for so many contacts of so many bodies, with pads if they are `padded`.
+
+        Behind these all may move `shared` blocks of coordinates.
+        """
+        blocks, sides = bodies + padded * most + shared, PAIR + padded + shared
         return cls(
             np.empty((most, sides), np.int64),
             0,
