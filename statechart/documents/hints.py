@@ -262,8 +262,8 @@ def _wrong_call(
         named = ", ".join(word for word in taken if word not in placed)
         listed = ", ".join(placed) or "nothing"
         return (
-            f"of what is given, {listed} can stand without a name",
-            f"give the others by name: {named}",
+            f"too many positional arguments; these may be positional: {listed}",
+            f"pass the others by name: {named}",
         )
     for word in placed[count:]:
         if taken[word].default is inspect.Parameter.empty and word not in kwargs:
@@ -288,10 +288,10 @@ def _argument(word: str, value: object, known: list[str]) -> str:
         return f"write {meant}=...; known: {listed}"
     if meant in {part.name for part in fields(Setting)}:
         return (
-            f"say it of a runner, Runner(model, {meant}=...), or among the model's settings; "
+            f"pass it to a runner, Runner(model, {meant}=...), or write it into the settings; "
             f"known: {listed}"
         )
     advice = close_matches(word, known)
     if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
-        return f"a parameter of the model is given by parameters={{{word!r}: {value}}}; {advice}"
+        return f"for a parameter of the model, write parameters={{{word!r}: {value}}}; {advice}"
     return advice

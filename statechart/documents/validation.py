@@ -111,6 +111,12 @@ def _empty(
         at = document.position(loc, key=True)
         # Keys that belong below it stand in the same column, and are unknown there.
         below = unknown and shown.startswith("{")
+        if str(loc[-1]).isdecimal():
+            yield at.error(
+                f"{loc[-1]!r} is not a name",
+                "decimals have a point: 9.81",
+            )
+            continue
         yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
             f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
