@@ -535,7 +535,7 @@ def step_scene(
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
+            changes, rounds = True, 0
             last = memory.pushes[which]
             while changes:
                 missed, softened, pushes, least = solve_impacts(problem, last, allowed)
@@ -544,7 +544,7 @@ def step_scene(
                 unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
                 rounds += 1
                 changes = unloaded > LOADED and rounds < LOADINGS
-                changes = changes or change_friction(scene, tape, problem, least, pushes, began)
+                changes = changes or change_friction(scene, tape, problem, least, pushes)
             if unloaded > LOADED:
                 missed = max(missed, unloaded)
             chunk.efforts[k, RESIDUAL], chunk.efforts[k, CALMED] = missed, softened

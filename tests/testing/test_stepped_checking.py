@@ -104,7 +104,7 @@ def test_invariants_of_steps_are_judged_by_what_a_step_moves():
     assert of_sound.examples == 4
     for broken in ("ball.y >= 0.12", "ball.dy >= -1", "ball.dx <= -1.1"):
         found = check(model(f"{text}invariants: {{broken: {broken}}}\n"), examples=4, seed=2)
-        assert "broken is" in found.properties[6].failure.message
+        assert "the margin of 'broken' is" in found.properties[6].failure.message
 
 
 def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, monkeypatch, capsys):
