@@ -360,7 +360,7 @@ def check_updated(cause: str, names: Iterable[str], values: Array) -> None:
 
 
 def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
-    """Return what else than a transition could have been taken, and why not, of a region."""
+    """Return a function from a taken transition to the others of a region, and why not those."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
         leaving.setdefault(edge.source, []).append(edge)
