@@ -20,7 +20,9 @@ from contacts.collision_detection.joints import bent_on
 from contacts.collision_detection.midpoint import Midpoint, push_link
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
+    BEGINS,
     HELD,
+    ON_TRIAL,
     PAIR,
     ContactRows,
     add,
@@ -29,6 +31,7 @@ from contacts.solvers.contact_rows import (
     joint_work,
     law_of,
     moved,
+    overload,
     scale,
     scale_beside,
     slope,
@@ -586,31 +589,63 @@ def close_joints(
 
 
 @kernel
+def _write_way(
+    numbers: BodyNumbers, contacts: ContactRows, island: Island, a: int, way: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the friction of contact a of an island that rests (0) or slips this `way`."""
+    i = island.members[a]
+    write_friction(numbers, i, way, active)
+    contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
+    law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
+
+
+@kernel
 def _change_friction(
-    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float
-) -> bool:
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float,
+    lasts: bool,
+) -> bool:  # fmt: skip
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
-    A slip that would turn in the step is stopped, as long as static friction holds it. What that
-    does not hold slips under kinetic friction: each changes twice at most. A slip up to `none` is
-    what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; where something strikes (not `lasts`), if it stops it. What static friction does not
+    hold slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most. A slip up to
+    `none` is what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
     """
-    active, changes = space.active, False
+    active, first, most, way, changes = space.active, -1, 0.0, 0, False
     rates = contacts.rates[0, : 3 * contacts.moving + 3]
     moved(contacts, island.chosen, rates)
     for a in range(len(island.members)):
-        i = island.members[a]
-        law, way = active.laws[i], active.ways[i]
-        if law < 0 or abs(way) == 2 or not has_two_coefficients(numbers.materials[law]):
+        i, normal = island.members[a], island.chosen[a, 0]
+        law, old = active.laws[i], active.ways[i]
+        judged = law >= 0 and abs(old) != BEGINS and normal > 0.0
+        if not judged or not has_two_coefficients(numbers.materials[law]):
             continue
         slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
-        if abs(slip) <= none or slip * way > 0.0 or not island.chosen[a, 0] > 0.0:
+        if abs(slip) <= none or (abs(old) == 1 and slip * old > 0.0):
             continue
-        write_friction(numbers, i, 0 if way != 0 else 2 if slip > 0.0 else -2, active)
-        contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
-        law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
-        changes = True
-    return changes
+        if abs(old) == 1:
+            changes = True
+            _write_way(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
+            if lasts:
+                island.asked[a, 1] -= island.start[a, 1]
+            continue
+        load = overload(slip, contacts.own[a, 1], normal, contacts.cones[a])
+        if abs(island.start[a, 1]) > none:
+            load = math.inf
+        if load > most:
+            first, most, way = a, load, BEGINS if slip > 0.0 else -BEGINS
+    if changes:
+        return True
+    for a in range(len(island.members)):
+        if active.ways[island.members[a]] == ON_TRIAL and first in (a, -1):
+            _write_way(numbers, contacts, island, a, 0, active)
+            island.asked[a, 1] += island.start[a, 1]
+            changes = True
+    if first >= 0:
+        _write_way(numbers, contacts, island, first, way, active)
+    return changes or first >= 0
 
 
 @kernel
@@ -706,7 +741,7 @@ def solve_islands(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         while splits and _change_friction(
-            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast
+            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast, quiet == size
         ):
             missed, further, softened = island_impulses(
                 contacts, start, unforced, asked, rebounds, chosen, near, bound, True

@@ -89,6 +89,11 @@ class ContactRows(NamedTuple):
         )
 
 
+BEGINS, ON_TRIAL = 2, 3
+"""Ways of slips beside 1, -1 and 0, at rest: kinetic friction begins in the step (2 or -2); static
+friction is asked to hold the slip as it was before the step."""
+
+
 @kernel
 def complete(contacts: ContactRows) -> None:
     """Write what a contact's own impulses do to its velocity, and how it is solved alone."""
@@ -108,6 +113,13 @@ def slope(cone: Array) -> float:
     if cone[0] < 0.0:
         return cone[0]
     return cone[1] / max(cone[0], STEEPEST)
+
+
+@kernel
+def overload(slip: float, own: float, normal: float, cone: Array) -> float:
+    """Return the impulse that ends a slip, over the largest one of friction."""
+    most = own * normal * cone[1]
+    return abs(slip) * cone[0] / most if most > 0.0 else math.inf
 
 
 @kernel
