@@ -51,8 +51,9 @@ def join_blocks(parts: Iterable[Sequence[Block]]) -> list[Block]:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as lines with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    """Return rows as lines with aligned columns; a row of one cell widens none of several."""
+    full = [row for row in rows if any(row[1:])] or rows
+    widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     return "".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         + "\n"

@@ -94,7 +94,10 @@ def _idle(scene: SceneFields) -> Iterator[str]:
     bodies = {name for law in scene.collisions.values() for name in law.bodies}
     surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
     for kind, idle in (
-        ("bodies", [n for n, body in scene.bodies.items() if body.shape and n not in bodies]),
+        (
+            "bodies",
+            [n for n, b in scene.bodies.items() if b.shape and not (b.linked or n in bodies)],
+        ),
         ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
     ):
         for name in idle:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.contact_rows import BEGINS, ON_TRIAL, overload
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
@@ -434,26 +435,45 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 @kernel
 def change_friction(
-    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array,
-    began: Bools,
-) -> bool:  # fmt: skip
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array
+) -> bool:
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
-    A slip that would turn in the step is stopped, as long as static friction holds it; in an impact
-    kinetic friction stops or turns it. What static friction does not hold slips under kinetic
-    friction (`began`, in place): each changes twice at most.
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
+    slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most.
     """
-    changes = False
-    for a in range(len(problem.which)):
-        i, direction = problem.which[a], problem.directions[a]
+    ways, first, most, way, changes = problem.directions, -1, 0.0, 0, False
+    for a in range(len(ways)):
+        i, normal = problem.which[a], pushes[a, 0]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        if not _has_two(scene, i) or began[a] or slip == 0.0 or slip * direction > 0.0:
+        judged = _has_two(scene, i) and abs(ways[a]) != BEGINS and normal > 0.0
+        if not judged or slip == 0.0 or (abs(ways[a]) == 1 and slip * ways[a] > 0.0):
             continue
-        struck = scene.used[i] >= 0 and of_group(problem.sudden, problem.groups, problem.groups[a])
-        began[a] = direction == 0 or struck
-        problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
-        write_cone(scene, tape, i, problem.directions[a], problem.cones[a])
-        changes = True
+        turned = BEGINS if slip > 0.0 else -BEGINS
+        if abs(ways[a]) == 1:
+            struck = of_group(problem.sudden, problem.groups, problem.groups[a])
+            ways[a], changes = turned if struck and scene.used[i] >= 0 else 0, True
+            write_cone(scene, tape, i, ways[a], problem.cones[a])
+            if not struck:
+                ways[a] = ON_TRIAL
+                problem.wanted[a, 1] -= problem.before[a, 1]
+            continue
+        load = overload(slip, problem.delassus[2 * a + 1, 2 * a + 1], normal, problem.cones[a])
+        if abs(problem.before[a, 1]) > scene.rounding:
+            load = math.inf
+        if load > most:
+            first, most, way = a, load, turned
+    if changes:
+        return True
+    for a in range(len(ways)):
+        if ways[a] == ON_TRIAL and first in (a, -1):
+            ways[a], changes = 0, True
+            problem.wanted[a, 1] += problem.before[a, 1]
+    if first >= 0:
+        ways[first], changes = way, True
+        write_cone(scene, tape, problem.which[first], way, problem.cones[first])
     return changes
 
 

@@ -31,7 +31,7 @@ from statechart.cli.places import (
 )
 from statechart.errors import DeclarationError, SimulationError, StatechartError
 from statechart.reporting.partial_report import PartialReport
-from statechart.tabular import Block, Table, plain
+from statechart.tabular import Block, Table, plain, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -533,7 +533,13 @@ def show(blocks: Iterable[Block]) -> None:
     console = Console(markup=False, emoji=False, highlight=False)
     for block in blocks:
         if isinstance(block, Table):
-            console.print(_ruled(block))
+            lines = table(block.rows)
+            if max(map(len, lines.splitlines())) > console.width:
+                console.print(_ruled(block))
+                continue
+            head, _, rest = lines.partition("\n")
+            console.print(head, style="bold" if block.headed else None)
+            console.print(rest, end="", soft_wrap=True)
         else:
             console.print(block, end="", soft_wrap=True)
 

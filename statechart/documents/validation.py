@@ -54,7 +54,7 @@ _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
-    """Return what pydantic found as one error with places."""
+    """Return the errors of pydantic as one error with places."""
     errors = error.errors(include_url=False)
     empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
@@ -111,6 +111,12 @@ def _empty(
         at = document.position(loc, key=True)
         # Keys that belong below it stand in the same column, and are unknown there.
         below = unknown and shown.startswith("{")
+        if str(loc[-1]).isdecimal():
+            yield at.error(
+                f"{loc[-1]!r} is not a name",
+                "decimals have a point: 9.81",
+            )
+            continue
         yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
             f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
@@ -151,7 +157,7 @@ def _lacks_items(details: ErrorDetails) -> bool:
 def _errors_of(
     details: ErrorDetails, document: Document | Built, model: type[BaseModel]
 ) -> Iterator[DeclarationError]:
-    """Yield what is wrong, and what a validator of ours found besides."""
+    """Yield the errors of pydantic, and the further problems of our validators."""
     cause = details.get("ctx", {}).get("error")
     yield _to_error(details, cause, document, model)
     if isinstance(cause, DeclarationProblem):

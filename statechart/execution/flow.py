@@ -328,7 +328,8 @@ def _check_pace(steps: int, took: float, left: float) -> None:
     pace = took / steps
     if pace * _TOO_MANY < left:
         raise TooLong(
-            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or "
+            f"{steps} steps advanced the time by {took:.6g}, of {took + left:.6g}; end the run "
+            "earlier, or "
             "replace the fast variation by its mean"
         )
 

@@ -80,11 +80,11 @@ def _tokens(source: Source) -> Iterator[_Token]:
         kind = match.lastgroup or ""
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
-            advice = "write a product as 2*x, not 2x; units are not written"
+            advice = "write a product as 2*x, not 2x; numbers have no unit here"
             if text[at] == ".":
                 advice = "a number has one point: 1.5"
             elif text.startswith("deg", at):
-                advice = f"{TOKENS['deg']}; units are not written"
+                advice = f"{TOKENS['deg']}; numbers have no unit here"
             source.fail(f"{match[kind]!r} runs into {text[at]!r}", at, character(text[at], advice))
         yield _Token(kind, match[kind], offset)
         if kind == "end":
@@ -248,7 +248,7 @@ class Reader:
         token = self.token
         advice = {
             **TOKENS,
-            "name": "write a product as a*b; units are not written",
+            "name": "write a product as a*b; numbers have no unit here",
             "number": "write a product as a*b",
             "end": "write what follows the last sign",
         }

@@ -73,9 +73,11 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     certified = _CERTIFIED[report["certified"]]
     lines = [
         f"engine {report['engine']}, {_how(report)}; {certified}",
-        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}, "
-        f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built",
+        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}",
     ]
+    if report["step"] is None:  # time steps build no modes
+        built = f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built"
+        lines[-1] = f"{lines[-1]}, {built}"
     if report["error_estimate"] is not None:
         decides = report["asked"] and report["asked"]["decides"]
         words = f", in {decides}" if decides else ""
@@ -99,8 +101,12 @@ def computed(report: Mapping[str, Any]) -> list[str]:
         alike: dict[str, list[str]] = {}
         for name, how in report["evidence"].items():
             alike.setdefault(how, []).append(name)
-        lines += [f"evidence of {_cut(names)}: {how}" for how, names in alike.items()]
+        lines += [f"{_evident(names)}: {how}" for how, names in alike.items()]
     return lines
+
+
+def _evident(names: Sequence[str]) -> str:
+    return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
 def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:

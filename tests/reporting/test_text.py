@@ -75,7 +75,8 @@ def test_a_margin_without_a_value_comes_first(report) -> None:
 def test_a_huge_number_of_modes_is_a_power(report) -> None:
     total = report["modes_total"]
     assert total > 10**20
-    said = re.search(r"of about (\S+) modes built", summary(report))
+    with_events = report | {"step": None, "tolerance": 1e-9}
+    said = re.search(r"of about (\S+) modes built", summary(with_events))
     assert said is not None
     assert float(said[1]) == pytest.approx(total, rel=0.05)
     assert json.loads(json.dumps(report))["modes_total"] == total
