@@ -340,7 +340,7 @@ def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
 
 
 def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
-    """Return what else than a transition could have been taken, and why not, of a region."""
+    """Return a function from a taken transition to the others of a region, and why not those."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
         leaving.setdefault(edge.source, []).append(edge)

@@ -205,7 +205,7 @@ class _MachineWriter:
                 self._lose("what is reset of the motion", what)
 
     def _event_name(self, region: Region, event: str) -> str:
-        """Return an event that a transition waits for, as the machine or its host sends it."""
+        """Return the name of an awaited event in SCXML."""
         owner, _, cause = event.rpartition(".")
         if cause == DONE:
             ends = {name: end for (name, state), end in self._ends.items() if state == owner}
