@@ -61,6 +61,8 @@ class LinkNumbers(NamedTuple):
 
     bodies: int
     size: int
+    # (l,): the first of those that share coordinates with a body, directly or through others.
+    firsts: Ints
     # The program (see `statechart.formulas.tape.Tape`) over coordinates and their rates: poses
     # (l, 3), their derivatives by the coordinates (l, 3, c), mass (c, c), derivatives (c, c) of
     # forces by the rates, and forces (c,), those of inertia included.
@@ -73,7 +75,7 @@ class LinkNumbers(NamedTuple):
     def none(cls) -> LinkNumbers:
         """Return those of a scene whose bodies are free."""
         nothing = np.zeros((0, 3), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros(0)
-        return cls(0, 0, *nothing)
+        return cls(0, 0, np.zeros(0, np.int64), *nothing)
 
     @property
     def rows(self) -> int:
