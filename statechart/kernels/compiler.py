@@ -12,7 +12,7 @@ from numba import njit
 from numba.extending import intrinsic, typeof_impl
 
 from statechart import compiling, interrupts
-from statechart.kernels import jit
+from statechart.kernels.cache import CodeCache, Compilable
 from statechart.kernels.lowering import KernelCompiler, from_bytes, plain, to_bytes
 
 Signature = tuple[Any, ...]
@@ -24,9 +24,9 @@ _njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class
 _TYPING = _njit()(lambda: None).typingctx
 
 
-def part(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel into each of those that call it."""
-    made = _njit(no_cpython_wrapper=True)(kernel.py_func)
+def part(function: Callable[..., Any]) -> Any:
+    """Return what compiles a function into each kernel that calls it."""
+    made = _njit(no_cpython_wrapper=True)(function)
     compile_ = made.compile
 
     def compile_part(signature: Signature) -> Any:
@@ -40,13 +40,16 @@ def part(kernel: jit.Kernel) -> Any:
     return made
 
 
-def dispatcher(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel for calls from Python, or loads it from the disk."""
-    made = _njit()(kernel.py_func)
+def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[], int]) -> Any:
+    """Return what compiles a function for calls from Python, or loads it from the disk.
+
+    `count` returns the number of functions to compile, for the line that shows progress.
+    """
+    made = _njit()(function)
     compile_ = made.compile
 
     def is_loaded(signature: Signature) -> bool:
-        data = kernel.cache.load(_key(signature, made))
+        data = cache.load(_key(signature, made))
         # A file that another version of a library wrote may be whole, and of no use.
         with suppress(Exception):
             if data is not None:
@@ -58,14 +61,13 @@ def dispatcher(kernel: jit.Kernel) -> Any:
         # Signals end a compilation at once: it may take half a minute.
         with interrupts.let_through():
             if signature not in made.overloads and not is_loaded(signature):
-                count = partial(_count, kernel)
-                with compiling.whole(compiling.KERNELS, count), kernel.cache.turn():
+                with compiling.whole(compiling.KERNELS, count), cache.turn():
                     # Another process may have compiled it meanwhile.
                     if not is_loaded(signature):
                         compile_(signature)
                         data = to_bytes(made.overloads[signature])
                         if data is not None:
-                            kernel.cache.save(_key(signature, made), data)
+                            cache.save(_key(signature, made), data)
         return made.overloads[signature].entry_point
 
     made.compile = compile_whole
@@ -76,11 +78,6 @@ def _key(signature: Signature, made: Any) -> str:
     return repr((signature, numba.__version__, made.targetctx.codegen().magic_tuple()))
 
 
-def _count(kernel: jit.Kernel) -> int:
-    """Return how many functions are compiled with a kernel."""
-    return sum(not one.inner.overloads for one in kernel.below)
-
-
 def native(function: Callable[..., Any]) -> Any:
     """Return a function that writes its own LLVM code."""
     made = intrinsic(function)
@@ -89,8 +86,7 @@ def native(function: Callable[..., Any]) -> Any:
     return made
 
 
-@typeof_impl.register(jit.Kernel)
-@typeof_impl.register(jit.Native)
+@typeof_impl.register(Compilable)
 def _type(value: Any, context: Any) -> Any:
     """Let kernels see in another kernel what numba made of it."""
     return _TYPING.resolve_value_type(value.inner)
