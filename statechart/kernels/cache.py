@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -24,13 +24,21 @@ _DIGEST = 16  # bytes: damage is an accident, not an attack
 _PATIENCE = 300.0  # seconds until another process that compiles is thought to have stopped
 
 
+class Compilable:
+    """A function that is compiled into each kernel that calls it."""
+
+    py_func: Callable[..., Any]
+
+    @property
+    def inner(self) -> Any:
+        """What numba made of it, for calls from kernels."""
+        raise NotImplementedError
+
+
 class CodeCache:
-    """Files of one kernel.
+    """Files of one kernel."""
 
-    `seen`: classes of the kernels that functions see among their globals.
-    """
-
-    def __init__(self, function: Any, seen: tuple[type[Any], ...]) -> None:
+    def __init__(self, function: Any) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._folders: list[Path] = []
         beside, user = Path(function.__code__.co_filename).parent, Path.home() / ".cache"
@@ -39,7 +47,7 @@ class CodeCache:
         with suppress(OSError):
             for name in ("jit", "compiler", "lowering", "cache"):
                 stamps[name] = _content(Path(__file__).with_name(f"{name}.py"))
-            _collect(function, seen, stamps)
+            _collect(function, stamps)
             self._folders = [beside / "__pycache__", user / "statechart"]
         self._stamp = _hex(repr((sys.version_info[:2], sorted(stamps.items()))))
         if "NUMBA_CACHE_DIR" in os.environ:
@@ -94,14 +102,14 @@ class CodeCache:
         return f"{self._name}.{key}.{self._stamp}.kernel"
 
 
-def _collect(function: Any, seen: tuple[type[Any], ...], stamps: dict[str, bytes]) -> None:
+def _collect(function: Any, stamps: dict[str, bytes]) -> None:
     """Add the digest of the file of a function, and of those whose kernels that can see."""
     if function.__module__ in stamps:
         return
     stamps[function.__module__] = _content(Path(function.__code__.co_filename))
     for value in function.__globals__.values():
-        if isinstance(value, seen):
-            _collect(value.py_func, seen, stamps)
+        if isinstance(value, Compilable):
+            _collect(value.py_func, stamps)
 
 
 def _content(file: Path) -> bytes:

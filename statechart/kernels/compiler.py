@@ -12,7 +12,7 @@ from numba import njit
 from numba.extending import intrinsic, typeof_impl
 
 from statechart import compiling, interrupts
-from statechart.kernels import jit
+from statechart.kernels.cache import CodeCache, Compilable
 from statechart.kernels.lowering import KernelCompiler, from_bytes, plain, to_bytes
 
 Signature = tuple[Any, ...]
@@ -24,9 +24,9 @@ _njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class
 _TYPING = _njit()(lambda: None).typingctx
 
 
-def inner_dispatcher(kernel: jit.Kernel) -> Any:
-    """Return numba's dispatcher for calls of a kernel from other kernels."""
-    made = _njit(no_cpython_wrapper=True)(kernel.py_func)
+def inner_dispatcher(function: Callable[..., Any]) -> Any:
+    """Return numba's dispatcher for calls of a function from kernels."""
+    made = _njit(no_cpython_wrapper=True)(function)
     compile_ = made.compile
 
     def compile_part(signature: Signature) -> Any:
@@ -40,13 +40,16 @@ def inner_dispatcher(kernel: jit.Kernel) -> Any:
     return made
 
 
-def dispatcher(kernel: jit.Kernel) -> Any:
-    """Return numba's dispatcher for calls from Python; it compiles a kernel or loads its code."""
-    made = _njit()(kernel.py_func)
+def dispatcher(function: Callable[..., Any], cache: CodeCache, count: Callable[[], int]) -> Any:
+    """Return numba's dispatcher for calls from Python; it compiles a function or loads its code.
+
+    `count` returns the number of functions to compile, for the line that shows progress.
+    """
+    made = _njit()(function)
     compile_ = made.compile
 
     def is_loaded(signature: Signature) -> bool:
-        data = kernel.cache.load(_key(signature, made))
+        data = cache.load(_key(signature, made))
         # A file that another version of a library wrote may be whole, and of no use.
         with suppress(Exception):
             if data is not None:
@@ -58,14 +61,13 @@ def dispatcher(kernel: jit.Kernel) -> Any:
         # Signals end a compilation at once: it may take half a minute.
         with interrupts.let_through():
             if signature not in made.overloads and not is_loaded(signature):
-                count = partial(_count, kernel)
-                with compiling.whole(compiling.KERNELS, count), kernel.cache.turn():
+                with compiling.whole(compiling.KERNELS, count), cache.turn():
                     # Another process may have compiled it meanwhile.
                     if not is_loaded(signature):
                         compile_(signature)
                         data = to_bytes(made.overloads[signature])
                         if data is not None:
-                            kernel.cache.save(_key(signature, made), data)
+                            cache.save(_key(signature, made), data)
         return made.overloads[signature].entry_point
 
     made.compile = compile_whole
@@ -76,11 +78,6 @@ def _key(signature: Signature, made: Any) -> str:
     return repr((signature, numba.__version__, made.targetctx.codegen().magic_tuple()))
 
 
-def _count(kernel: jit.Kernel) -> int:
-    """Return how many functions are compiled with a kernel."""
-    return sum(not one.inner.overloads for one in kernel.below)
-
-
 def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
     """Return a function that writes its own LLVM code."""
     made = intrinsic(function)
@@ -89,8 +86,7 @@ def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
     return made
 
 
-@typeof_impl.register(jit.Kernel)
-@typeof_impl.register(jit.Intrinsic)
+@typeof_impl.register(Compilable)
 def _type(value: Any, context: Any) -> Any:
     """Type a kernel, where a kernel names it, as its dispatcher."""
     return _TYPING.resolve_value_type(value.inner)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast, overload
 
 import numpy as np
 
-from statechart.kernels.cache import CodeCache
+from statechart.kernels.cache import CodeCache, Compilable
 
 if TYPE_CHECKING:
     from statechart.arrays import Array
@@ -51,7 +51,7 @@ class _Interpreter:
     until, calls, spent, ahead_of_time = math.inf, 0, 0.0, False
 
 
-class Kernel:
+class Kernel(Compilable):
     """A kernel: Python calls it interpreted or compiled, other kernels call its compiled code."""
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
@@ -64,14 +64,14 @@ class Kernel:
         """Numba's dispatcher for calls from Python."""
         from statechart.kernels import compiler
 
-        return compiler.dispatcher(self)
+        return compiler.dispatcher(self.py_func, self.cache, self._count_uncompiled)
 
     @cached_property
     def inner(self) -> Any:
         """Numba's dispatcher for calls from kernels."""
         from statechart.kernels import compiler
 
-        return compiler.inner_dispatcher(self)
+        return compiler.inner_dispatcher(self.py_func)
 
     @cached_property
     def written(self) -> Callable[..., Any]:
@@ -82,7 +82,7 @@ class Kernel:
     @cached_property
     def cache(self) -> CodeCache:
         """Its machine code on disk."""
-        return CodeCache(self.py_func, (Kernel, Intrinsic))
+        return CodeCache(self.py_func)
 
     @cached_property
     def is_cached(self) -> bool:
@@ -102,6 +102,9 @@ class Kernel:
                 named = (function.__globals__.get(name) for name in function.__code__.co_names)
                 queue += [kernel for kernel in named if isinstance(kernel, Kernel)]
         return found
+
+    def _count_uncompiled(self) -> int:
+        return sum(not one.inner.overloads for one in self.below)
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the function."""
@@ -144,7 +147,7 @@ class Kernel:
         return self.py_func.__qualname__
 
 
-class Intrinsic:
+class Intrinsic(Compilable):
     """A function of kernels that writes its own LLVM code, as `numba.extending.intrinsic`."""
 
     def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
