@@ -27,7 +27,7 @@ class _State:
 
     name, done, total = "", 0, 0
     depth = 0
-    began = line_length = 0.0
+    began = reported_at = 0.0
     announced = False
     spent = 0.0
     say: Say | None = None
@@ -77,7 +77,7 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.depth += 1
     if _now.depth > 1:
         return
-    _now.began = _now.line_length = time.perf_counter()
+    _now.began = _now.reported_at = time.perf_counter()
     _now.name, _now.done, _now.announced = name, 0, False
     _now.total = count() if _now.say is not None else 0
 
@@ -103,8 +103,8 @@ def end(counts: bool = True) -> None:
             _report(
                 f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True
             )
-    elif now - _now.line_length >= _AFTER:
-        _now.line_length, _now.announced = now, True
+    elif now - _now.reported_at >= _AFTER:
+        _now.reported_at, _now.announced = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)

@@ -15,7 +15,7 @@ from statechart.kernels.tapes import largest_deviation
 
 
 class Constraints(NamedTuple):
-    """Numbers that stay at their targets while a flow lasts."""
+    """Quantities that a flow keeps at their targets."""
 
     tape: Tape  # Outputs: the numbers.
     # (k,): of the outputs; a weight is one through the tolerance, 0 where a number is free.

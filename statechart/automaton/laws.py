@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
-"""In a role: the state of a region that contributes nothing, so that what it moves rests."""
+"""Role of a region without equations: the coordinates that it moves rest."""
 
 SWITCHES = "switches"
 """In a role behind those of the regions: its share are the signs of the switches of a flow (see
@@ -134,7 +134,7 @@ class Flow(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """End of a flow, as the laws are asked about it."""
+    """End of a flow, as the input of the laws."""
 
     setup: Setup  # The numbers of the run.
     clock: Clock  # Its time.
@@ -159,6 +159,15 @@ class Instant(NamedTuple):
             self.fired,
             **told,
         )
+
+
+def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
+    """Return the sizes (n,) of the terms that the variables were summed from, or of themselves."""
+    found = np.abs(state)
+    for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
+        if sizes is not None:
+            found = np.maximum(found, sizes)
+    return found
 
 
 class Laws(Protocol):
@@ -192,7 +201,7 @@ class Laws(Protocol):
         ...
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return what the states of a flow satisfy.
+        """Return the constraints that the states of a flow satisfy.
 
         The flow begins in the state `anchor` at the time `start`.
         """
@@ -213,7 +222,7 @@ class Laws(Protocol):
 
 
 class CompiledLaws(Protocol):
-    """Unambiguous instants in compiled code: a loop goes on until one needs words or cases."""
+    """Unambiguous instants in compiled code; a loop stops where one needs case analysis."""
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
@@ -249,11 +258,11 @@ class CompiledLaws(Protocol):
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
-        """Return what it is to know of a mode with these margins; None where it cannot enter it."""
+        """Return the data of a mode with these margins; None where the loop cannot enter it."""
         ...
 
     def within(self, mode: Key) -> Tape | None:
-        """Return what is to stay above a room, as `Constraints.within`."""
+        """Return the outputs that must stay above a depth, as `Constraints.within`."""
         ...
 
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:

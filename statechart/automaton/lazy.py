@@ -1,4 +1,4 @@
-"""Mappings and sequences that are made when somebody looks at them."""
+"""Lazy mappings and sequences: items are computed at first access."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MAX_CACHED = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
-    """Mapping made when it is first read."""
+    """Mapping that is computed at its first access."""
 
     def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
         self._make = make
@@ -38,7 +38,7 @@ class LazyMapping(Mapping[str, T], Generic[T]):
 
 
 class LazySequence(Sequence[T], Generic[T]):
-    """Sequence whose items are made when they are read.
+    """Sequence whose items are computed when they are read.
 
     The first ones are kept if it `keeps`. The object in which all of them stand may be its
     `source`, for those who read that; it does not travel.
@@ -70,7 +70,7 @@ class LazySequence(Sequence[T], Generic[T]):
         return map(self._at, range(len(self)))
 
     def forget(self, place: int) -> None:
-        """Make what stands at a place anew when it is looked at again."""
+        """Compute the item at a place again at its next access."""
         self._seen.pop(place, None)
 
     def _at(self, place: int) -> T:
@@ -82,5 +82,5 @@ class LazySequence(Sequence[T], Generic[T]):
         return found
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel as what is seen here."""
+        """Pickle the items as a tuple."""
         return tuple, (tuple(self),)

@@ -1,4 +1,4 @@
-"""Equations of a mode, built when it is entered, and reconstruction of what they eliminate."""
+"""Equations of a mode, built when it is entered, and reconstruction of eliminated variables."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _minimal(
 
 
 def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
-    """Return what a mode says of the variables that follow from others."""
+    """Return the fields of a mode that describe its dependent variables."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     rates = dict(zip(coordinates.positions, coordinates.rates, strict=True))
@@ -199,7 +199,7 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open: forces, displacements, what joints are relieved of.
+    """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
 
     Every unknown has its equation, and the matrix of the pairs is definite but for signs: their
     pivots do not vanish whatever the state is. Displacements are eliminated first, by contacts

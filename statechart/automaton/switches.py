@@ -234,7 +234,7 @@ class _Reader:
         self.adds = True
 
     def read(self, node: sp.Expr) -> sp.Expr:
-        """Return a formula with signs in the place of what switches."""
+        """Return a formula with signs in the place of kinked functions."""
         found = self._read.get(node)
         if found is None:
             found = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node

@@ -58,7 +58,7 @@ class TimeStepper(Protocol):
     """Steps a model through time, and recognises the state of every region at every step."""
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state; return its mode and what a reader must know.
+        """Check the initial state; return its mode and the warnings.
 
         Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has
         what the stepper lacks.

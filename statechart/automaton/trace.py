@@ -400,7 +400,7 @@ class Trace:
         return np.fromiter(self.parameters.values(), float, len(self.parameters))
 
     def at_hand(self) -> Trace:
-        """Return the run with its arcs and jumps made, for who looks at them again and again.
+        """Return the run with all arcs and jumps as objects, for repeated access.
 
         A very long one is returned as it is: made, it takes ten times the memory.
         """

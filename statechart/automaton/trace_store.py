@@ -29,7 +29,7 @@ Kind = tuple[Key, Roles]
 ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `TraceBuffer.used`."""
 JUMP_OBJECT = -1
-"""As the kind of an event's source: the jump is kept as it was made."""
+"""Kind of an event that the store holds as a `Jump`."""
 
 # Size of a buffer: arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19

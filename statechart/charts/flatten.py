@@ -216,7 +216,7 @@ class _Flattening:
         return name
 
     def _default(self, history: int) -> Nodes:
-        """Return what a history would remember after what is entered without it."""
+        """Return the states that a history stands for before its parent was left."""
         nodes, first = self._tree.nodes, self._tree.remembered_first(history)
         deep = nodes[history].sort is Sort.DEEP
         return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
@@ -438,7 +438,7 @@ class FlatRegion:
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
     def shared(self, part: str) -> Shared | None:
-        """Return what two states that are active side by side both set in a part, the first."""
+        """Return the first variable that two orthogonal states both set in a part."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):
@@ -474,7 +474,7 @@ def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
 
 
 def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
-    """Return what a variable measures by which transitions wait; empty for another."""
+    """Return the dimension of a timer; empty for another variable."""
     for region in regions:
         if name in region.timers:
             return "time" if name in region.clocks else "1"
@@ -483,7 +483,7 @@ def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
 
 Nodes = frozenset[int]
 Histories = Mapping[int, Nodes]
-"""History -> what was active of its parent when that was last left."""
+"""History -> the active descendants of its parent when that was last left."""
 
 
 class Microstep(NamedTuple):

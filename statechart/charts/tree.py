@@ -1,4 +1,4 @@
-"""The states of a region as a tree, checked: what holds what, and where transitions lead.
+"""State tree of a region: nesting, and sources and targets of transitions, checked.
 
 Words as in SCXML (W3C Recommendation of 1 September 2015): a state without states is atomic, one
 with states is compound, one with regions is parallel; its regions are compound states. Nodes are
@@ -99,7 +99,7 @@ class Tree:
         return next(node for node in (other, *self.above[other]) if node in path)
 
     def remembered_first(self, history: int) -> frozenset[int]:
-        """Return what a history stands for as long as nothing is remembered."""
+        """Return the states that a history stands for before its parent was left."""
         node = self.nodes[history]
         return frozenset((node.initial,) if node.initial >= 0 else self.nodes[node.parent].children)
 
@@ -128,7 +128,7 @@ class Tree:
         return tuple(sorted(range(len(self.nodes)), key=lambda node: (last[node], -node)))
 
     def are_orthogonal(self, one: int, other: int) -> bool:
-        """Tell whether two nodes are in different regions of a state, active side by side."""
+        """Return whether two nodes are orthogonal: in different regions of one state."""
         meet = self.common(one, other)
         return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
 
@@ -207,7 +207,7 @@ def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
 
 
 def _check_state(name: str, state: BaseState, at: Loc) -> None:
-    """Check that what a state says of the states in it makes sense by itself."""
+    """Check the keys of a state that describe its substates."""
     if state.history is not None:
         _check_none(
             sorted(state.model_fields_set - {"history", "initial"}), at,

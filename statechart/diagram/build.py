@@ -59,7 +59,7 @@ def build(
     if trace is not None:
         modes = explored(automaton, within=0, trace=trace, found=found)
         run, notes = _run(automaton, trace, modes)
-        charts = _charts(automaton, None)
+        charts = _charts(automaton, trace.start_mode)
         shown = (run,) if visited else (run, *charts)
         return Diagram(automaton.name, shown, notes, modes.graph, explained=charts)
     if needs_run(automaton):
@@ -92,10 +92,10 @@ def _is_composed(region: Region) -> bool:
     return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
 
 
-def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
-    """Return the chart of every region, those alike once."""
+def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
+    """Return the chart of every region, those alike once; regions start in the states of `mode`."""
     charts = []
-    states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
+    states = dict(zip((r.name for r in automaton.regions), mode or (), strict=False))
     moving = _moving(automaton)
     for regions in group_alike(moving):
         region = regions[0]
@@ -103,10 +103,9 @@ def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
         if any(other.edges != region.edges for other in regions):
             title += f"; numbers of {region.name}"
         prefix = "" if len(moving) == 1 else f"{region.name}:"
-        start_state = states.get(region.name)
-        charts.append(
-            region_chart(automaton, region, prefix=prefix, title=title, start=start_state)
-        )
+        starts = {states.get(each.name) for each in regions}
+        start = starts.pop() if len(starts) == 1 else None
+        charts.append(region_chart(automaton, region, prefix=prefix, title=title, start=start))
     return tuple(charts)
 
 
@@ -192,7 +191,7 @@ def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
 
 
 def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tuple[str, ...]]:
-    """Return the modes that a run visited, named by what is not at its default; and notes."""
+    """Return the modes that a run visited, named by states that are no default; and notes."""
     if trace.step is None:
         path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
@@ -370,7 +369,7 @@ def region_chart(
 
 
 def _initial_states(region: Region, name: str) -> set[str]:
-    """Return the state with those that it begins with, where all of a parallel one do."""
+    """Return a state and the states that are entered with it."""
     nesting, found = region.nesting, {name}
     if name in nesting.parallel:
         inner = [state for state, outer in region.superstates.items() if outer == name]
@@ -438,7 +437,7 @@ def _superstates(region: Region) -> Iterator[str]:
 
 
 def _reset(region: Region, edge: HierarchicalEdge) -> str:
-    """Return what an edge resets; where that depends on the choice, a line for every reset."""
+    """Return the reset of an edge; a line for each where it depends on the choice."""
     by_reset: dict[str, list[str]] = {}
     for choice in edge.choices:
         by_reset.setdefault(choice.reset, []).append(choice.target)
@@ -472,7 +471,7 @@ def _actions(region: Region, state: str) -> tuple[str, ...]:
 
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
-    """Return what holds while a state is active; of one without direction, what holds in both."""
+    """Return the conditions of a state; without direction, those of both directions."""
     if automaton.laws is None or region.nesting.edges or region.nesting.configurations:
         return ()
     inner = [leaf for leaf, outer in region.superstates.items() if outer == state] or [state]
@@ -493,6 +492,6 @@ def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
 
 
 def _sense(automaton: Automaton, margin: Margin) -> str:
-    """Return the sign of what the margin is named after, where that is its negative."""
+    """Return "-" where a margin is the negative of the quantity in its name."""
     named = automaton.observables.get(margin.name)
     return "<=" if named is not None and margin.expression == -named else ">="

@@ -95,7 +95,7 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return what is written for a key that goes by another name at its place; empty for none."""
+    """Return our key for a key of another program; empty for none."""
     members = _models(_annotations_at(model, loc[:-1]))
     words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
     return next(filter(None, words), "")
@@ -104,7 +104,7 @@ def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
 def sections_with_key(
     model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]
 ) -> str:
-    """Return to which parts a key belongs that has no meaning where it stands; empty for none.
+    """Return the sections that a misplaced key belongs to; empty for none.
 
     Those on the way to it come first. A key that is nearly a known one belongs here.
     """

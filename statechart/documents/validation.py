@@ -54,7 +54,7 @@ _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
-    """Return what pydantic found as one error with places."""
+    """Return the errors of pydantic as one error with places."""
     errors = error.errors(include_url=False)
     empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
@@ -157,7 +157,7 @@ def _lacks_items(details: ErrorDetails) -> bool:
 def _errors_of(
     details: ErrorDetails, document: Document | Built, model: type[BaseModel]
 ) -> Iterator[DeclarationError]:
-    """Yield what is wrong, and what a validator of ours found besides."""
+    """Yield the errors of pydantic, and the further problems of our validators."""
     cause = details.get("ctx", {}).get("error")
     yield _to_error(details, cause, document, model)
     if isinstance(cause, DeclarationProblem):

@@ -113,7 +113,7 @@ class Condition:
         return _truth(self.root, of, active)
 
     def truths(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
-        """Return where it holds (m,): `atoms` (m, a) say where each of them does.
+        """Return its truth (m,) from that of its atoms (m, a).
 
         `active` returns arrays (m,).
         """

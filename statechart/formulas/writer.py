@@ -24,7 +24,7 @@ class Whole(sp.Function):
 
     @classmethod
     def eval(cls, of: sp.Expr) -> sp.Expr | None:
-        """Return that of a number; of anything else nothing is known yet."""
+        """Return the floor of a number; other arguments stay unevaluated."""
         return sp.Integer(tolerant_floor(float(of))) if of.is_number and of.is_finite else None
 
 
@@ -250,7 +250,7 @@ class _Writer:
         return self.places[key]
 
     def _evaluate(self, op: int, left: int, right: int) -> float:
-        """Fold an operation on constants, to what the kernel that would run it makes of them."""
+        """Fold an operation on constants, to the bits of the kernel."""
         binary = op <= OPCODES["pow"]
         constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
         with suppress(ZeroDivisionError):

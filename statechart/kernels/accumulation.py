@@ -1,4 +1,4 @@
-"""Intervals between jumps of one kind: as long as they shrink, and whether they end soon."""
+"""Prediction of accumulating jumps (Zeno) from intervals that shrink by a constant ratio."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RISE = 1e-3
 _UNRESOLVED = 3
 
 MAX_INTERVALS = 12
-"""Intervals that are kept."""
+"""Number of latest intervals that a series stores."""
 
 (HIGH, LOW, LONGEST, UNRESOLVED, COUNT, FIRST) = range(6)
 WIDTH = FIRST + MAX_INTERVALS

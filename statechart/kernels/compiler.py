@@ -25,7 +25,7 @@ _TYPING = _njit()(lambda: None).typingctx
 
 
 def inner_dispatcher(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel into each of those that call it."""
+    """Return numba's dispatcher for calls of a kernel from other kernels."""
     made = _njit(no_cpython_wrapper=True)(kernel.py_func)
     compile_ = made.compile
 
@@ -41,7 +41,7 @@ def inner_dispatcher(kernel: jit.Kernel) -> Any:
 
 
 def dispatcher(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel for calls from Python, or loads it from the disk."""
+    """Return numba's dispatcher for calls from Python; it compiles a kernel or loads its code."""
     made = _njit()(kernel.py_func)
     compile_ = made.compile
 
@@ -92,5 +92,5 @@ def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
 @typeof_impl.register(jit.Kernel)
 @typeof_impl.register(jit.Intrinsic)
 def _type(value: Any, context: Any) -> Any:
-    """Let kernels see in another kernel what numba made of it."""
+    """Type a kernel, where a kernel names it, as its dispatcher."""
     return _TYPING.resolve_value_type(value.inner)

@@ -28,7 +28,7 @@ _SHARE = 1.0 / 64.0
 
 @kernel
 def is_unresolved(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
-    """Return whether what is not resolved of rates may move a variable farther than is allowed."""
+    """Return whether unresolved parts of the rates may move a variable farther than `allowed`."""
     rough = False
     for v in range(sizes.shape[0]):
         rough = rough or not time * jets[outputs[v], 2] <= _SHARE * allowed * sizes[v]
@@ -124,7 +124,7 @@ def _defect(
 def _round(
     along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
 ) -> None:
-    """Write what slopes may be off by rounding: next to where a step begins they are the rates."""
+    """Write the round-off of slopes; near the beginning of a step these are the rates."""
     coeffs = along[6]
     at(along, step, 0.0, _NEXT, PLACES, regs)
     for v in range(coeffs.shape[1]):

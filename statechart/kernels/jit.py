@@ -52,7 +52,7 @@ class _Interpreter:
 
 
 class Kernel:
-    """A kernel: called by Python interpreted or compiled, by other kernels as they are."""
+    """A kernel: Python calls it interpreted or compiled, other kernels call its compiled code."""
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
         self.py_func = function
@@ -179,7 +179,7 @@ def kernel(function: Any = None, *, interpreted: bool = True) -> Any:
 
 
 def intrinsic(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Let a function write the code of kernels that call it; Python calls another."""
+    """Declare an intrinsic, which writes LLVM code; Python calls `as_written` in its place."""
     return lambda function: Intrinsic(function, as_written)
 
 

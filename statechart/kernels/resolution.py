@@ -171,7 +171,7 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
 
 @kernel
 def jet_registers(along: Along, regs: Array) -> Array:
-    """Return registers of jets with what does not change along the steps filled in."""
+    """Return registers of jets, with constants and parameters filled in."""
     code, base, fixed, _, _, _, coeffs, _ = along
     n = coeffs.shape[1]
     run_tape(code, 0, fixed, base, regs, regs.shape[1])
@@ -258,7 +258,7 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
 
 @kernel
 def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
-    """Fill in roughness anew with what values at places tell of what is resolved.
+    """Fill in roughness again, from values of resolved registers at sampled places.
 
     Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box is:
     a kink of what is nothing but rounding was looked for to the end. `regs` (r, ..) are values at

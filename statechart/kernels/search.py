@@ -38,7 +38,7 @@ NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
 
 BoxWorkspace = tuple[Array, Array, Array, Array]
-"""Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
+"""Bounds of third derivatives, registers, jets, and evidence on one output."""
 
 
 @kernel
@@ -171,7 +171,7 @@ def _judge_box(
     along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float,
     evidence: Array, workspace: BoxWorkspace,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Tell from the evidence whether an output falls on [a, b]: where, and where it surely has."""
+    """Judge by the evidence whether an output falls on [a, b]; return where, and a certain end."""
     bounds, regs, jets, aside = workspace
     output = guard[0]
     if a == 0.0 and evidence[10] + tolerance < 0.0:
@@ -235,9 +235,9 @@ def search(
 def clear_whole(
     ready: PreparedTape, outputs: Ints32, tolerances: Array, step: int, jets: Array
 ) -> bool:
-    """Return whether no output falls in a step, as far as the ranges of the variables in it tell.
+    """Return whether the ranges of the variables in a step exclude that an output falls.
 
-    Leaves those of all registers in `jets`, and the first of the marks for `search_step`.
+    Writes the ranges of all registers to `jets`, and the first marks for `search_step`.
     """
     along, marks = ready[0], ready[7]
     code, base, first, last = along[:4]

@@ -1,4 +1,4 @@
-"""Memory of searches, and tapes made ready in it to be evaluated along steps.
+"""Workspace of searches, and tapes prepared in it for evaluation along steps.
 
 A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
 then the others' operations are skipped.
@@ -19,7 +19,7 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import POW, SKIP, TapeCode, fill, run_tape
 
 BOXES = 64
-"""Boxes still to see, at most: halves of halves down to the narrowest."""
+"""Largest number of pending boxes: halves of halves down to the narrowest."""
 
 Needed = tuple[Ints, Ints32, Ints32, Ints]
 """For every register the outputs that need it, a bit each; the operations and the variables that
@@ -35,7 +35,7 @@ and the outputs that are undecided in them."""
 
 
 class SearchWorkspace(NamedTuple):
-    """Memory to search in, for tapes of up to r registers, c operations and o outputs."""
+    """Workspace of a search, for tapes of up to r registers, c operations and o outputs."""
 
     registers: Array  # shape (r, 1)
     jets: Array  # shape (r, 6)
@@ -45,7 +45,7 @@ class SearchWorkspace(NamedTuple):
     variables: Ints32  # shape (n + 1,)
     selection: Ints  # shape (3,)
     bounds: Array  # (n,): of third derivatives.
-    # On the outputs; boxes still to see, and what is undecided in them.
+    # Evidence on the outputs; pending boxes, and the outputs that are undecided in each.
     evidence: Array  # shape (o + 1, 11)
     ends: Array  # shape (2, b)
     marks: NDArray[np.uint8]  # shape (b + 1, o)
@@ -55,7 +55,7 @@ class SearchWorkspace(NamedTuple):
 def search_workspace(
     registers: int, operations: int, outputs: int, variables: int
 ) -> SearchWorkspace:
-    """Return memory to search in."""
+    """Allocate the workspace of a search."""
     return SearchWorkspace(
         np.empty((registers, 1)),
         np.empty((registers, 6)),
@@ -112,7 +112,7 @@ def bit(output: int) -> int:
 
 @kernel
 def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
-    """Follow which registers the outputs need; of operations, those that `along` runs."""
+    """Mark the registers that each output needs, over the operations that `along` runs."""
     needs, chosen, _, selection = needed
     code, base, first, last = along[:4]
     for r in range(base + code.shape[0]):

@@ -132,7 +132,7 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
 def filled(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
-    """Return the first register of the operations, and registers with what is known filled in."""
+    """Return the first register of the operations, and registers with constants and parameters."""
     base = n_variables + 1 + parameters.shape[0] + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
     fill(constants, parameters, n_variables, regs)
@@ -141,7 +141,7 @@ def filled(
 
 @kernel
 def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
-    """Write what is known to the first registers."""
+    """Write constants and parameters to their registers."""
     n_parameters = parameters.shape[0]
     for j in range(regs.shape[1]):
         for p in range(n_parameters):
@@ -215,7 +215,7 @@ def largest_deviation(
     parameters: Array,
     time: float,
 ) -> float:
-    """Largest distance of an output from its target, weighted; those without a value count not."""
+    """Largest weighted distance of an output from its target; undefined outputs do not count."""
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, parameters, time, numbers)
     off = 0.0

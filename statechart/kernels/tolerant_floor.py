@@ -1,4 +1,4 @@
-"""Whole numbers at or below others."""
+"""Floor of a number that may be off an integer by round-off."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ALL_WHOLE = 2.0**53
 
 
 def tolerant_floor(a: float) -> float:
-    """Return the largest whole number that is not above `a`, but for rounding."""
+    """Return the floor of `a`; a number within round-off of an integer is that integer."""
     if not abs(a) < _ALL_WHOLE:
         return a
     near = float(math.floor(a + 0.5))

@@ -1,4 +1,4 @@
-"""Guards that touch their boundary, or pass it by less than a run is off: told, not decided.
+"""Grazing guards: they touch their boundary, or pass it by less than the error of a run.
 
 A guard that only touches fires nothing. Whether one does is open where its least value, or how far
 it would have passed before it turned back, is no more than what the guard changes by when every
@@ -37,7 +37,7 @@ _SAME = 1e-12
 
 
 class Graze(NamedTuple):
-    """Approach of a guard to its boundary, and the doubt that is left there."""
+    """Approach of a guard to its boundary, and the uncertainty of its margin there."""
 
     guard: str  # Its name.
     t: float  # When.
@@ -79,7 +79,7 @@ def _sentence(several: Sequence[Graze]) -> str:
 
 
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
-    """Return where it is open whether guards of a run pass their boundary, or touch it.
+    """Return the instants where errors of a run may decide whether a guard passes its boundary.
 
     In the order of time, the closest of every flow; none of a run by steps. Least values are looked
     for between 16 places of every step.
@@ -110,7 +110,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
 
 
 class _GuardScan:
-    """Looks at the guards of one mode."""
+    """Scans the guards of one mode."""
 
     def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
         self._guards = compiled.wholes
@@ -131,7 +131,7 @@ class _GuardScan:
             return self._guards.table(states, self._values, times)
 
     def between(self, arcs: Sequence[Arc]) -> Iterator[Graze]:
-        """Yield what is open between the ends of flows."""
+        """Yield the undecided minima of guards inside flows."""
         tau, rows, of = self._grid(arcs)
         here, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
         with np.errstate(all="ignore"):
@@ -195,7 +195,7 @@ class _GuardScan:
         return 0.5 * (left + right)
 
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield what is open of guards that have fired, by the parabolas on which they fell."""
+        """Yield undecided guards that have fired, by the parabola of their fall."""
         names = [name for name, _ in self._watched]
         ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
@@ -245,7 +245,7 @@ class _GuardScan:
         return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), 3, -1)
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
-        """Return what is open of a guard that is least at a local time, but for what is added."""
+        """Return the graze of a guard whose least value at a local time is uncertain; else None."""
         state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]

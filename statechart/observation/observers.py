@@ -19,7 +19,7 @@ from statechart.observation.outputs import OutputAccumulator, outputs_of
 
 
 class Observers:
-    """Simulators of an automaton, each with what observes its runs."""
+    """Simulators of an automaton, each with the observer of its runs."""
 
     def __init__(
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
@@ -30,7 +30,7 @@ class Observers:
         self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
-        """Return the observer of a setting's simulator, the same one whenever asked.
+        """Return the observer of a setting's simulator, made once.
 
         `off`: its runs start off by the tolerance. Raises `DeclarationError` if there is no such
         engine or method, or the engine is not installed.
@@ -62,7 +62,7 @@ class Observers:
         return self.floor(setting) if self.engine(setting).sharp else None
 
     def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
-        """Return a simulator of nobody else's, with what is known of the modes."""
+        """Return a new simulator that shares the solved modes."""
         return self._simulator(setting, off=False)
 
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:

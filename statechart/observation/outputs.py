@@ -196,7 +196,7 @@ class Outputs:
     def split(
         self, values: OutputValues, marks: _Marks, totals: Sequence[int]
     ) -> tuple[list[list[list[float]]], list[list[int]]]:
-        """Return values at events and counts of events, of each run its own.
+        """Return values at events and counts of events, run by run.
 
         `totals` (m,) are the numbers of events of the runs.
         """
@@ -232,7 +232,7 @@ class Outputs:
         return found
 
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
-        """Return which waits a jump ends."""
+        """Return a mark for each set of events that outputs wait for: 1 if a jump is one."""
         key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
         found = self._marked.get(key)
         if found is None:

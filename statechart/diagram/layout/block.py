@@ -15,7 +15,7 @@ from statechart.diagram.layout.graphviz_program import measured
 from statechart.diagram.layout.markup import START, arrow
 
 Attributes = Mapping[str, str]
-"""Attributes of DOT that say how something is drawn, and not where."""
+"""DOT attributes of appearance, without position."""
 
 Point = tuple[float, float]
 

@@ -62,7 +62,7 @@ class Round(NamedTuple):
 
 
 def find_rounds(path: Sequence[str]) -> Round | None:
-    """Return the course of a path: rounds from as early on as there are some, or a chain.
+    """Return a path as rounds of a cycle from the earliest possible start, or as a chain.
 
     None where modes come again, and not in rounds for at least half of the path.
     """
