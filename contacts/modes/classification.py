@@ -203,6 +203,8 @@ def _explain(
     inward = 0.25 * max(tie, _EXACT) * scales.force
     bound = max(tie, _SAME_MOTION)
     moving = [(k, found[k]) for k in redundant if found[k].violation <= bound]
+    if not moving:
+        return
     moving.sort(key=lambda item: openness(item[1]))
     motions = np.array([one.accelerations for _, one in moving]).reshape(len(moving), -1)
     largest = _SAME_MOTION * np.maximum(scales.acceleration, np.abs(motions).max(1, initial=0.0))
