@@ -263,7 +263,7 @@ def residual_of(problem: Problem, impulses: Array) -> float:
 
 def recorded(keep: int) -> list[Problem]:
     """Return the problems of all runs."""
-    from heaps import heap
+    from random_bodies import heap
     from test_proximal_points import of_all_masses, wall
     from test_step_problems import random_problem
 

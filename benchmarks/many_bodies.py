@@ -205,7 +205,7 @@ def peer(name: str, count: int, repeats: int) -> None:
 
 def heaps(count: int) -> None:
     """Print how random heaps end, and which break a bound."""
-    from heaps import heap
+    from random_bodies import heap
 
     ends: dict[str, int] = {}
     deep, gained, inexact, began = [], [], [], time.perf_counter()

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contacts.scene.controls import Controller, ControlRegion, ControlState
-    from contacts.scene.couplings import Coupling, StaticKinetic
+    from contacts.scene.couplings import Coupling
+    from contacts.scene.friction import StaticKinetic
     from contacts.scene.joints import Force, Joint, Path
     from contacts.scene.modes import Free, Pin, Slide
     from contacts.scene.parts import Body, Contact, Coordinate, Point, Surface
@@ -40,7 +41,8 @@ __all__ = [
 
 _HOMES = {
     "scene.controls": ("ControlRegion", "ControlState", "Controller"),
-    "scene.couplings": ("Coupling", "StaticKinetic"),
+    "scene.couplings": ("Coupling",),
+    "scene.friction": ("StaticKinetic",),
     "scene.joints": ("Force", "Joint", "Path"),
     "scene.modes": ("Free", "Pin", "Slide"),
     "scene.scene": ("Scene",),

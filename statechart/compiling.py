@@ -27,8 +27,8 @@ class _State:
 
     name, done, total = "", 0, 0
     depth = 0
-    began = said = 0.0
-    told = False
+    began = reported_at = 0.0
+    announced = False
     spent = 0.0
     say: Say | None = None
 
@@ -77,8 +77,8 @@ def begin(name: str, count: Callable[[], int]) -> None:
     _now.depth += 1
     if _now.depth > 1:
         return
-    _now.began = _now.said = time.perf_counter()
-    _now.name, _now.done, _now.told = name, 0, False
+    _now.began = _now.reported_at = time.perf_counter()
+    _now.name, _now.done, _now.announced = name, 0, False
     _now.total = count() if _now.say is not None else 0
 
 
@@ -99,12 +99,12 @@ def end(counts: bool = True) -> None:
     now = time.perf_counter()
     if _now.depth == 0:
         _now.spent += now - _now.began
-        if _now.told or now - _now.began >= _AFTER:
+        if _now.announced or now - _now.began >= _AFTER:
             _report(
                 f"compiled {_now.name} in {now - _now.began:.0f} s; this happens once", last=True
             )
-    elif now - _now.said >= _AFTER:
-        _now.said, _now.told = now, True
+    elif now - _now.reported_at >= _AFTER:
+        _now.reported_at, _now.announced = now, True
         # What was counted on as compiled may be of no use, since another process compiled what it
         # calls; the outermost function is still to come.
         total = max(_now.total, _now.done + 1)

@@ -25,7 +25,7 @@ _OPEN, _HELD, _FIRM = range(3)
 class _State:
     """Signals that arrived, those of them that a check has told of, and what is held back."""
 
-    count = told = 0
+    count = reported = 0
     # Whether SIGINT comes to this module already; asking the process for that takes long.
     ours = False
     first = 0.0
@@ -47,7 +47,7 @@ def listen() -> None:
 
 def forget() -> None:
     """Begin anew: no signal has arrived."""
-    _now.count = _now.told = 0
+    _now.count = _now.reported = 0
 
 
 def arrived() -> int:
@@ -58,7 +58,7 @@ def arrived() -> int:
 def check() -> None:
     """Raise KeyboardInterrupt if a signal to end has arrived."""
     if _now.count:
-        _now.told = _now.count
+        _now.reported = _now.count
         raise KeyboardInterrupt
 
 
@@ -86,7 +86,7 @@ def held(*, firmly: bool = False) -> Iterator[None]:
         if lent:
             _now.ours = False
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            untold = _now.count > _now.told
+            untold = _now.count > _now.reported
             forget()
             if untold:
                 signal.raise_signal(signal.SIGINT)
@@ -101,7 +101,7 @@ def let_through() -> Iterator[None]:
         return
     _now.hold = _OPEN
     try:
-        if _now.count > _now.told:
+        if _now.count > _now.reported:
             check()
         yield
     finally:
@@ -129,5 +129,5 @@ def _note(number: int, frame: FrameType | None) -> None:
     if _now.count == 1:
         _now.first = time.monotonic()
     if _now.hold == _OPEN:
-        _now.told = _now.count
+        _now.reported = _now.count
         raise KeyboardInterrupt

@@ -41,7 +41,7 @@ def plain(blocks: Iterable[Block]) -> str:
     return "".join(block if isinstance(block, str) else table(block.rows) for block in blocks)
 
 
-def apart(parts: Iterable[Sequence[Block]]) -> list[Block]:
+def join_blocks(parts: Iterable[Sequence[Block]]) -> list[Block]:
     """Return parts of a text as one, an empty line between them."""
     result: list[Block] = []
     for part in parts:
@@ -51,8 +51,9 @@ def apart(parts: Iterable[Sequence[Block]]) -> list[Block]:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as lines with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    """Return rows as lines with aligned columns; a row of one cell widens none of several."""
+    full = [row for row in rows if any(row[1:])] or rows
+    widths = [max(map(len, column)) for column in zip(*full, strict=True)]
     return "".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         + "\n"
@@ -87,7 +88,7 @@ def aligned(texts: Sequence[str]) -> list[str]:
     ]
 
 
-def whole(number: int) -> str:
+def grouped(number: int) -> str:
     """Return a number of things as people read it: a huge one as a power, such as about 1.4e143."""
     # A float ends at 1e308, and Python writes no integer of more than 4300 digits.
     return str(number) if number < _COUNTED else f"about {Decimal(number):.1e}".replace("e+", "e")
@@ -95,7 +96,7 @@ def whole(number: int) -> str:
 
 def several(count: int, noun: str) -> str:
     """Return how many of something there are: ``1 step``, ``2 steps``."""
-    return f"{whole(count)} {noun}{'' if count == 1 else 's'}"
+    return f"{grouped(count)} {noun}{'' if count == 1 else 's'}"
 
 
 def ends(items: Sequence[T], half: int = FEW) -> list[T | int]:

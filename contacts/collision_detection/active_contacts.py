@@ -16,6 +16,7 @@ from contacts.collision_detection.body_numbers import (
     Memory,
 )
 from contacts.collision_detection.midpoint import Midpoint
+from contacts.solvers.contact_rows import ON_TRIAL
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.jit import kernel
 
@@ -39,7 +40,8 @@ class ActiveContacts(NamedTuple):
     memory: Array
     laws: Ints  # (c,): which of `BodyNumbers.materials`; -1: a joint.
     materials: Array  # (c, 3): edge of the cone that holds now (2), restitution.
-    ways: Ints  # (c,): slip before, 1 or -1, where kinetic friction holds; 2 or -2: it begins.
+    # (c,): slip before, 1 or -1, where kinetic friction holds; `BEGINS` or `ON_TRIAL`.
+    ways: Ints
     # (c, 2): velocities before the step, and after it without impulses; what these may not fall
     # below, negated.
     before: Array
@@ -151,7 +153,7 @@ def has_two_coefficients(law: Array) -> bool:
 @kernel
 def write_friction(numbers: BodyNumbers, i: int, way: int, active: ActiveContacts) -> None:
     """Write the cone of a contact that rests (0) or slips this `way`."""
-    law, at = numbers.materials[active.laws[i]], 0 if way == 0 else KINETIC
+    law, at = numbers.materials[active.laws[i]], 0 if way in (0, ON_TRIAL) else KINETIC
     active.ways[i] = way
     active.materials[i, 0] = law[at]
     active.materials[i, 1] = law[at + 1] * (2.0 if active.twins[i] == ROLLS else 1.0)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.surfaces import SurfaceNumbers
-from statechart.arrays import Array, Bools, Ints
+from statechart.arrays import Array, Bools, Ints, Ints32
+from statechart.kernels.tapes import tape_table
 
 MEMORY = 10
 """What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
@@ -55,10 +56,36 @@ class JointNumbers(NamedTuple):
     passes: Bools  # (j,): whose bodies touch each other while the joint is off.
 
 
+class LinkNumbers(NamedTuple):
+    """The linked bodies (l) of a scene, the last of those that move, and their coordinates (c)."""
+
+    bodies: int
+    size: int
+    # The program (see `statechart.formulas.tape.Tape`) over coordinates and their rates: poses
+    # (l, 3), their derivatives by the coordinates (l, 3, c), mass (c, c), derivatives (c, c) of
+    # forces by the rates, and forces (c,), those of inertia included.
+    code: Ints32
+    constants: Array
+    outputs: Ints32
+    values: Array
+
+    @classmethod
+    def none(cls) -> LinkNumbers:
+        """Return those of a scene whose bodies are free."""
+        nothing = np.zeros((0, 3), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros(0)
+        return cls(0, 0, *nothing)
+
+    @property
+    def rows(self) -> int:
+        """Rows of rates that coordinates take."""
+        return (self.size + 2) // 3
+
+
 class BodyNumbers(NamedTuple):
     """Constants of a run of colliding bodies.
 
-    First the bodies that move by themselves, then those that are led along a path, then fixed ones.
+    First free bodies, then those that coordinates place; then those that are led along a path, and
+    fixed ones. The state of a run has the poses of free bodies, the coordinates, and their rates.
     """
 
     pieces: PieceNumbers
@@ -74,6 +101,67 @@ class BodyNumbers(NamedTuple):
     # damping of compliant contacts, rolling resistance.
     materials: Array
     joints: JointNumbers
+    links: LinkNumbers
+
+    @property
+    def free(self) -> int:
+        """Number of free bodies."""
+        return len(self.inverse) - self.links.bodies
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates of a state, those of free bodies included."""
+        return 3 * self.free + self.links.size
+
+    def motion(self, states: Array) -> tuple[Array, Array]:
+        """Return the poses and rates (k, m, 3) of bodies that move, in states (k, n)."""
+        first, n, count = 3 * self.free, self.size, len(states)
+        parts = [states[:, at : at + first].reshape(count, self.free, 3) for at in (0, n)]
+        if not self.links.bodies:
+            return parts[0], parts[1]
+        poses, gradients = self.linked(states)
+        rates = gradients @ states[:, n + first : 2 * n, None]
+        moving = poses, rates.reshape(poses.shape)
+        one, other = (np.concatenate(pair, axis=1) for pair in zip(parts, moving, strict=True))
+        return one, other
+
+    def linked(self, states: Array) -> tuple[Array, Array]:
+        """Return the poses (k, l, 3) of linked bodies, and their derivatives (k, 3 l, c)."""
+        count, links, rows = len(states), self.links, 3 * self.links.bodies
+        poses, gradients, _ = np.split(self.table(states), [rows, rows * (1 + links.size)], axis=1)
+        return poses.reshape(count, links.bodies, 3), gradients.reshape(count, rows, links.size)
+
+    def table(self, states: Array) -> Array:
+        """Return the outputs of `LinkNumbers` in states (k, n)."""
+        links, first, n = self.links, 3 * self.free, self.size
+        at = np.concatenate([states[:, first:n], states[:, n + first : 2 * n]], axis=1)
+        found: Array = tape_table(
+            links.code, links.constants, links.outputs, 0, np.ascontiguousarray(at), links.values,
+            np.zeros(len(at)),
+        )  # fmt: skip
+        return found
+
+    def levers(self, state: Array) -> Array:
+        """Return how far each coordinate (c,) moves what it moves farthest, by its unit; not 0."""
+        if not self.links.bodies:
+            return np.zeros(0)
+        found = self.linked(state[None])[1].reshape(-1, 3, self.links.size)[:, :2]
+        most = np.abs(found).max(axis=(0, 1), initial=0.0)
+        return np.where(most > 0.0, most, 1.0)
+
+    def inertia(self, states: Array) -> tuple[Array, Array]:
+        """Return mass matrices (k, c, c) and forces (k, c) of the coordinates in states."""
+        size = self.links.size
+        found = self.table(states)[:, -size * (2 * size + 1) :]
+        return found[:, : size * size].reshape(-1, size, size), found[:, -size:]
+
+    def whole(self, rows: Array, state: Array) -> Array:
+        """Return rows (r, 3 m) of all bodies that move as rows (r, n) of the coordinates."""
+        first = 3 * self.free
+        if not self.links.bodies:
+            return rows
+        gradients = self.linked(state[None])[1][0]
+        return np.concatenate([rows[:, :first], rows[:, first:] @ gradients], axis=1)
 
     @property
     def padded(self) -> int:

@@ -1,4 +1,9 @@
-"""Bodies in the middle of a step: where they are, what moves them, how far they reach."""
+"""Bodies in the middle of a step: where they are, what moves them, how far they reach.
+
+Bodies that coordinates q place have poses p(q) and rates G q' with G = dp/dq; forces F on them give
+M(q) q'' = f(q, q') + G^T F. In rates (b + k, 3) of all bodies those of the coordinates stand in the
+last k rows, three in each.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.collision_detection.body_numbers import BodyNumbers
+from contacts.collision_detection.body_numbers import BodyNumbers, LinkNumbers
 from contacts.collision_detection.convex import norm, placed
+from contacts.solvers.saddle_point import factorise, substitute
 from statechart.arrays import Array, Ints, Ints32
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import run_tape
@@ -51,11 +57,24 @@ TOUCHING = 1e-12
 """Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
 
 
+class LinkMotion(NamedTuple):
+    """How linked bodies move at a midpoint."""
+
+    gradients: Array  # (l, 3, c): derivatives of the poses by the coordinates.
+    # (c, c): inverse of M - h/2 df/dq': forces of inertia are those at the mean of the rates.
+    compliance: Array
+
+    @classmethod
+    def allocate(cls, links: LinkNumbers) -> LinkMotion:
+        """Return place for it."""
+        return cls(np.zeros((links.bodies, 3, links.size)), np.zeros((links.size, links.size)))
+
+
 class Midpoint(NamedTuple):
     """Bodies in the middle of a step."""
 
-    # (b, 3): where they are; their rates before the step, and after it without contacts. Rates of
-    # led bodies take them from midpoint to midpoint.
+    # (b, 3): where they are; (b + k, 3): rates before the step, and after it without contacts.
+    # Rates of led bodies take them from midpoint to midpoint.
     places: Array
     old: Array
     loose: Array
@@ -69,6 +88,7 @@ class Midpoint(NamedTuple):
     gaps: Array  # (b,): to what is nearest, where that is found.
     # (b,): how much faster gravity, or what moves as prescribed, makes a body within the step.
     pull: Array
+    links: LinkMotion
 
     @classmethod
     def allocate(cls, numbers: BodyNumbers) -> Midpoint:
@@ -76,15 +96,105 @@ class Midpoint(NamedTuple):
         count, pieces = len(numbers.sizes), len(numbers.pieces.sizes)
         return cls(
             np.empty((count, 3)),
-            np.empty((count, 3)),
-            np.empty((count, 3)),
+            np.empty((count + numbers.links.rows, 3)),
+            np.empty((count + numbers.links.rows, 3)),
             np.empty((pieces, 2)),
             np.empty((pieces, 2)),
             np.empty_like(numbers.pieces.vertices),
             np.empty(pieces),
             np.empty(count),
             np.empty(count),
+            LinkMotion.allocate(numbers.links),
         )
+
+
+@kernel
+def carry(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
+    """Write the rates of linked bodies that those of their coordinates make, in place."""
+    count, size, whole = numbers.links.bodies, numbers.links.size, len(numbers.sizes)
+    free, gradients = len(numbers.inverse) - count, mid.links.gradients
+    for i in range(count):
+        for d in range(3):
+            total = 0.0
+            for j in range(size):
+                total += gradients[i, d, j] * rates[whole + j // 3, j % 3]
+            rates[free + i, d] = total
+
+
+@kernel
+def push_link(
+    numbers: BodyNumbers, mid: Midpoint, b: int, x: float, y: float, turn: float, rates: Array
+) -> None:
+    """Apply an impulse along x and y and about linked body b to the rates of the coordinates."""
+    size, whole = numbers.links.size, len(numbers.sizes)
+    gradients = mid.links.gradients[b - len(numbers.inverse) + numbers.links.bodies]
+    for j in range(size):
+        push = x * gradients[0, j] + y * gradients[1, j] + turn * gradients[2, j]
+        for k in range(size):
+            rates[whole + k // 3, k % 3] += mid.links.compliance[k, j] * push
+
+
+@kernel
+def place_links(
+    numbers: BodyNumbers, state: Array, h: float, registers: tuple[int, Array], mid: Midpoint
+) -> bool:
+    """Move the coordinates to the middle of a step, in place, and place the linked bodies there.
+
+    Return whether the mass matrix is regular. `registers` are those of `LinkNumbers`.
+    """
+    links, whole, (base, values) = numbers.links, len(numbers.sizes), registers
+    count, size, free = links.bodies, links.size, len(numbers.inverse) - links.bodies
+    first, n = 3 * free, 3 * free + size
+    outputs, gradients, compliance = links.outputs, mid.links.gradients, mid.links.compliance
+    for row in range(whole, len(mid.old)):
+        for d in range(3):
+            mid.old[row, d] = mid.loose[row, d] = 0.0
+    for j in range(size):
+        rate = state[n + first + j]
+        state[first + j] += 0.5 * h * rate
+        values[j, 0], values[size + j, 0] = state[first + j], rate
+        mid.old[whole + j // 3, j % 3] = rate
+    values[2 * size, 0] = 0.0
+    run_tape(links.code, 0, len(links.code), base, values, 1)
+    at, mass = 3 * count, np.empty((size, size))
+    for i in range(count):
+        for d in range(3):
+            mid.places[free + i, d] = values[outputs[3 * i + d], 0]
+            for j in range(size):
+                gradients[i, d, j] = values[outputs[at], 0]
+                at += 1
+    for j in range(size):
+        for k in range(size):
+            mass[j, k] = values[outputs[at], 0]
+            mass[j, k] -= 0.5 * h * values[outputs[at + size * size], 0]
+            at += 1
+    at += size * size
+    order, unit = np.arange(size), np.zeros(size)
+    if not factorise(mass, order, np.empty((size, size))):
+        return False
+    column = np.empty(size)
+    for j in range(size):
+        unit[j] = 1.0
+        substitute(mass, order, unit, column)
+        unit[j] = 0.0
+        for k in range(size):
+            compliance[k, j] = column[k]
+    for k in range(size):
+        row, d = whole + k // 3, k % 3
+        mid.loose[row, d] = mid.old[row, d]
+        for j in range(size):
+            mid.loose[row, d] += h * compliance[k, j] * values[outputs[at + j], 0]
+    carry(numbers, mid, mid.old)
+    carry(numbers, mid, mid.loose)
+    return True
+
+
+@kernel
+def _pull(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
+    """Return how fast the energy of what changes the rates of a body makes it without turning."""
+    sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
+    turned, inverse = mid.loose[b, 2] - mid.old[b, 2], numbers.inverse[b]
+    return math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
 
 
 @kernel
@@ -95,19 +205,24 @@ def move_to_midpoint(
 
     The step before was `past` long: what they have passed since its middle is within their reach.
     `poses` (3, l, 3) are those of led bodies at the midpoint before, at this one and at the next.
+    Linked bodies are there already: see `place_links`.
     """
-    places, old, loose, centres, drifts, world, reach, gaps, pull = mid
+    places, old, loose, centres, drifts, world, reach, gaps, pull, _ = mid
     count, pieces = len(numbers.inverse), numbers.pieces
+    free = count - numbers.links.bodies
+    n = 3 * free + numbers.links.size
     gx, gy = numbers.gravity
     fall = norm(gx, gy) * h
     for b in range(len(numbers.sizes)):
         led = b - count
         for d in range(3):
             at = 3 * b + d
-            if led < 0:
-                old[b, d] = loose[b, d] = state[3 * count + at]
+            if b < free:
+                old[b, d] = loose[b, d] = state[n + at]
                 state[at] += 0.5 * h * old[b, d]
                 places[b, d] = state[at]
+            elif led < 0:
+                continue
             elif led < poses.shape[1]:
                 places[b, d] = poses[1, led, d]
                 old[b, d] = (places[b, d] - poses[0, led, d]) / h
@@ -124,7 +239,7 @@ def move_to_midpoint(
         placed(pieces.middles, first, end, x, y, c, s, centres)
         placed(pieces.vertices, pieces.firsts[first], pieces.firsts[end], x, y, c, s, world)
         sped = 0.0
-        if led < 0:
+        if b < free:
             loose[b, 0] += h * gx
             loose[b, 1] += h * gy
             sped = fall
@@ -133,45 +248,57 @@ def move_to_midpoint(
             drifts[p, 0] = old[b, 0] - old[b, 2] * (centres[p, 1] - y)
             drifts[p, 1] = old[b, 1] + old[b, 2] * (centres[p, 0] - x)
             speed = fast + pieces.spans[p] * abs(old[b, 2]) + sped
-            if led >= 0:
+            if b >= free:
                 next_speed = norm(loose[b, 0], loose[b, 1]) + pieces.spans[p] * abs(loose[b, 2])
                 speed = max(speed, next_speed)
             reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCHING * pieces.sizes[p]
-        gaps[b], pull[b] = math.inf, sped
+        gaps[b], pull[b] = math.inf, _pull(numbers, mid, b) if free <= b < count else sped
 
 
 @kernel
 def apply_forces(
     numbers: BodyNumbers, forces: ForceProgram, registers: tuple[int, Array], memory: Array,
-    time: float, h: float, mid: Midpoint,
+    state: Array, time: float, h: float, mid: Midpoint,
 ) -> None:  # fmt: skip
     """Let forces act on bodies in a step, and extend what these reach.
 
     `registers` are those of the forces (see `statechart.kernels.tapes.filled`), `memory` (w,) is
-    what controllers remember in the middle of the step.
+    what controllers remember in the middle of the step, where the coordinates of `state` are.
     """
-    (base, values), at = registers, 0
-    for source in (mid.places, mid.old):
-        for b in range(len(numbers.inverse)):
-            for d in range(3):
-                values[at, 0] = source[b, d]
-                at += 1
+    free = len(numbers.inverse) - numbers.links.bodies
+    (base, values), at = registers, 2 * (3 * free + numbers.links.size)
+    for i in range(at):
+        values[i, 0] = state[i]
     for j in range(len(memory)):
         values[at + j, 0] = memory[j]
     values[at + len(memory), 0] = time
     run_tape(forces.code, 0, len(forces.code), base, values, 1)
+    linked = False
     for i in range(len(forces.bodies)):
-        b = forces.bodies[i]
+        b, linked = forces.bodies[i], linked or forces.bodies[i] >= free
+        if b >= free:
+            x, y = values[forces.outputs[3 * i], 0], values[forces.outputs[3 * i + 1], 0]
+            turn = values[forces.outputs[3 * i + 2], 0]
+            push_link(numbers, mid, b, h * x, h * y, h * turn, mid.loose)
+            continue
         for d in range(3):
             force = values[forces.outputs[3 * i + d], 0]
             mid.loose[b, d] += h * numbers.inverse[b, d] * force
-    for b in forces.bodies:
-        sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
-        turned, inverse = abs(mid.loose[b, 2] - mid.old[b, 2]), numbers.inverse[b]
-        for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
-            mid.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
-        # As fast as the same energy would make it without turning.
-        mid.pull[b] = math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
+        _extend_reach(numbers, mid, b, h)
+    if linked:
+        carry(numbers, mid, mid.loose)
+        for b in range(free, len(numbers.inverse)):
+            _extend_reach(numbers, mid, b, h)
+
+
+@kernel
+def _extend_reach(numbers: BodyNumbers, mid: Midpoint, b: int, h: float) -> None:
+    """Extend what a body reaches under forces."""
+    sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
+    turned = abs(mid.loose[b, 2] - mid.old[b, 2])
+    for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):
+        mid.reach[p] += 2.0 * h * (sped + numbers.pieces.spans[p] * turned)
+    mid.pull[b] = _pull(numbers, mid, b)
 
 
 @kernel

@@ -334,7 +334,7 @@ def hidden(snapshot: Snapshot, mode: Key) -> Snapshot:
     contacts, forces = [*snapshot.contacts], snapshot.forces
     for i, state in enumerate(mode):
         if state in INACTIVE:
-            if snapshot.pushes is not None:
+            if snapshot.pushes is not None and contacts[i].gap == 0.0:
                 forces = forces - snapshot.pushes[i]
             jacobians[i] = biases[i] = 0.0
             zeros = (0.0,) * len(PerContact._fields[1:-2])

@@ -234,12 +234,7 @@ class ControllerState:
             projected = of_motion.project(motion, time, self.within(setup, state).values)
             return state if projected is motion else self.joined(projected, state)
 
-        within = of_motion.within
-        return of_motion._replace(
-            tape=self._whole(of_motion.tape),
-            project=project,
-            within=None if within is None else self._whole(within),
-        )
+        return of_motion._replace(project=project)
 
     def updated(
         self, setup: SceneSetup, clock: Clock, cause: str, blocks: tuple[Updates, ...], state: Array
@@ -267,14 +262,3 @@ class ControllerState:
             known = {**mechanics.known, **found}
             found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
         return mechanics.whole_tape([*found.values()])
-
-    def _whole(self, tape: Tape) -> Tape:
-        """Return a tape of the motion as one of the state: what is remembered stands between."""
-        count = len(self._names)
-        time = tape.reads == tape.n_variables
-        return replace(
-            tape,
-            n_variables=tape.n_variables + count,
-            n_parameters=tape.n_parameters - count,
-            reads=np.where(time, tape.n_variables + count, tape.reads).astype(np.int32),
-        )

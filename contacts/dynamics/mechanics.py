@@ -93,7 +93,7 @@ class Mechanics(Geometry):
         }
         self._asked = {
             (member.region, member.state): sp.Symbol(f"in{i}", real=True)
-            for i, member in enumerate(scene.asked_states)
+            for i, member in enumerate(scene.condition_states)
         }
         # Joints that can be off: 1 while they are closed.
         self._closed = {
@@ -511,11 +511,11 @@ class Mechanics(Geometry):
             )
         return self._gates[name]
 
-    def valleys(self, name: str) -> dict[str, sp.Expr]:
+    def valleys(self, name: str, *, acute: bool = False) -> dict[str, sp.Expr]:
         """Return how sharply edges for the same point turn up at the ends of a contact's edge.
 
         Ends are named as in `gate`. A positive value is a valley: what is beyond the end is below
-        the other edge.
+        the other edge; an `acute` one has an angle below 90 degrees.
         """
         contact, found = self.scene.contacts[name], {}
         surface = self.scene.surfaces[contact.surface]
@@ -531,10 +531,12 @@ class Mechanics(Geometry):
                 continue
             one, two = self._corners(surface.edge), self._corners(beside.edge)
             (ax, ay), (bx, by) = ((x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in (one, two))
+            turns = ax * by - ay * bx
+            back = (-ax * bx - ay * by,) if acute else ()
             if one[1] == two[0]:
-                found[f"{name}: end of its edge"] = ax * by - ay * bx
+                found[f"{name}: end of its edge"] = sp.Min(turns, *back)
             if one[0] == two[1]:
-                found[f"{name}: begin of its edge"] = bx * ay - by * ax
+                found[f"{name}: begin of its edge"] = sp.Min(-turns, *back)
         return found
 
     def _stuck(

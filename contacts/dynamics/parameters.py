@@ -146,7 +146,7 @@ def _derived(scene: Scene, known: Mapping[str, sp.Symbol]) -> dict[str, sp.Expr]
     result: dict[str, sp.Expr] = {}
 
     def in_states(text: FormulaText) -> Iterator[tuple[str, Mapping[str, sp.Expr]]]:
-        for state, seen in scene.controlled.seen_in_states(text, known, Formula.to_sympy):
+        for state, seen in scene.controlled.values_by_state(text, known, Formula.to_sympy):
             yield f".{state}" if state else "", seen
 
     for name, contact in scene.contacts.items():

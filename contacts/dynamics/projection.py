@@ -57,8 +57,12 @@ class Projection:
         closed = [row.closed for row in mechanics.joint_rows]
         self._on = [on is None or states[on] != 0 for on in closed]
         self._snapshots = snapshots
-        self._compile = mechanics.tape
+        self._compile = mechanics.whole_tape
         self.tape = mechanics.tape(outputs, definitions=[*states.items()])
+        # Of the state with what controllers remember in it.
+        self._whole = self.tape
+        if mechanics.memory:
+            self._whole = mechanics.whole_tape(outputs, definitions=[*states.items()])
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
         self._soft = tuple(name in mechanics.pads for name in mechanics.scene.frictional)
         self._curved = tuple(
@@ -78,7 +82,8 @@ class Projection:
     ) -> Constraints:
         """Return the constraints of `flow` (see `statechart.automaton.laws.Laws`).
 
-        Their projection raises `NoConsistentMode` where the joints cannot be kept together,
+        They are of the whole state, `project` is of positions and rates. It raises
+        `NoConsistentMode` where the joints cannot be kept together,
         `SingularMode` where that is because their constraints have become dependent. The flow
         begins at `start` at the state `anchor`: pinned points stay where they were there, in the
         surface's frame.
@@ -128,7 +133,7 @@ class Projection:
         # At a loose tolerance a state may be off that far without being projected.
         room = max(UNSEEN * scales.length, tolerances["gap"])
         constraints = Constraints(self.tape, targets, weights, project, self.unseen(flow), room)
-        return constraints
+        return constraints._replace(tape=self._whole)
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
         """Return how far a last bit of every number of the state takes the joints (rows, 2)."""

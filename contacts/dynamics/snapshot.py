@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -66,7 +66,8 @@ class Snapshot(NamedTuple):
     # (k, 2): Static and kinetic limits of the couplings, which are the last of the contacts
     limits: Array = np.empty((0, 2))
     pads: int = 0  # Coordinates that are pads of compliant contacts, the last ones
-    # (c, n): What normal forces of compliant contacts do to the bodies; part of `forces`
+    # (c, n): What normal forces of compliant contacts do to the bodies; of those whose gap is 0,
+    # part of `forces`
     pushes: Array | None = None
 
     @property
@@ -219,21 +220,22 @@ class SnapshotTape:
         masses, forces, rates = numbers.reshape(pads, 3).T
         # What comes near presses no less than nothing: its gap is closed up to round-off.
         pressed = np.where(rates < 0.0, np.maximum(forces, 0.0), forces)
-        pushes = np.zeros((self.count, n + pads))
+        pushes, acting = np.zeros((self.count, n + pads)), np.zeros(self.count)
         mass = np.pad(whole.mass, (0, pads))
         mass[range(n, n + pads), range(n, n + pads)] = masses
         jacobians = np.pad(whole.jacobians, ((0, 0), (0, 0), (0, pads)))
         biases, contacts = whole.biases.copy(), [*whole.contacts]
         for i, pad in self._pads:
-            if contacts[i].gap <= 0.0 < pressed[pad]:
+            if pressed[pad] > 0.0:
                 pushes[i] = pressed[pad] * jacobians[i, 0]
+            acting[i] = contacts[i].gap <= 0.0
             jacobians[i, 0], biases[i, 0] = 0.0, 0.0
             jacobians[i, 0, n + pad] = 1.0
             gap = max(contacts[i].gap, 0.0)
             contacts[i] = contacts[i]._replace(gap=gap, gap_rate=0.0, bias_n=0.0)
         return whole._replace(
             mass=mass,
-            forces=np.concatenate([whole.forces, -pressed]) + pushes.sum(axis=0),
+            forces=np.concatenate([whole.forces, -pressed]) + acting @ pushes,
             velocity=np.concatenate([whole.velocity, np.zeros(pads)]),
             contacts=tuple(
                 one._replace(jacobian=rows) for one, rows in zip(contacts, jacobians, strict=True)
@@ -243,6 +245,19 @@ class SnapshotTape:
             pads=pads,
             pushes=pushes,
         )
+
+
+def press_closed(snapshot: Snapshot, closed: Sequence[bool]) -> Snapshot:
+    """Return the snapshot with the forces of compliant contacts whose gap is round-off."""
+    if snapshot.pushes is None:
+        return snapshot
+    contacts, forces, held = [*snapshot.contacts], snapshot.forces, snapshot.held
+    for i, contact in enumerate(contacts):
+        if closed[i] and contact.gap > 0.0 and snapshot.pushes[i].any():
+            forces, contacts[i] = forces + snapshot.pushes[i], contact._replace(gap=0.0)
+    if held is not None:
+        held = replace(held, whole=press_closed(held.whole, closed))
+    return snapshot._replace(contacts=tuple(contacts), forces=forces, held=held)
 
 
 def _held(whole: Snapshot, joints: JointNumbers, parts: Sequence[JointGroup]) -> Snapshot:

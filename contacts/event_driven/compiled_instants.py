@@ -29,7 +29,7 @@ from contacts.modes.classification import ModeRules, classify, write_edges
 from contacts.scene.parts import MOREAU
 from contacts.states import FREE, OFF_CODE, PIN
 from statechart.arrays import Array, Bools, Ints
-from statechart.automaton.trace_store import EVENTS, MADE, TraceBuffer
+from statechart.automaton.trace_store import EVENTS, JUMP_OBJECT, TraceBuffer
 from statechart.engines.compiled_flow import (
     ADDRESS,
     LAWS_AT,
@@ -42,7 +42,7 @@ from statechart.engines.compiled_flow import (
 )
 from statechart.execution import compiled_loop as runs
 from statechart.execution.livelock import STEADY
-from statechart.kernels.accumulation import follow
+from statechart.kernels.accumulation import add_jump
 from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
@@ -351,7 +351,11 @@ def _in_turn(block: TraceBuffer, row: int, jumps: int) -> bool:
     contact, last = row // _PER_CAUSE, block.used[EVENTS] - 1
     for event in range(last, max(last - jumps, -1), -1):
         struck, group = block.events[event, 4], block.events[event, 5]
-        if block.events[event, 0] == MADE or group != 0 or (struck >= 0 and struck != contact):
+        if (
+            block.events[event, 0] == JUMP_OBJECT
+            or group != 0
+            or (struck >= 0 and struck != contact)
+        ):
             return True
         if event < last and struck == contact:
             return False
@@ -458,7 +462,7 @@ def instant(
             # Its flight is measured from where round-off has left it.
             watch.parameters[scene.offsets[c]] = gap if abs(gap) <= scene.gap else 0.0
         kept[c] = taken[c]
-    rest = follow(run.series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
+    rest = add_jump(run.series[row], high, now[runs.T_LOW], margin >= 0, scene.short)
     if rest >= 0.0 and _in_turn(block, row, place[runs.N_JUMPS]):
         return runs.ACCUMULATES, row, rest
     count = place[runs.N_JUMPS]

@@ -17,7 +17,7 @@ from contacts.event_driven.decision import cause, explained
 from contacts.event_driven.impact_jump import flow_in
 from contacts.event_driven.scene_loop import SceneLoop, run_batch
 from contacts.event_driven.switching import alike
-from contacts.impacts.impact import pieces
+from contacts.impacts.impact import segment_names
 from contacts.impacts.impulses import STATES as IMPULSE_STATES
 from contacts.states import CODES, OFF, OFF_CODE, OPEN
 from statechart.arrays import Array
@@ -94,7 +94,7 @@ class CompiledSceneLaws:
         special = {n: t for n, t in flow.tolerances.items() if n not in own}
         usual = flow.tolerances is setup.bands or special == setup.bands
         usual = usual and alike(conditions.at(setup, state, time).tolerances(), flow.tolerances)
-        return usual and flow.remaining == math.inf and not flow.held and not flow.doubted
+        return usual and flow.remaining == math.inf and not flow.held and not flow.near_bound
 
     def within(self, mode: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
@@ -117,7 +117,7 @@ class CompiledSceneLaws:
         path: tuple[str, ...] = ()
         if event.struck >= 0:
             if event.group == 0:
-                path = (" ".join([region, *pieces(event.path)]),)
+                path = (" ".join([region, *segment_names(event.path)]),)
                 if event.normal != 0.0 or event.tangential != 0.0:
                     impulse = {region: (event.normal, event.tangential)}
             else:

@@ -108,7 +108,7 @@ class ControlledLaws:
                 before=self._memory.joined(jump.before, state),
                 after=after,
             )
-            flow = flow._replace(pending=self._listening.heard(flow.pending, jump))
+            flow = flow._replace(pending=self._listening.pending_after(flow.pending, jump))
             return jump, self._joined(setup, clock, following, own, after, flow)
         judged, rows = self._judged(setup, clock, flow, state, fired)
         guarded = set() if judged is None else judged.due()
@@ -145,7 +145,7 @@ class ControlledLaws:
             considered=self._considered[name](taken),
             energy=(energy, energy),
         )
-        flow = flow._replace(pending=self._listening.heard(firing.pending, jump))
+        flow = flow._replace(pending=self._listening.pending_after(firing.pending, jump))
         following = self._parted(flow)
         if contacts != following.mode:
             roles = zip(following.mode, contacts, following.roles, roles_in(contacts), strict=True)
@@ -170,7 +170,7 @@ class ControlledLaws:
         jump = replace(
             jump, source=at.flow.mode, target=(*jump.target, *states), before=at.state, after=after
         )
-        pending = self._listening.heard(at.flow.pending, jump)
+        pending = self._listening.pending_after(at.flow.pending, jump)
         before = at.flow._replace(pending=pending)
         return jump, self._joined(at.setup, at.clock, flow, states, after, before)
 

@@ -47,14 +47,14 @@ class Rules(NamedTuple):
         None where a mode has been chosen meanwhile.
         """
         at, names = here.at, [law.name for law in here.setup.contacts]
-        if not at.fired and not at.flow.doubted:
+        if not at.fired and not at.flow.near_bound:
             return None
 
         def numbers(state: Array, later: float) -> Snapshot:
             found = self.tape.at(here.setup.values, state, at.clock.high + later)
             return hidden(found, at.flow.mode)
 
-        sure = tuple(["free"] * len(names)) if at.flow.doubted else here.moving
+        sure = tuple(["free"] * len(names)) if at.flow.near_bound else here.moving
         off = tuple(f"{name}.{state}:" for name in names for state in INACTIVE)
         others = tuple(f"{name}.{kind}" for name in names for kind in _NO_FORCES)
         fell = [
@@ -183,7 +183,7 @@ def impact_jump(
     told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, told))
     flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
-    flow = flow._replace(doubted=entered.doubted)
+    flow = flow._replace(near_bound=entered.doubted)
     # A gap that round-off of a long flight has left below its tolerance opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap
@@ -262,7 +262,7 @@ def _entered(rules: Rules, here: Landing, struck: _Struck, touching: list[bool])
     )
     if isinstance(choice, Jam):
         return _Entered(target, roles, state, settled=False)
-    said = choice.considered, (choice.warning,), choice.notes, choice.doubted
+    said = choice.considered, (choice.warning,), choice.notes, choice.near_bound
     return _Entered(target, roles, state, settled, *said)
 
 

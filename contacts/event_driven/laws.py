@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.projection import Projection, dead_point, in_contact, landed, on_constraints
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.setup_evaluation import SceneNumbers
-from contacts.dynamics.snapshot import Snapshot, SnapshotTape
+from contacts.dynamics.snapshot import Snapshot, SnapshotTape, press_closed
 from contacts.dynamics.starting import (
     check_closing,
     check_joints,
@@ -75,7 +75,7 @@ class SceneLaws:
         self.conditions = self.numbers.conditions
         self._switching = Switching(self._names, self.conditions, self._paradox)
         self._held = HeldForces(mechanics)
-        self.compliance = Compliance(mechanics) if mechanics.pads else None
+        self.compliance = Compliance(mechanics, None) if mechanics.pads else None
         self.remarks = Handovers(mechanics).remarks
 
     # Arrays of all bodies times all coordinates: a scene that runs by components needs none.
@@ -111,6 +111,8 @@ class SceneLaws:
         else:
             laws._projection = self._projection
         laws._tape, laws.conditions = tape, conditions
+        if laws.compliance is not None:
+            laws.compliance = Compliance(laws._mechanics, tape.states)
         laws._switching = Switching(self._names, conditions, self._paradox)
         laws._rules = rules._replace(tape=tape)
         laws.compiled_laws = None
@@ -335,6 +337,7 @@ class SceneLaws:
             if state is not brought:
                 snapshot = hidden(self._tape.at(setup.values, state, at.clock.high), flow.mode)
         closed = [c.gap <= close for c in snapshot.contacts]
+        snapshot = press_closed(snapshot, closed)
         return Landing(at._replace(state=state), setup, snapshot, moving, closed)
 
     def _unbounded(self, here: Landing) -> tuple[Jump, Flow] | None:
@@ -387,7 +390,7 @@ class SceneLaws:
         )
         roles, warning, notes = choice.taken.roles, choice.warning, choice.notes
         following = flow_in(setup, target, roles, warning=warning, notes=notes)
-        return jump, following._replace(doubted=choice.doubted)
+        return jump, following._replace(near_bound=choice.near_bound)
 
     def _of_forces(self, fired: tuple[str, ...]) -> bool:
         """Tell whether margins of contact forces alone fell."""
@@ -551,11 +554,12 @@ class Compliance:
     it presses again, or leaves the surface, whichever comes first.
     """
 
-    def __init__(self, mechanics: Mechanics) -> None:
+    def __init__(self, mechanics: Mechanics, states: Mapping[str, str] | None) -> None:
         names = [*mechanics.scene.contacts]
         self._places = [(name, names.index(name)) for name in mechanics.pads]
         symbols = [mechanics.contact(name).symbols for name in mechanics.pads]
-        self._tape = mechanics.tape([e for one in symbols for e in (one.gap, one.compliance)])
+        numbers = [e for one in symbols for e in (one.gap, one.compliance)]
+        self._tape = mechanics.tape(numbers, definitions=mechanics.controlled(states))
 
     def tolerances(
         self, setup: SceneSetup, mode: Key, state: Array, time: float

@@ -16,7 +16,7 @@ from statechart.errors import SimulationError
 # The sum may be longer by this part of itself; the series leaves out what is of its square.
 _LONGER = 1e-4
 # Of the fastest rebound: what taking it away changes elsewhere.
-_ELSEWHERE = 10.0
+_MAX_CHANGE = 10.0
 
 
 def rests_of_bounces(
@@ -190,4 +190,4 @@ def stands_for_bounces(
         for a, b, shut in zip(resolved.contacts, plastic.contacts, closed, strict=True)
         if shut
     ]
-    return max(changes) <= _ELSEWHERE * max(resolved.contacts[i].gap_rate for i in rests)
+    return max(changes) <= _MAX_CHANGE * max(resolved.contacts[i].gap_rate for i in rests)

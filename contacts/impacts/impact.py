@@ -43,9 +43,9 @@ MEANINGS: Mapping[str, int] = {
     "stronge": STRONGE,
 }
 """Law of a contact to what its restitution means."""
-_PIECES = {SLIP: "slip", SLIP_PLUS: "slip+", SLIP_MINUS: "slip-", STICK: "stick", WEDGE: "wedge"}
+_SEGMENTS = {SLIP: "slip", SLIP_PLUS: "slip+", SLIP_MINUS: "slip-", STICK: "stick", WEDGE: "wedge"}
 
-_MAX_PIECES = 8
+_MAX_SEGMENTS = 8
 RAISES = 1e-9
 """An impact that raises the energy by more than this part of the terms of its work is told of."""
 # Of the terms of a rate: less is no error that an impulse should mend.
@@ -91,7 +91,7 @@ def _guided(jacobian: Array) -> bool:
 
 
 @kernel
-def _piece(
+def _next_segment(
     mass: Array, jacobian: Array, cone: Array, u_t: float, change: Array
 ) -> tuple[int, int, float, float, float, float]:
     """Piece that follows; `WEDGE` where friction keeps the point from going anywhere."""
@@ -156,8 +156,8 @@ def strike(
     u_n, normal, tangential, work = approach, 0.0, 0.0, 0.0
     compressed, stored, compressing = 0.0, 0.0, True
     path, place, last = 0, 0, 0
-    for _ in range(_MAX_PIECES):
-        status, name, un, ut, pn, pt = _piece(mass, jacobian, cone, u_t, change)
+    for _ in range(_MAX_SEGMENTS):
+        status, name, un, ut, pn, pt = _next_segment(mass, jacobian, cone, u_t, change)
         if status != ENDED:
             return status, normal, tangential, path, u_n, u_t
         terms = 0.0
@@ -253,7 +253,7 @@ def impact(
         braking,
         velocity,
     )
-    path = pieces(code)
+    path = segment_names(code)
     if status == WEDGED:
         raise NoConsistentMode(
             f"{law.name}: the impact wedges the point: it cannot slip either way, and is "
@@ -273,10 +273,10 @@ def impact(
     return Impact(velocity, normal, tangential, path)
 
 
-def pieces(code: int) -> tuple[str, ...]:
+def segment_names(code: int) -> tuple[str, ...]:
     """Return the names of a path's pieces."""
     names = []
     while code:
-        names.append(_PIECES[code & 7])
+        names.append(_SEGMENTS[code & 7])
         code >>= 3
     return tuple(names)

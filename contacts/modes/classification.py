@@ -22,7 +22,7 @@ from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
-from contacts.modes.load_sharing import Share, bearing, pressed_together, rank, share
+from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank, share
 from contacts.scene.modes import OWN
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
@@ -389,12 +389,12 @@ _MAX_COMBINATIONS = 64
 
 
 @kernel
-def _doubted(
-    codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, doubtful: float
+def _is_near_bound(
+    codes: Ints, kept: Ints, closed: Bools, still: Bools, verdicts: Array, uncertainty: float
 ) -> bool:
     """Return whether a mode in which a contact comes to rest is close to a bound of its forces."""
     for k in range(codes.shape[0]):
-        if abs(verdicts[k, 0]) <= doubtful:
+        if abs(verdicts[k, 0]) <= uncertainty:
             for c in range(codes.shape[1]):
                 if codes[k, c] == PIN and kept[c] != PIN and closed[c] and still[c]:
                     return True
@@ -510,7 +510,7 @@ def classify(
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False
-    if _doubted(codes, kept, closed, still, verdicts, rules.doubtful):
+    if _is_near_bound(codes, kept, closed, still, verdicts, rules.doubtful):
         return False
     for c in range(contacts):
         for force in forces[agreeing, c]:
@@ -656,7 +656,9 @@ class Choice(NamedTuple):
     considered: Mapping[str, str]  # Mode -> why it was taken or not
     warning: str = ""  # "" or a sentence, such as for an indeterminate contact
     notes: tuple[str, ...] = ()  # What is to be known of the mode whenever it is taken
-    doubted: bool = False  # Whether its forces may be beyond their bounds by what the run is off by
+    near_bound: bool = (
+        False  # Whether its forces may be beyond their bounds by what the run is off by
+    )
 
 
 class Before(NamedTuple):
@@ -861,7 +863,7 @@ def _without_new_loads(
     edges = np.empty((len(one.states), 2))
     chosen = np.array([CODES[state] for state in one.states])
     choose_edges(cones(case.laws, case.snapshot.contacts), chosen, edges)
-    both = pressed_together(jacobians, edges, pressing)
+    both = prestressed_contacts(jacobians, edges, pressing)
     if not new <= both:
         return one, ""
     names = ", ".join(case.laws[i].name for i in sorted(both))

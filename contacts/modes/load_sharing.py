@@ -190,7 +190,7 @@ def _row_names(code: Ints, jacobians: Array) -> tuple[str, ...]:
     return tuple("".join("nt"[d] for d in range(2) if (k, d) in kept) for k in range(len(code)))
 
 
-def pressed_together(jacobians: Array, cones: Array, bearing: Sequence[int]) -> frozenset[int]:
+def prestressed_contacts(jacobians: Array, cones: Array, bearing: Sequence[int]) -> frozenset[int]:
     """Return the contacts that may press on each other without any load, by linear programming."""
     from scipy.optimize import linprog
 

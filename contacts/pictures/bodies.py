@@ -40,7 +40,7 @@ class BodyShapes:
     def __init__(
         self, mechanics: Mechanics, automaton: Automaton, known: Mapping[str, float]
     ) -> None:
-        self._mechanics, self._automaton, self._known = mechanics, automaton, known
+        self._mechanics, self._automaton, self._values = mechanics, automaton, known
         self._scene = mechanics.scene
         self._frames = {name: 1 + place for place, name in enumerate(self._scene.bodies)}
         self._links = Links(mechanics, automaton, known, self._frames)
@@ -142,7 +142,7 @@ class BodyShapes:
         """
         moved = {name: self._coordinates(name) for name in self._scene.bodies}
         shapes = {moved[name] for name, body in self._scene.bodies.items() if body.shape}
-        poses, names = self._somewhere(), list(self._scene.bodies)
+        poses, names = self._sampled_poses(), list(self._scene.bodies)
         size = float(np.abs(poses[..., :2]).max(initial=0.0))
 
         def places(frames: Array, of: Array) -> tuple[Array, Array]:
@@ -169,10 +169,10 @@ class BodyShapes:
         used = {symbol for part in (x, y, angle) for symbol in part.free_symbols}
         return frozenset(used.intersection(self._mechanics.q))
 
-    def _somewhere(self) -> Array:
+    def _sampled_poses(self) -> Array:
         """Return the poses (m, b, 3) of all bodies at some configurations."""
         frames = [self._mechanics.body_frame(name) for name in self._scene.bodies]
-        tried = self._links.tried([e for (x, y), angle in frames for e in (x, y, angle)])
+        tried = self._links.sample_values([e for (x, y), angle in frames for e in (x, y, angle)])
         return tried.reshape(len(tried), -1, 3)
 
     def _joints(self) -> list[Shape]:
@@ -225,7 +225,7 @@ class BodyShapes:
         return [line, Shape("pivot", np.array([end]), WORLD, WORLD, name=name)]
 
     def _number(self, text: str | int | float) -> float:
-        return parse(text).value(self._known)
+        return parse(text).value(self._values)
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
         return self._number(pair[0]), self._number(pair[1])

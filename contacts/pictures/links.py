@@ -40,16 +40,16 @@ class Links:
         known: Mapping[str, float],
         frames: Mapping[str, int],
     ) -> None:
-        self._mechanics, self._automaton, self._known = mechanics, automaton, known
+        self._mechanics, self._automaton, self._values = mechanics, automaton, known
         self._scene, self._frames = mechanics.scene, frames
 
     def shapes(self) -> list[Shape]:
         """Return the links as shapes."""
         return [*self._pendulums(), *self._reactions()]
 
-    def tried(self, expressions: Sequence[sp.Expr], states: Array | None = None) -> Array:
+    def sample_values(self, expressions: Sequence[sp.Expr], states: Array | None = None) -> Array:
         """Return expressions in some states, by default in some that have nothing in common."""
-        values = np.fromiter(self._known.values(), float, len(self._known))
+        values = np.fromiter(self._values.values(), float, len(self._values))
         times = np.linspace(0.1, 1.0, _CONFIGURATIONS)
         tape = compiled(self._automaton, expressions)
         return tape.table(self._states() if states is None else states, values, times)
@@ -72,7 +72,7 @@ class Links:
                 continue
             (q,) = used
             terms = [x, y, x.diff(q), y.diff(q), x.diff(q, 2), y.diff(q, 2)]
-            place, first, second = np.split(self.tried(terms), 3, axis=1)
+            place, first, second = np.split(self.sample_values(terms), 3, axis=1)
             speed, bend = (first**2).sum(axis=1), (second**2).sum(axis=1)
             if not (bend > 0.0).all() or np.ptp(speed) > SAME * speed.max():
                 continue
@@ -101,7 +101,7 @@ class Links:
         stiff = damped = False
         for force in self._alternatives(one):
             terms = [*force, *self._between(one, other)]
-            if _off(self.tried(terms, self._at_rest())):
+            if _off(self.sample_values(terms, self._at_rest())):
                 return []
             stiff |= self._stiff(terms)
             damped |= self._damped(terms)
@@ -117,12 +117,12 @@ class Links:
 
     def _stiff(self, terms: Sequence[sp.Expr]) -> bool:
         """Return whether the static force grows with the length of the line (a spring)."""
-        pull, length = _along(self.tried(terms, self._at_rest()))
+        pull, length = _along(self.sample_values(terms, self._at_rest()))
         rise, square = np.zeros(_CONFIGURATIONS), np.zeros(_CONFIGURATIONS)
         for k in range(len(self._mechanics.q)):
             states = self._at_rest()
             states[:, k] += _MOVED
-            there, longer = _along(self.tried(terms, states))
+            there, longer = _along(self.sample_values(terms, states))
             rise += (there - pull) * (longer - length)
             square += (longer - length) ** 2
         return bool((rise > _FOLLOWS * np.abs(pull).max() * square).any())
@@ -130,9 +130,12 @@ class Links:
     def _damped(self, terms: Sequence[sp.Expr]) -> bool:
         """Return whether velocities alone give forces that dissipate energy."""
         states, count = self._states(), len(self._mechanics.q)
-        still, moving = self.tried(terms, self._at_rest()), self.tried(terms, states)
+        still, moving = (
+            self.sample_values(terms, self._at_rest()),
+            self.sample_values(terms, states),
+        )
         states[:, :count] += _MOVED * states[:, count : 2 * count]
-        apart = self.tried(terms, states)[:, 2:] - moving[:, 2:]
+        apart = self.sample_values(terms, states)[:, 2:] - moving[:, 2:]
         taken = ((moving - still)[:, :2] * apart).sum(axis=1)
         size = np.hypot(*moving[:, :2].T) * np.hypot(*apart.T)
         return bool((taken > _FOLLOWS * size).any() and (taken > -_FOLLOWS * size).all())
@@ -163,7 +166,7 @@ class Links:
         )
 
     def _pair(self, pair: tuple[str | int | float, str | int | float]) -> tuple[float, float]:
-        along, across = (parse(text).value(self._known) for text in pair)
+        along, across = (parse(text).value(self._values) for text in pair)
         return along, across
 
 

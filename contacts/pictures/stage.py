@@ -78,7 +78,7 @@ class SceneStage:
         touches = tuple(
             self._touch(name, moments, poses) for name in scene.contacts if name not in never
         )
-        force = _usual(touches)
+        force = _typical_force(touches)
         closed = [
             np.array([states[t.region][k] not in OPEN for k in modes[:, t.region]]) for t in touches
         ]
@@ -109,9 +109,9 @@ class SceneStage:
         known = self._scene.surfaces
         around = self._grounds(moments, poses, centres, _FAR * np.array(half))
         held = [s for s in around if known[s.name].body is None]
-        cloud = beside(cloud, held, poses)
+        cloud = include_near_surfaces(cloud, held, poses)
         if len(moments.times) == 1:
-            cloud = ahead(cloud, held, poses)
+            cloud = include_nearest_points(cloud, held, poses)
         _, half = window(cloud)
         tips = [(t.places + arrows(t.forces, half, force))[:, None] for t in touches]
         rims = [
@@ -153,7 +153,7 @@ class SceneStage:
         return compiled(self._automaton, expressions)
 
     @cached_property
-    def _touching(self) -> dict[str, Tape]:
+    def _contact_tapes(self) -> dict[str, Tape]:
         """Point and surface normal of every contact, in world coordinates."""
         return {
             name: compiled(self._automaton, [*self._point(name), *self._normal(name)])
@@ -199,7 +199,7 @@ class SceneStage:
 
     def _touch(self, name: str, moments: Moments, poses: Array) -> Touch:
         contact = self._scene.contacts[name]
-        found = self._touching[name].table(moments.states, moments.values, moments.times)
+        found = self._contact_tapes[name].table(moments.states, moments.values, moments.times)
         places, normals = found[:, :2], found[:, 2:]
         radius = disc_of(self._scene, contact, lambda text: parse(text).value(moments.parameters))
         places = places - radius * normals
@@ -222,7 +222,7 @@ class SceneStage:
         return Touch(name, region, places, normals, forces, friction)
 
 
-def _usual(touches: tuple[Touch, ...]) -> float:
+def _typical_force(touches: tuple[Touch, ...]) -> float:
     """Return a force that few along a film exceed; 1 where there is none."""
     sizes = [np.hypot(*touch.forces.T) for touch in touches]
     sizes = [size[size > 0.0] for size in sizes]
@@ -281,7 +281,7 @@ def window(cloud: Array) -> tuple[Array, tuple[float, float]]:
     return centres, (float(half[0]), float(half[1]))
 
 
-def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+def include_near_surfaces(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     """Return a cloud with the surfaces that end not far from it.
 
     A drum around its grains or a floor between walls counts; a surface without ends does not.
@@ -300,7 +300,7 @@ def beside(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     return np.concatenate(found, axis=1)
 
 
-def ahead(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
+def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array) -> Array:
     """Return the cloud of one instant with the places of surfaces that are nearest to it.
 
     So the ground is seen that a body is about to fall on.
@@ -359,7 +359,7 @@ def grounds(
         if surface.body is not None:
             found += _carried(scene, name, surface, frame, unit, number)
             continue
-        lift = _lift(scene, name, number)
+        lift = _rim_offset(scene, name, number)
         if surface.edge is not None:
             points = np.array([[number(x), number(y)] for x, y in surface.edge])
         elif surface.circle is not None:
@@ -414,7 +414,7 @@ def _carried(
     return [Shape(kind, points, frame, frame, radius, name=name)]
 
 
-def _lift(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
+def _rim_offset(scene: Scene, name: str, number: Callable[[str | int | float], float]) -> float:
     """Return how far below the declared surface it is drawn: discs touch it with their rims."""
     contacts = [c for c in scene.contacts.values() if c.surface == name]
     radii = {disc_of(scene, contact, number) for contact in contacts}
@@ -462,12 +462,12 @@ def _graph(
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _shifted(points: Array, lift: float) -> Array:
-    if lift == 0.0:
+def _shifted(points: Array, offset: float) -> Array:
+    if offset == 0.0:
         return points
     along = np.gradient(points, axis=0)
     along /= np.hypot(*along.T)[:, None]
-    return points + lift * np.column_stack([along[:, 1], -along[:, 0]])
+    return points + offset * np.column_stack([along[:, 1], -along[:, 0]])
 
 
 def _cut(shapes: list[Shape], straight: Sequence[tuple[int, Array, Array]]) -> list[Shape]:

@@ -1,9 +1,9 @@
 """Modes of bodies with shapes where they change, from the complementarity problem of accelerations.
 
-The method is that of `contacts.time_stepping.settling`, for bodies that touch straight surfaces at
-rest and nothing else. The acceleration of the gap at a corner is ``J M^-1 f - w^2 r n``, with the
-arm r from the centre of mass to the corner, or to the centre of the disc that rolls. All other
-bodies have the modes of their impulses.
+The method is that of `contacts.time_stepping.settling`, for free bodies that touch straight
+surfaces at rest and nothing else. The acceleration of the gap at a corner is
+``J M^-1 f - w^2 r n``, with the arm r from the centre of mass to the corner, or to the centre of
+the disc that rolls. All other bodies have the modes of their impulses.
 """
 
 from __future__ import annotations
@@ -81,6 +81,8 @@ def _count_contacts(numbers: BodyNumbers, active: ActiveContacts, count: int, co
         for side in range(2):
             if numbers.joints.bodies[j, side] >= 0:
                 counts[numbers.joints.bodies[j, side]] = -1
+    for b in range(len(counts) - numbers.links.bodies, len(counts)):
+        counts[b] = -1
     for i in range(count):
         b, other = active.bodies[i]
         # What yields, and what resists rolling, has no such problem.

@@ -18,16 +18,27 @@ from contacts.collision_detection.find_contacts import DetectionResult, find_con
 from contacts.collision_detection.ground import Ground
 from contacts.collision_detection.joints import add_joints, is_bound
 from contacts.collision_detection.midpoint import (
+    Midpoint,
     Prescribed,
     apply_forces,
+    carry,
     fastest_turn,
     move_to_midpoint,
+    place_links,
 )
 from contacts.rigid_bodies.body_modes import finish_settling, settle_bodies, unsettle_bodies
 from contacts.rigid_bodies.island_step import PLASTIC, push, solve_islands
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
-from contacts.time_stepping.chunk import BESIDE, COARSE, DONE, FULL, NOT_FINITE, Chunk
+from contacts.time_stepping.chunk import (
+    BAD_INERTIA,
+    BESIDE,
+    COARSE,
+    DONE,
+    FULL,
+    NOT_FINITE,
+    Chunk,
+)
 from statechart.arrays import Array
 from statechart.kernels.copies import put, put_rows
 from statechart.kernels.jit import kernel
@@ -134,17 +145,18 @@ def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
 
 @kernel
 def _without_impacts(
-    numbers: BodyNumbers, active: ActiveContacts, loose: Array, count: int, early: Array
+    numbers: BodyNumbers, active: ActiveContacts, mid: Midpoint, count: int, early: Array
 ) -> None:
     """Write rates as forces alone make them, of which those of contacts are as in the step before.
 
     To solve for them took a quarter of a run whose bodies land all the time.
     """
-    put_rows(loose, early)
+    put_rows(mid.loose, early)
     for i in range(count):
         for d in range(2):
             if not active.hit[i] and active.pushes[i, d] != 0.0:
-                push(active.bodies, active.rows, numbers.inverse, early, i, d, active.pushes[i, d])
+                push(numbers, active, mid, early, i, d, active.pushes[i, d])
+    carry(numbers, mid, early)
 
 
 @kernel
@@ -182,7 +194,8 @@ def _store_joints(
 
     And what these add to the energy beyond the bound of the scheme; see `RigidBodyRun`.
     """
-    holds, at, active, mid = numbers.joints.holds, 3 * len(numbers.inverse), space.active, space.mid
+    holds, active, mid, links = numbers.joints.holds, space.active, space.mid, numbers.links
+    at = 3 * (len(numbers.inverse) - links.bodies) + links.size
     for b in range(len(numbers.inverse)):
         space.local[b] = 0
     for j in range(len(holds)):
@@ -263,17 +276,24 @@ def _remember(memory: Memory, kept: Memory) -> None:
 
 
 @kernel
-def _hurry(numbers: BodyNumbers, state: Array, poses: Array, h: float) -> bool:
+def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: float) -> bool:
     """Return whether a body moves in a step by more than `_FAR` sizes of the smallest body.
 
-    Led bodies move between `poses`.
+    Led bodies move between `poses`, linked ones as their coordinates take them at the midpoint.
     """
-    count, least, most = len(numbers.inverse), math.inf, 0.0
+    count, least, most, links = len(numbers.inverse), math.inf, 0.0, numbers.links
+    free = count - links.bodies
+    n = 3 * free + links.size
     for b in range(len(numbers.sizes)):
-        size, at, led = numbers.sizes[b], 3 * (count + b), b - count
+        size, at, led = numbers.sizes[b], n + 3 * b, b - count
         if size > 0.0:
             least = min(least, size)
-            if led < 0:
+            if free <= b < count:
+                for j in range(links.size):
+                    x, y, turn = mid.links.gradients[b - free, :, j]
+                    rate = h * abs(state[n + 3 * free + j])
+                    most = max(most, rate * (math.hypot(x, y) + size * abs(turn)))
+            elif led < 0:
                 way = h * math.hypot(state[at], state[at + 1]) + h * size * abs(state[at + 2])
                 most = max(most, way)
             elif led < poses.shape[1]:
@@ -301,8 +321,9 @@ def step_bodies(
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
         forces of joints, and are not written where forces are not read.
     """
-    h, n, (law, forces, allowed, deepest) = chunk.h, 3 * len(numbers.inverse), options
-    state = chunk.states[0].copy()
+    h, links, (law, forces, allowed, deepest) = chunk.h, numbers.links, options
+    first, whole = 3 * (len(numbers.inverse) - links.bodies), len(numbers.sizes)
+    n, state = first + links.size, chunk.states[0].copy()
     old, loose, active = space.mid.old, space.mid.loose, space.active
     surfaces = numbers.surfaces
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
@@ -310,18 +331,22 @@ def step_bodies(
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
     width = 2 * n + around.memories.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
+    linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
     early, fall = np.empty_like(loose), math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     # The detection after the last step decides whether that could be taken.
     for k in range(steps + 1):
         poses = around.poses[k : k + 3]
-        if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, h)):
+        if k == steps and not (deepest < math.inf and _hurry(numbers, state, poses, space.mid, h)):
             break
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
+        if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
+            return k, BAD_INERTIA if k < steps else DONE
         move_to_midpoint(numbers, state, poses, h, memory.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
-            apply_forces(numbers, applied, acting, around.memories[k + 1], time, h, space.mid)
+            memories = around.memories[k + 1]
+            apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
@@ -331,7 +356,7 @@ def step_bodies(
             return k, FULL
         coarse = seen.passed > 0.0 or seen.sunk > 0.0 or seen.closing > deepest
         if deepest < math.inf and coarse:
-            if k == 0 or not _hurry(numbers, state, poses, h):
+            if k == 0 or not _hurry(numbers, state, poses, space.mid, h):
                 return k, COARSE
             _remember(space.earlier, memory)
             return k - 1, COARSE
@@ -344,7 +369,7 @@ def step_bodies(
             count = add_joints(numbers, places, memory, space.mid, h, count, active)
         lands = _may_land(active, law, seen.contacts)
         if lands:
-            _without_impacts(numbers, active, loose, count, early)
+            _without_impacts(numbers, active, space.mid, count, early)
         space.apart[1] = 1.0 if deepest < math.inf else 0.0
         solve_islands(numbers, law, forces, h, space, count, allowed, chunk.efforts[k])
         put_rows(loose, rates)
@@ -352,19 +377,15 @@ def step_bodies(
         for i in range(count):
             for d in range(2):
                 if space.pressed[i, d] != 0.0:
-                    push(
-                        active.bodies, active.rows, numbers.inverse, rates, i, d,
-                        space.pressed[i, d],
-                    )  # fmt: skip
+                    push(numbers, active, space.mid, rates, i, d, space.pressed[i, d])
                 if forces and space.steady[i, d] != 0.0:
-                    push(
-                        active.bodies, active.rows, numbers.inverse, forced, i, d,
-                        space.steady[i, d],
-                    )  # fmt: skip
+                    push(numbers, active, space.mid, forced, i, d, space.steady[i, d])
+        carry(numbers, space.mid, rates)
         open_joints = joins and space.apart[0] > 0.0
-        if deepest < math.inf and (open_joints or h * fastest_turn(rates) > math.pi):
+        if deepest < math.inf and (open_joints or h * fastest_turn(rates[:whole]) > math.pi):
             return k, COARSE
         if forces:
+            carry(numbers, space.mid, forced)
             _shown(rates, old, forced)
         # Landing bodies have gone on as they did until they touched.
         chunk.late[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
@@ -376,16 +397,18 @@ def step_bodies(
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
             _store_joints(numbers, memory, space, seen.contacts, k, rates, chunk)
-        for b in range(len(numbers.inverse)):
-            for d in range(3):
-                at = 3 * b + d
-                if forces:
-                    chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
-                state[n + at] = rates[b, d]
-                state[at] += 0.5 * h * rates[b, d]
-                if lands:
-                    state[at] += chunk.late[k] * (early[b, d] - rates[b, d])
-                if not math.isfinite(state[at]):
-                    return k, NOT_FINITE
+        for at in range(n):
+            # Rates of coordinates stand behind those of all bodies.
+            b, d = (
+                (at // 3, at % 3) if at < first else (whole + (at - first) // 3, (at - first) % 3)
+            )
+            if forces:
+                chunk.solved[k, at] = (forced[b, d] - old[b, d]) / h
+            state[n + at] = rates[b, d]
+            state[at] += 0.5 * h * rates[b, d]
+            if lands:
+                state[at] += chunk.late[k] * (early[b, d] - rates[b, d])
+            if not math.isfinite(state[at]):
+                return k, NOT_FINITE
         put(state, chunk.states[k + 1])
     return steps, DONE

@@ -22,6 +22,7 @@ from contacts.rigid_bodies.declared_numbers import (
     body_numbers,
     closed_joints,
     implied_remarks,
+    link_numbers,
     touched,
 )
 from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
@@ -32,7 +33,7 @@ from contacts.rigid_bodies.rigid_body_run import DetectedContacts, RigidBodyRun
 from contacts.scene.checks import check_physical
 from contacts.scene.lint import lint
 from contacts.scene.parts import Simultaneous
-from contacts.scene.regions import BODY_BLOW, BODY_EDGES, BODY_STATES
+from contacts.scene.regions import BODY_EDGES, BODY_IMPACT, BODY_STATES
 from contacts.scene.scene import Scene
 from contacts.states import FREE, superstates_of
 from contacts.time_stepping.control import StepControl
@@ -41,12 +42,14 @@ from contacts.time_stepping.stepper import RELATIVE, RunInputs, Stepper
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Region, State, StopCondition, stop_conditions
-from statechart.automaton.time_stepper import USUAL
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.errors import DeclarationProblem, NonFinite, StepTooLarge
 from statechart.formulas.formula import parse
 
 # Bodies may overlap at the start by this part of the scene, and nothing is said; joints be open.
 _START_DEPTH = 1e-6
+# Inertia of a motion of coordinates, in parts of their own, that is round-off.
+_NO_INERTIA = 1e-13
 
 
 def bodies_automaton(scene: Scene) -> Automaton:
@@ -62,7 +65,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
             lambda state: State(),
             BODY_EDGES,
             superstates,
-            blow=BODY_BLOW,
+            blow=BODY_IMPACT,
             default="free",
         )
         for name in declared.moving()
@@ -111,7 +114,7 @@ class BodyStepper(Stepper):
             stops,
             regions,
             Controllers(mechanics),
-            again=BODY_BLOW,
+            again=BODY_IMPACT,
             forces=None,
             sticks=np.zeros(len(declared.moving()), dtype=np.bool_),
         )
@@ -125,7 +128,7 @@ class BodyStepper(Stepper):
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters; see `own_step`."""
-        setup, bodies = self._made({}, USUAL.tolerance, False)
+        setup, bodies = self._made({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
         for name, region in controlled.flat.items():
@@ -151,7 +154,7 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides, USUAL.tolerance, False)[0]
+        return self._made(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
@@ -180,7 +183,9 @@ class BodyStepper(Stepper):
         if overrides:
             check_physical(self._declared, known)
         moved = self._bodies.starts.at(values, known)
-        bodies = body_numbers(self._declared.expanded, known, self._owners)
+        links = link_numbers(self._bodies.linked, known)
+        bodies = body_numbers(self._declared.expanded, known, self._owners, links)
+        self._check_inertia(bodies, moved)
         setup = self._setup(values, moved, remembered, bodies)
         anything = StepOptions(get_args(Simultaneous).index(self._scene.simultaneous))
 
@@ -196,6 +201,21 @@ class BodyStepper(Stepper):
         options = StepOptions(anything.law, forces, allowed, DEEPEST * setup.scales.length)
         return setup, run_of(bodies, options, depth)
 
+    def _check_inertia(self, bodies: BodyNumbers, moved: Array) -> None:
+        """Check that every motion of the coordinates has an inertia where a run starts."""
+        if not bodies.links.bodies:
+            return
+        mass = bodies.inertia(moved[None])[0][0]
+        root = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
+        sizes, shapes = np.linalg.eigh(mass / root / root[:, None])
+        if not sizes[0] > _NO_INERTIA:
+            name = list(self._declared.coordinates)[int(np.argmax(np.abs(shapes[:, 0])))]
+            raise DeclarationProblem(
+                "it moves without an inertia where the run starts, or as other coordinates do",
+                advice="let it move a body that has a mass or an inertia there",
+                loc=("coordinates", name),
+            )
+
     def _setup(
         self, values: Array, moved: Array, remembered: Array, bodies: BodyNumbers
     ) -> SceneSetup:
@@ -206,11 +226,14 @@ class BodyStepper(Stepper):
         for number in bodies.gravity.tolist():
             check_range(number, "", ("gravity",))
         own = bodies.sizes[: len(bodies.inverse)]
-        length = float(np.abs(moved.reshape(2, -1, 3)[0, :, :2]).max() + own.max())
+        poses, rates = bodies.motion(moved[None])
+        length = float(np.abs(poses[..., :2]).max() + own.max())
         speed = math.sqrt(math.hypot(*bodies.gravity) * length)
-        speed = max(speed, float(np.abs(moved[len(moved) // 2 :]).max())) or 1.0
+        speed = max(speed, float(np.abs(rates).max())) or 1.0
         initial = np.concatenate([moved, remembered])
-        places = np.tile([length, length, 1.0], len(bodies.inverse))
+        places = np.append(
+            np.tile([length, length, 1.0], bodies.free), length / bodies.levers(moved)
+        )
         sizes = np.concatenate([places, places * (speed / length)])
         acceleration = speed**2 / length
         force = float((1.0 / bodies.inverse[:, 0]).sum()) * acceleration
@@ -227,7 +250,7 @@ class BodyStepper(Stepper):
             sizes=scales.state(remembered),
             warnings=(
                 *self._unlikely,
-                *implied_remarks(self._scene, bodies.joints, moved),
+                *implied_remarks(self._scene, bodies.joints, poses[0]),
             ),
             rounded=RELATIVE,
         )  # fmt: skip
@@ -245,7 +268,7 @@ class BodyStepper(Stepper):
         what is said of that.
         """
         scene, owners = self._scene, self._bodies.owners
-        moved, remembered = np.split(setup.initial, [6 * len(bodies.inverse)])
+        moved, remembered = np.split(setup.initial, [2 * bodies.size])
         length, speed = setup.scales.length, setup.scales.speed
         soon = 1e-6 * length / speed
         begun = self._paths.at(known, soon * np.arange(3.0), np.tile(remembered, (3, 1)))
@@ -268,7 +291,8 @@ class BodyStepper(Stepper):
         # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
         joints = closed_joints(
-            scene, bodies.joints, moved, begun.places[0], rates, _START_DEPTH * length,
+            scene, bodies.joints, np.concatenate(bodies.motion(moved[None])), begun.places[0],
+            rates, _START_DEPTH * length,
             _START_DEPTH * speed,
         )  # fmt: skip
         bodies = bodies._replace(joints=joints)

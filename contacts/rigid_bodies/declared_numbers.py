@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,10 +21,12 @@ from contacts.collision_detection.body_numbers import (
     TURN,
     BodyNumbers,
     JointNumbers,
+    LinkNumbers,
     PieceNumbers,
 )
 from contacts.collision_detection.surfaces import GRAPH, HOLLOW, LINE, PLATE, ROUND, SurfaceNumbers
 from contacts.dynamics.contact_law import edge
+from contacts.dynamics.mechanics import Mechanics
 from contacts.scene.friction import coefficients
 from contacts.scene.parts import Body, Point, Surface
 from contacts.scene.scene import Scene
@@ -33,6 +35,7 @@ from contacts.solvers.dependence import column_scales, implied, rank
 from contacts.solvers.step_impulses import smoothed
 from contacts.states import CLOSED, implied_joints
 from statechart.arrays import Array, Ints
+from statechart.automaton.margin_derivatives import derivative
 from statechart.documents.fields import FormulaText, value_of
 from statechart.errors import DeclarationProblem
 from statechart.formulas.formula import parse
@@ -178,8 +181,8 @@ def closed_joints(
     ----------
     scene : Scene
         Its bodies one by one.
-    moved : (6 b,)
-        Coordinates and rates of the bodies.
+    moved : (2, b, 3)
+        Poses and rates of the bodies.
     places, speeds : (j, 2)
         Of the places in the world that joints hold points to.
     near, slow : float
@@ -190,7 +193,7 @@ def closed_joints(
     DeclarationProblem
         At the first joint that is open, or whose points move apart.
     """
-    (at, rates), own = moved.reshape(2, -1, 3), joints.at.copy()
+    (at, rates), own = moved, joints.at.copy()
     sizes = joints.sizes.copy()
     for j in np.flatnonzero(joints.holds == TURN).tolist():
         one, other = joints.bodies[j].tolist()
@@ -271,9 +274,9 @@ def _check_angles(joints: JointNumbers, owner: int, name: str, at: Array) -> Non
             )
 
 
-def implied_remarks(scene: Scene, joints: JointNumbers, moved: Array) -> tuple[str, ...]:
-    """Return what is said of joints that others imply where a run starts; see `closed_joints`."""
-    at, rows, names = moved.reshape(2, -1, 3)[0], [], []
+def implied_remarks(scene: Scene, joints: JointNumbers, at: Array) -> tuple[str, ...]:
+    """Return what is said of joints that others imply where bodies start `at` (b, 3)."""
+    rows, names = [], []
     every = [*scene.joints]
     for j, holds in enumerate(joints.holds.tolist()):
         name = every[joints.owners[j]]
@@ -310,9 +313,12 @@ _Number = Callable[[str | int | float], float]
 
 
 def body_numbers(
-    scene: Scene, known: Mapping[str, float], owners: Mapping[str, str] | None = None
+    scene: Scene,
+    known: Mapping[str, float],
+    owners: Mapping[str, str] | None = None,
+    links: LinkNumbers | None = None,
 ) -> BodyNumbers:
-    """Evaluate a scene with collisions.
+    """Evaluate a scene with collisions; `links` are those of `link_numbers`.
 
     Raises
     ------
@@ -351,6 +357,43 @@ def body_numbers(
         laws,
         materials,
         joint_numbers(scene, [*owners], known),
+        link_numbers(linked_mechanics(scene), known) if links is None else links,
+    )
+
+
+class LinkedMechanics(Mechanics):
+    """The equations of the bodies that coordinates place."""
+
+    @cached_property
+    def program(self) -> Tape:
+        """What `LinkNumbers` list."""
+        frames = [self.body_frame(name) for name in self.scene.bodies]
+        poses = [part for (x, y), angle in frames for part in (x, y, angle)]
+        gradients = [part for pose in poses for part in self.gradient(pose)]
+        forces = self.generalised_forces
+        damping = [derivative(force, rate) for force in forces for rate in self.v]
+        return self.tape([*poses, *gradients, *self.mass_matrix, *damping, *forces])
+
+
+def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
+    """Return the equations of the bodies that coordinates place; None where all are free."""
+    linked = {name: body for name, body in scene.bodies.items() if body.linked}
+    if not linked:
+        return None
+    emptied = ("collisions", "joints", "forces", "surfaces", "regions", "controls")
+    fields = {name: getattr(scene, name) for name in type(scene).model_fields}
+    fields |= {"bodies": linked, **{name: {} for name in emptied}}
+    return LinkedMechanics(type(scene).model_construct(**fields))
+
+
+def link_numbers(mechanics: LinkedMechanics | None, known: Mapping[str, float]) -> LinkNumbers:
+    """Evaluate the bodies that coordinates place."""
+    if mechanics is None:
+        return LinkNumbers.none()
+    scene, tape = mechanics.scene, mechanics.program
+    values, _ = mechanics.parameters.values({name: known[name] for name in scene.parameters})
+    return LinkNumbers(
+        len(scene.bodies), len(mechanics.q), tape.code, tape.constants, tape.outputs, values
     )
 
 
@@ -431,6 +474,8 @@ def _fixed(scene: Scene, owners: Mapping[str, str], known: Mapping[str, float]) 
 def _inverse(owner: str, body: Body, number: _Number) -> list[float]:
     """Return 1/mass, twice, and 1/inertia."""
     mass, inertia = number(body.mass), number(body.inertia or 0)
+    if body.linked and inertia == 0.0:
+        return [1.0 / mass, 1.0 / mass, math.inf]
     if not inertia > 0.0:
         raise DeclarationProblem(
             "a body that collides needs a positive inertia", loc=("bodies", owner, "inertia")

@@ -32,7 +32,7 @@ _NO_ROOM = "no small move frees it: start it elsewhere, or move what it is in"
 
 
 Detect = Callable[[BodyNumbers, Array], DetectedContacts]
-"""Detects the contacts of bodies with these numbers in a state (6 b + w,)."""
+"""Detects the contacts of bodies with these numbers in a state (2 n + w,)."""
 
 
 def check_apart(
@@ -46,7 +46,7 @@ def check_apart(
 ) -> tuple[float, tuple[str, ...]]:
     """Check that no body is deeper in another or a surface than steps leave what has landed.
 
-    Bodies are declared by their `owners` and start at `initial` (6 b,); up to `near` deep they
+    Bodies are declared by their `owners` and start at `initial` (2 n,); up to `near` deep they
     touch. Return how deep the deepest is, and a warning where that is deeper than `near`.
 
     Raises
@@ -65,6 +65,8 @@ def check_apart(
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
     cores, gaps = cores[: len(numbers.inverse)], found.gaps[: len(numbers.inverse)]
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
+    # What coordinates place is moved by these.
+    too_deep = [b for b in too_deep if b < numbers.free] or too_deep
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:
         first, depth = int(np.argmin(gaps)), -float(gaps.min())
@@ -75,7 +77,7 @@ def check_apart(
             f"{deepest_of(first)}): the run lets them stay as deep, but no deeper",
         )
     # The first body that a move frees, or else the first.
-    for b in [*deep][:_MOVES]:
+    for b in [b for b in deep if b < numbers.free][:_MOVES]:
         out = _way_out(detect, numbers, found, initial, b, near)
         if out and not found.is_covered(b):
             break
@@ -87,10 +89,13 @@ def check_apart(
     if len(deep) > _PAIR:
         # The number helps a user who moves them one by one.
         out += f"; {len(deep)} bodies overlap, by {-min(deep.values()):.3g} at most"
+    key = "start"
+    if b >= numbers.free:
+        key, out = "position", "start the coordinates that place it elsewhere"
     raise DeclarationProblem(
         f"body {names[b]!r} starts {-deep[b]:.6g} deep in {where}",
         advice=out,
-        loc=("bodies", owners[b], "start"),
+        loc=("bodies", owners[b], key),
     )
 
 
@@ -99,7 +104,7 @@ def _check_places(
 ) -> None:
     """Check that no copies that collide with each other start in one place."""
     moving = len(numbers.inverse)
-    poses = np.column_stack([numbers.kinds[:moving], initial[: 3 * moving].reshape(-1, 3)])
+    poses = np.column_stack([numbers.kinds[:moving], numbers.motion(initial[None])[0][0]])
     _, places, which = np.unique(poses, axis=0, return_index=True, return_inverse=True)
     firsts = places[which.reshape(-1)]
     for b in np.flatnonzero(firsts != np.arange(moving)).tolist():
@@ -125,7 +130,7 @@ def _check_crowd(
     if len(members) < _CROWD or len(numbers.joints.bodies):
         return
     one = pieces.begins[:-1][members]
-    x, y, angle = initial[: 3 * len(numbers.inverse)].reshape(-1, 3)[members].T
+    x, y, angle = numbers.motion(initial[None])[0][0, members].T
     (u, v), cos, sin = pieces.middles[one].T, np.cos(angle), np.sin(angle)
     centres = np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v])
     cells = np.floor(centres / ((2.0 - _LEFT) / math.sqrt(2.0) * pieces.cores[one])[:, None])
@@ -211,7 +216,7 @@ def _covered(
         return gap <= (1.0 - _SAME_GAP) * margin
 
     moving, kinds = len(numbers.inverse), len(numbers.laws)
-    places = initial[: 3 * moving].reshape(-1, 3)[:, :2]
+    places = numbers.motion(initial[None])[0][0, :, :2]
     apart = np.ptp(places[:, 0]) + 4.0 * numbers.sizes.max()
     away = np.hypot(*(places - places[b]).T)
     reach = numbers.sizes[b] + numbers.sizes
@@ -219,7 +224,7 @@ def _covered(
     def left_with(other: int) -> Array:
         """Return the state with all away that move but the two."""
         state = initial.copy()
-        for i in range(moving):
+        for i in range(numbers.free):
             if i not in (b, other):
                 state[3 * i] += (i + 2.0) * apart
         return state
@@ -255,7 +260,7 @@ def _covered(
 def check_inside(
     scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, begun: Positions
 ) -> None:
-    """Check that bodies that collide with a hollow circle start in it, at `initial` (6 b,).
+    """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).
 
     The scene has its bodies one by one, which `owners` declare; what has a path is where that has
     `begun`.
@@ -267,7 +272,8 @@ def check_inside(
     """
     names, surfaces = list(scene.bodies), numbers.surfaces
     moving, frames = len(numbers.inverse), begun.frames[0]
-    places = np.concatenate([initial[: 3 * moving].reshape(-1, 3), begun.poses[0], numbers.fixed])
+    poses = numbers.motion(initial[None])[0][0]
+    places = np.concatenate([poses, begun.poses[0], numbers.fixed])
     for s, name in enumerate(touched(scene)):
         if surfaces.kinds[s] != HOLLOW:
             continue

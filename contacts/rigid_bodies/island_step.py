@@ -17,9 +17,13 @@ from contacts.collision_detection.active_contacts import (
 )
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.joints import bent_on
+from contacts.collision_detection.midpoint import Midpoint, push_link
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.solvers.contact_rows import (
+    BEGINS,
     HELD,
+    ON_TRIAL,
+    PAIR,
     ContactRows,
     add,
     along,
@@ -27,6 +31,7 @@ from contacts.solvers.contact_rows import (
     joint_work,
     law_of,
     moved,
+    overload,
     scale,
     scale_beside,
     slope,
@@ -76,7 +81,9 @@ _STRIDE = 5
 
 
 @kernel
-def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: Ints) -> None:
+def find_islands(
+    bodies: Ints, count: int, free: int, moving: int, parents: Ints, begins: Ints, order: Ints
+) -> None:
     """Write which contacts belong together, by a counting sort.
 
     Parameters
@@ -85,6 +92,8 @@ def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: I
         Which bodies touch, -1 for a surface.
     count : int
         Contacts, of those that there is place for.
+    free, moving : int
+        Bodies between these share coordinates.
     parents : (b,) array of int
         Is overwritten.
     begins : (b + 1,), order : (m,)
@@ -94,6 +103,8 @@ def find_islands(bodies: Ints, count: int, parents: Ints, begins: Ints, order: I
         parents[b] = b
         begins[b] = 0
     begins[len(parents)] = 0
+    for b in range(free, moving):
+        parents[b] = free
     for i in range(count):
         if bodies[i, 1] >= 0:
             one = root(parents, bodies[i, 0])
@@ -126,28 +137,16 @@ def spread(members: Ints, spare: Ints) -> None:
 
 
 @kernel
-def island_rows(
-    members: Ints, active: ActiveContacts, inverse: Array, local: Ints, pads: Ints,
-    space: ContactRows,
-) -> ContactRows:  # fmt: skip
-    """Return contacts as rows of their own, in the rates of the bodies that they move.
+def island_rows(numbers: BodyNumbers, members: Ints, work: Workspace) -> ContactRows:
+    """Return contacts (m,) as rows of their own, in the rates of the bodies that they move.
 
-    Parameters
-    ----------
-    members : (m,) array of int
-    active : ActiveContacts
-        All contacts.
-    inverse : (b, 3)
-        See `contacts.collision_detection.body_numbers.BodyNumbers`.
-    local : (b,) array of int
-        Is overwritten.
-    pads : (c,) array of int
-        Is overwritten where contacts move pads: see `_add_pads`.
-    space : ContactRows
-        Of as many contacts; where they are written.
+    The `local` numbers of bodies are written, and their `pads` where contacts move these: see
+    `_add_pads`. Linked bodies have one number, that of the first block of their coordinates.
     """
+    active, inverse, local, space = work.active, numbers.inverse, work.local, work.contacts
     count, moved, bodies, rows = len(members), 0, active.bodies, active.rows
     cones, sides = active.materials, space.bodies.shape[1]
+    free, linked = len(inverse) - numbers.links.bodies, -1
     for i in members:
         for side in range(2):
             if bodies[i, side] >= 0:
@@ -156,7 +155,12 @@ def island_rows(
         i = members[a]
         for side in range(2):
             b = bodies[i, side]
-            if b >= 0 and local[b] < 0:
+            if b >= free and linked < 0:
+                linked = moved
+                moved += (numbers.links.size + 2) // 3
+            if b >= free:
+                local[b], b = linked, -1
+            elif b >= 0 and local[b] < 0:
                 local[b] = moved
                 moved += 1
             space.bodies[a, side] = local[b] if b >= 0 else -1
@@ -166,8 +170,11 @@ def island_rows(
                     space.rows[a, d, k] = row
                     space.columns[a, d, k] = inverse[b, k - 3 * side] * row if b >= 0 else 0.0
         space.cones[a, 0], space.cones[a, 1] = cones[i, 0], cones[i, 1]
+    if free < len(inverse):
+        for a in range(count):
+            _write_coordinates(numbers, work.mid, active, members[a], a, linked, space)
     if space.padded == 1:
-        moved = _add_pads(members, active, moved, pads, space)
+        moved = _add_pads(members, active, moved, work.pads, space)
     for a in range(count):
         for side in range(sides):
             if space.bodies[a, side] < 0:
@@ -179,6 +186,39 @@ def island_rows(
     )  # fmt: skip
     complete(contacts)
     return contacts
+
+
+@kernel
+def _write_coordinates(
+    numbers: BodyNumbers, mid: Midpoint, active: ActiveContacts, i: int, a: int, linked: int,
+    space: ContactRows,
+) -> None:  # fmt: skip
+    """Write the rows and columns of contact i in coordinates as those of contact a of an island.
+
+    `linked` is the number of the first block of these.
+    """
+    size, first = numbers.links.size, PAIR + space.padded
+    free, touches = len(numbers.inverse) - numbers.links.bodies, False
+    rows, columns = space.rows[a], space.columns[a]
+    for d in range(2):
+        for k in range(3 * first, rows.shape[1]):
+            rows[d, k] = columns[d, k] = 0.0
+    for side in range(2):
+        b = active.bodies[i, side]
+        if b < free:
+            continue
+        touches = True
+        for d in range(2):
+            for j in range(size):
+                for k in range(3):
+                    part = active.rows[i, d, 3 * side + k] * mid.links.gradients[b - free, k, j]
+                    rows[d, 3 * first + j] += part
+    for d in range(2):
+        for k in range(size):
+            for j in range(size):
+                columns[d, 3 * first + k] += mid.links.compliance[k, j] * rows[d, 3 * first + j]
+    for block in range(first, space.bodies.shape[1]):
+        space.bodies[a, block] = linked + block - first if touches else -1
 
 
 @kernel
@@ -215,12 +255,21 @@ def _add_pads(
 
 @kernel
 def push(
-    bodies: Ints, rows: Array, inverse: Array, rates: Array, i: int, d: int, amount: float
-) -> None:
-    """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place."""
+    numbers: BodyNumbers, active: ActiveContacts, mid: Midpoint, rates: Array, i: int, d: int,
+    amount: float,
+) -> None:  # fmt: skip
+    """Apply an impulse of contact i along d: `rates` (b, 3) are changed in place.
+
+    Of linked bodies those of the coordinates are: see `contacts.collision_detection.midpoint`.
+    """
+    inverse, rows = numbers.inverse, active.rows
+    free = len(inverse) - numbers.links.bodies
     for side in range(2):
-        b, k = bodies[i, side], 3 * side
-        if b >= 0:
+        b, k = active.bodies[i, side], 3 * side
+        if b >= free:
+            x, y, turn = rows[i, d, k], rows[i, d, k + 1], rows[i, d, k + 2]
+            push_link(numbers, mid, b, x * amount, y * amount, turn * amount, rates)
+        elif b >= 0:
             rates[b, 0] += inverse[b, 0] * rows[i, d, k] * amount
             rates[b, 1] += inverse[b, 1] * rows[i, d, k + 1] * amount
             rates[b, 2] += inverse[b, 2] * rows[i, d, k + 2] * amount
@@ -383,10 +432,12 @@ def is_ambiguous(
     where it bears more than in the step before, and than what would rest in two steps. `struck`
     (b,) is overwritten.
     """
+    # All bodies of a mechanism are one.
+    free = len(numbers.inverse) - numbers.links.bodies
     for i in island.members:
         for side in range(2):
             if active.bodies[i, side] >= 0:
-                struck[active.bodies[i, side]] = -1
+                struck[min(active.bodies[i, side], free)] = -1
     for a in range(len(island.members)):
         i = island.members[a]
         sudden = contacts.own[a, 0] * (island.chosen[a, 0] - active.pushes[i, 0])
@@ -394,7 +445,7 @@ def is_ambiguous(
             continue
         pair = _pair(numbers, active, i)
         for side in range(2):
-            b = active.bodies[i, side]
+            b = min(active.bodies[i, side], free)
             if b >= 0 and struck[b] >= 0 and struck[b] != pair:
                 return True
             if b >= 0:
@@ -538,31 +589,63 @@ def close_joints(
 
 
 @kernel
+def _write_way(
+    numbers: BodyNumbers, contacts: ContactRows, island: Island, a: int, way: int,
+    active: ActiveContacts,
+) -> None:  # fmt: skip
+    """Write the friction of contact a of an island that rests (0) or slips this `way`."""
+    i = island.members[a]
+    write_friction(numbers, i, way, active)
+    contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
+    law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
+
+
+@kernel
 def _change_friction(
-    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float
-) -> bool:
+    numbers: BodyNumbers, space: Workspace, contacts: ContactRows, island: Island, none: float,
+    lasts: bool,
+) -> bool:  # fmt: skip
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
-    A slip that would turn in the step is stopped, as long as static friction holds it. What that
-    does not hold slips under kinetic friction: each changes twice at most. A slip up to `none` is
-    what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; where something strikes (not `lasts`), if it stops it. What static friction does not
+    hold slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most. A slip up to
+    `none` is what the impulses miss; `_end_slips` notes what kinetic friction has stopped.
     """
-    active, changes = space.active, False
+    active, first, most, way, changes = space.active, -1, 0.0, 0, False
     rates = contacts.rates[0, : 3 * contacts.moving + 3]
     moved(contacts, island.chosen, rates)
     for a in range(len(island.members)):
-        i = island.members[a]
-        law, way = active.laws[i], active.ways[i]
-        if law < 0 or abs(way) == 2 or not has_two_coefficients(numbers.materials[law]):
+        i, normal = island.members[a], island.chosen[a, 0]
+        law, old = active.laws[i], active.ways[i]
+        judged = law >= 0 and abs(old) != BEGINS and normal > 0.0
+        if not judged or not has_two_coefficients(numbers.materials[law]):
             continue
         slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
-        if abs(slip) <= none or slip * way > 0.0 or not island.chosen[a, 0] > 0.0:
+        if abs(slip) <= none or (abs(old) == 1 and slip * old > 0.0):
             continue
-        write_friction(numbers, i, 0 if way != 0 else 2 if slip > 0.0 else -2, active)
-        contacts.cones[a, 0], contacts.cones[a, 1] = active.materials[i, 0], active.materials[i, 1]
-        law_of(contacts.own[a], slope(contacts.cones[a]), contacts.laws[a])
-        changes = True
-    return changes
+        if abs(old) == 1:
+            changes = True
+            _write_way(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
+            if lasts:
+                island.asked[a, 1] -= island.start[a, 1]
+            continue
+        load = overload(slip, contacts.own[a, 1], normal, contacts.cones[a])
+        if abs(island.start[a, 1]) > none:
+            load = math.inf
+        if load > most:
+            first, most, way = a, load, BEGINS if slip > 0.0 else -BEGINS
+    if changes:
+        return True
+    for a in range(len(island.members)):
+        if active.ways[island.members[a]] == ON_TRIAL and first in (a, -1):
+            _write_way(numbers, contacts, island, a, 0, active)
+            island.asked[a, 1] += island.start[a, 1]
+            changes = True
+    if first >= 0:
+        _write_way(numbers, contacts, island, first, way, active)
+    return changes or first >= 0
 
 
 @kernel
@@ -598,19 +681,20 @@ def solve_islands(
         See `Chunk.efforts`.
     """
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
+    free, moving = len(inverse) - numbers.links.bodies, len(inverse)
     bodies, materials = active.bodies, active.materials
     space.apart[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
     effort[CONTACTS] = count
-    find_islands(bodies, count, space.parents, space.begins, order)
+    find_islands(bodies, count, free, moving, space.parents, space.begins, order)
     for island in range(len(numbers.sizes)):
         members = order[space.begins[island] : space.begins[island + 1]]
         size = len(members)
         if size == 0:
             continue
         spread(members, space.spare)
-        contacts = island_rows(members, active, inverse, local, space.pads, space.contacts)
+        contacts = island_rows(numbers, members, space)
         start, unforced = space.island[0, :size], space.island[1, :size]
         asked, chosen = space.island[2, :size], space.island[3, :size]
         sudden, rebounds = space.island[4, :size], space.rebounds[:size]
@@ -632,14 +716,17 @@ def solve_islands(
             quiet += 0 if active.hit[i] else 1
             used = active.laws[i]
             splits = splits or (used >= 0 and has_two_coefficients(numbers.materials[used]))
-        bound = 0.0
+        bound, linked = 0.0, False
         for a in range(size):
             for side in range(2):
                 b = bodies[members[a], side]
+                linked = linked or b >= free
                 # Once for each body.
-                if b >= 0 and local[b] >= 0:
+                if 0 <= b < free and local[b] >= 0:
                     bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
                     local[b] = -1
+        for b in range(free, moving if linked else free):
+            bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
         sequential = law == SEQUENTIAL and size > 1 and quiet < size
         near, turns, left = allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
@@ -654,7 +741,7 @@ def solve_islands(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True
         )
         while splits and _change_friction(
-            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast
+            numbers, space, contacts, together, max(missed, _SLIP_ROUND_OFF) * fast, quiet == size
         ):
             missed, further, softened = island_impulses(
                 contacts, start, unforced, asked, rebounds, chosen, near, bound, True
@@ -718,9 +805,7 @@ def _island_forces(
         for d in range(2):
             least[a, d] = active.free[others[a], d] + active.wanted[others[a], d]
         put(active.pushes[others[a]], alone[a])
-    contacts = island_rows(
-        others, active, numbers.inverse, space.local, space.pads, space.contacts,
-    )  # fmt: skip
+    contacts = island_rows(numbers, others, space)
     near = _near(allowed, scale(contacts, least), fast)
     solve_rows(contacts, least, alone, near, False, False)
     for a in range(quiet):

@@ -10,17 +10,19 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
+from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.midpoint import ForceProgram
 from contacts.dynamics.controllers import flows_in, given, given_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
 from contacts.dynamics.scales import check_range
+from contacts.rigid_bodies.declared_numbers import LinkedMechanics, linked_mechanics
 from contacts.scene.fields import copies
 from contacts.scene.parts import Body
 from contacts.scene.scene import Scene
 from contacts.scene.shapes import INDEX
-from contacts.time_stepping.stability import Stiffness, stiffness
+from contacts.time_stepping.stability import CHANGE, Stiffness, stiffness
 from statechart.arrays import Array, Ints
 from statechart.automaton.trace import Key
 from statechart.documents.fields import value_of
@@ -46,11 +48,58 @@ class Forces(NamedTuple):
         tape = self.tape
         return ForceProgram(self.bodies, tape.code, tape.constants, tape.outputs, self.values)
 
-    def stiffness(
-        self, inverse: Array, size: float, h: float, state: Array, time: float
-    ) -> Stiffness:
-        """Return how they change in a step; see `contacts.time_stepping.stability.stiffness`."""
-        return stiffness(self.bodies, self.tape, self.values, inverse, size, h, state, time)
+    def stiffness(self, numbers: BodyNumbers, h: float, state: Array, time: float) -> Stiffness:
+        """Return how they change in a step; see `contacts.time_stepping.stability.stiffness`.
+
+        Those of coordinates, and of what places bodies, with them: by differences of each one.
+        """
+        size = float(numbers.sizes[: len(numbers.inverse)].max())
+        n, first = numbers.size, 3 * numbers.free
+        if not numbers.links.bodies:
+            own = self.bodies, self.tape, self.values
+            return stiffness(*own, numbers.inverse, size, h, state, time)
+        read = {*self.tape.reads.tolist(), *range(first, n), *range(n + first, 2 * n)}
+        variables = np.array(sorted(read.intersection(range(2 * n))))
+        changes = np.where(variables < n, 1.0, 1.0 / h) * CHANGE * size
+        found = np.zeros((2, n, n))
+        for i, change in zip(variables.tolist(), changes.tolist(), strict=True):
+            around = np.tile(state, (2, 1))
+            around[:, i] += [change, -change]
+            # Forces of inertia are those at the mean of the rates.
+            more, less = self._generalised(numbers, around, time, i < n)
+            found[i // n, :, i % n] = (less - more) / (2.0 * change)
+        root = energy_root(numbers, state)
+        scaled = root.T @ np.where(np.isfinite(found), found, 0.0) @ root
+        rows, columns = np.nonzero(scaled.any(axis=0))
+        places, rates = scaled[:, rows, columns]
+        return Stiffness(n, rows, columns, h * h * places, 2.0 * h * rates)
+
+    def _generalised(self, numbers: BodyNumbers, states: Array, time: float, all_of: bool) -> Array:
+        """Return the forces (k, n) on free bodies and coordinates; `all_of`: of gravity, too."""
+        links, free, count = numbers.links, numbers.free, len(states)
+        result = np.zeros((count, numbers.size))
+        if all_of:
+            result[:, 3 * free :] = numbers.inertia(states)[1]
+        _, gradients = numbers.linked(states)
+        gradients = gradients.reshape(count, links.bodies, 3, links.size)
+        times = np.full(count, time)
+        forces = self.tape.table(states, self.values, times).reshape(count, -1, 3)
+        for i, b in enumerate(self.bodies.tolist()):
+            if b < free:
+                result[:, 3 * b : 3 * b + 3] += forces[:, i]
+            else:
+                result[:, 3 * free :] += np.einsum(
+                    "kd,kdj->kj", forces[:, i], gradients[:, b - free]
+                )
+        return result
+
+
+def energy_root(numbers: BodyNumbers, state: Array) -> Array:
+    """Return R (n, n) with ``R R^T = M^-1``: in coordinates R^-1 q squared rates are energies."""
+    root, first = np.zeros((numbers.size, numbers.size)), 3 * numbers.free
+    root[:first, :first] = np.diag(np.sqrt(numbers.inverse[: numbers.free]).ravel())
+    root[first:, first:] = np.linalg.cholesky(np.linalg.inv(numbers.inertia(state[None])[0][0]))
+    return root
 
 
 class Starts:
@@ -59,7 +108,7 @@ class Starts:
     def __init__(self, scene: Scene, parameters: Parameters) -> None:
         self._scene = scene
         counts = [
-            0 if scene.bodies[name].prescribed else 1 if n is None else n
+            0 if scene.bodies[name].coordinates == () else 1 if n is None else n
             for name, n in copies(scene, scene.values()).items()
         ]
         # The declared body of every body that moves, and its number among the copies.
@@ -80,20 +129,30 @@ class Starts:
         )
 
     def at(self, values: Array, known: Mapping[str, float]) -> Array:
-        """Return coordinates, then rates, of all bodies (6 b,).
+        """Return the poses of free bodies and the coordinates, then the rates of both.
 
         Raises
         ------
         DeclarationProblem
             If one has no value, or none that can be computed with.
         """
+        linked = [
+            [
+                value_of(getattr(coordinate, key), known, "coordinates", name, key)
+                for name, coordinate in self._scene.coordinates.items()
+            ]
+            for key in ("start", "rate")
+        ]
+        if not len(self._numbers):
+            return np.array(linked).reshape(-1)
         rows = np.arange(self._numbers.max() + 1, dtype=float)
         found = self._tape.table(rows[:, None], values, np.zeros(len(rows)))
         starts: Array = found.reshape(len(rows), -1, 6)[self._numbers, self._kinds]
         worst = np.abs(starts)
         b, at = np.unravel_index(int(np.argmax(worst)), worst.shape)
         self._check(int(b), int(at), float(starts[b, at]), known)
-        return starts.reshape(-1, 2, 3).transpose(1, 0, 2).reshape(-1)
+        free = starts.reshape(-1, 2, 3).transpose(1, 0, 2).reshape(2, -1)
+        return np.concatenate([free, np.array(linked)], axis=1).reshape(-1)
 
     def _check(self, b: int, at: int, value: float, known: Mapping[str, float]) -> None:
         """Check the largest of the numbers of a start, or one that is none."""
@@ -145,10 +204,10 @@ class BodyMechanics(Mechanics):
         """Kinetic energy plus that of gravity."""
         gx, gy = self.gravity
         alike: dict[str, list[str]] = {}
+        terms = [] if self.linked is None else [self.linked.energy.xreplace(self._own_symbols)]
         for name, owner in zip(self.scene.bodies, self.owners, strict=True):
-            if not self.scene.bodies[name].prescribed:
+            if self.scene.bodies[name].coordinates:
                 alike.setdefault(owner, []).append(name)
-        terms = []
         for owner, names in alike.items():
             mass = self._formula(self.scene.bodies[names[0]].mass)
             x, y, dx, dy, turn = (
@@ -160,6 +219,17 @@ class BodyMechanics(Mechanics):
             terms.append(_times(inertia / 2, _squares(*turn)))
             terms += [_times(-mass * gx, _sum(x)), _times(-mass * gy, _sum(y))]
         return sp.Add(*terms)
+
+    @cached_property
+    def linked(self) -> LinkedMechanics | None:
+        """The equations of the bodies that coordinates place."""
+        return linked_mechanics(self.scene)
+
+    @cached_property
+    def _own_symbols(self) -> dict[sp.Expr, sp.Expr]:
+        """Symbols of the linked bodies' equations, and those of these."""
+        assert self.linked is not None
+        return {x: self.known[name] for name, x in self.linked.known.items()}
 
     @cached_property
     def joint_rows(self) -> tuple[JointRow, ...]:
@@ -215,7 +285,7 @@ class BodyMechanics(Mechanics):
             for place, known in self._each(force.body):
                 fx, fy = (parse(text).to_sympy(known) for text in force.force)
                 ax, ay = (parse(text).to_sympy(known) for text in force.at)
-                angle = known[f"{force.body}.angle"]
+                _, angle = self.body_frame(list(self.scene.bodies)[place])
                 c, s = sp.cos(angle), sp.sin(angle)
                 turn = parse(force.moment).to_sympy(known)
                 turn += (c * ax - s * ay) * fy - (s * ax + c * ay) * fx
@@ -230,7 +300,9 @@ class BodyMechanics(Mechanics):
     def _each(self, body: str) -> Iterator[tuple[int, Mapping[str, sp.Expr]]]:
         """Yield the places of a body, or of its copies, with what formulas of each may use."""
         for place, (name, owner) in enumerate(zip(self.scene.bodies, self.owners, strict=True)):
-            if body in (owner, name):
+            if body in (owner, name) and self.scene.bodies[name].linked:
+                yield place, ChainMap(self.known, self.placed)
+            elif body in (owner, name):
                 own = {
                     f"{body}.{c}": self.known[f"{name}.{c}"]
                     for c in ("x", "y", "angle", "dx", "dy", "dangle")

@@ -74,15 +74,15 @@ def forced_speed(
     `each` set of forces under a state of a controller; the `end` may be infinite.
     """
     fastest, n = 0.0, numbers.inverse.size
-    size = float(numbers.sizes[: len(numbers.inverse)].max())
     times = np.linspace(0.0, end, _INSTANTS) if math.isfinite(end) else np.zeros(1)
     for forces in each:
         if not len(forces.bodies):
             continue
         seen = forces.tape.table(np.tile(state, (len(times), 1)), forces.values, times)
         most = np.abs(seen).max(axis=0).reshape(-1, 3) * numbers.inverse[forces.bodies]
-        stiff = forces.stiffness(numbers.inverse, size, 1.0, state, 0.0)
-        own = stiff.rows == stiff.columns
+        stiff = forces.stiffness(numbers, 1.0, state, 0.0)
+        # Springs of coordinates are none of bodies.
+        own = (stiff.rows == stiff.columns) & (stiff.rows < 3 * numbers.free)
         springs, dampers = (
             np.bincount(stiff.rows[own], np.maximum(part[own], 0.0), minlength=n).reshape(-1, 3)
             for part in (stiff.places, 0.5 * stiff.rates)

@@ -25,16 +25,25 @@ from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.surfaces import GRAPH
 from contacts.rigid_bodies.body_step import StepOptions, step_bodies
 from contacts.rigid_bodies.island_step import ratio_remarks
+from contacts.rigid_bodies.mechanics import energy_root
 from contacts.rigid_bodies.own_step import inner_radii
 from contacts.rigid_bodies.prescribed_motion import PrescribedMotion
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import CLOSED
-from contacts.time_stepping.chunk import COARSE, DONE, FULL, NOT_FINITE, Chunk, SteppedSystem
+from contacts.time_stepping.chunk import (
+    BAD_INERTIA,
+    COARSE,
+    DONE,
+    FULL,
+    NOT_FINITE,
+    Chunk,
+    SteppedSystem,
+)
 from contacts.time_stepping.stability import UNSTABLE, Held, check_followed
 from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
-from statechart.errors import NoConsistentMode, NonFinite, StepTooLarge
+from statechart.errors import NoConsistentMode, NonFinite, SingularMode, StepTooLarge
 from statechart.kernels.tapes import ACOS, ASIN, DIV, LOG, POW, POWI, SQRT, TAN, tape_table
 from statechart.tabular import several
 
@@ -57,7 +66,7 @@ class Penetration:
 
     def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
         self._names, self._radii = names, inner_radii(numbers)[: len(numbers.inverse)]
-        self._start_depth, self._part = start_depth, _DEEP
+        self._start_depth, self._part, self._size = start_depth, _DEEP, numbers.size
         self._found: _Found | None = None
 
     def add(self, start: float, chunk: Chunk) -> None:
@@ -69,7 +78,7 @@ class Penetration:
         k, b = (int(i) for i in np.unravel_index(np.argmax(parts), parts.shape))
         self._part = float(parts[k, b])
         # Gaps are those in the middle of a step.
-        middle, n = chunk.states[k].copy(), 3 * chunk.gaps.shape[1]
+        middle, n = chunk.states[k].copy(), self._size
         middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
         self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
@@ -120,7 +129,7 @@ class MissingGround:
         """Return the first step and body with a place that has no height, and the place."""
         numbers, ground = self._numbers, self._numbers.surfaces
         count, carrier = len(numbers.inverse), int(ground.carriers[s])
-        places = states[:, : 3 * count].reshape(len(states), count, 3)
+        places = numbers.motion(states)[0]
         below = numbers.laws[numbers.kinds[:count], len(numbers.laws) + s] >= 0
         if 0 <= carrier < count:
             below[carrier] = False
@@ -279,14 +288,14 @@ class RigidBodyRun(SteppedSystem):
         NoConsistentMode
             If it captures no place, and its points are apart by more than a step moves them.
         """
-        joints, remembered = self.numbers.joints, state[6 * self._moving :]
+        joints, remembered = self.numbers.joints, state[2 * self.numbers.size :]
         pose = self._around.captured(joint, remembered)
         joints.sizes[(joints.owners == j) & (joints.holds == TURN), 0] = pose.get("turn", 0.0)
         if "x" in pose or "y" in pose:
             if joints.bodies[j, 1] >= 0:
                 joints.at[j, 1] = pose["x"], pose["y"]
             return
-        poses, rates = state[: 6 * self._moving].reshape(2, -1, 3)
+        poses, rates = (part[0] for part in self.numbers.motion(state[None]))
         ends = [self._around.place_of(j, time, remembered)] * 2
         speed = 0.0
         for side, b in enumerate(joints.bodies[j].tolist()):
@@ -328,7 +337,7 @@ class RigidBodyRun(SteppedSystem):
         By cutting planes (Kelley 1960): bodies are moved out of what they are in, as far as they
         can be, which may be into others, until no move is out of all of that, or nothing is deep.
         """
-        n, placed = 3 * self._moving, state.copy()
+        n, placed = self.numbers.size, state.copy()
         placed[n : 2 * n] = 0.0
         known, gaps, depth = np.zeros((0, n)), np.zeros(0), -math.inf
         for _ in range(_MOVES):
@@ -336,14 +345,17 @@ class RigidBodyRun(SteppedSystem):
             deep = met.levels < 0.0
             if not deep.any():
                 break
-            rows = met.normal.only(deep).whole(self._moving)
+            rows = self._by_coordinates(met.normal.only(deep), placed)
             known = np.concatenate([known, rows])
             gaps = np.concatenate([gaps, met.levels[deep] - rows @ (placed - state)[:n]])
-            depth, move = depth_left(gaps, known, met.joints.whole(self._moving))
+            depth, move = depth_left(gaps, known, self._by_coordinates(met.joints, placed))
             if depth > 0.0:
                 break
             placed[:n] = state[:n] + move
         return depth if depth > 0.0 else -math.inf
+
+    def _by_coordinates(self, held: Held, state: Array) -> Array:
+        return self.numbers.whole(held.whole(self._moving), state)
 
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
         """Return what bodies touch in a step of `h` from a state; the run goes on where it is."""
@@ -362,9 +374,14 @@ class RigidBodyRun(SteppedSystem):
         return found.deepest_of(body, pieces.bodies, self._names, self.surfaces)
 
     def _check_finite(self, chunk: Chunk, status: int) -> None:
+        if status == BAD_INERTIA and not len(chunk.codes):
+            raise SingularMode(
+                "the inertia of the coordinates does not determine their motion, or has no value"
+            )
         if status == NOT_FINITE and not len(chunk.codes):
             lost = np.argwhere(~np.isfinite(self._workspace.mid.loose))[:, 0].tolist()
-            what = f"a force on body {self._names[lost[0]]!r}" if lost else "a coordinate"
+            known = lost and lost[0] < len(self._names)
+            what = f"a force on body {self._names[lost[0]]!r}" if known else "a coordinate"
             raise NonFinite(f"{what} became infinite or undefined")
 
     @property
@@ -418,11 +435,10 @@ class RigidBodyRun(SteppedSystem):
             chunk = self._without_gain(chunk)
             if not len(chunk.codes) and self._gain_error is not None:
                 raise self._gain_error
-        bodies = self._moving
         self.least = np.minimum(self.least, chunk.gaps.min(axis=0, initial=np.inf))
         self._penetration.add(start, chunk)
         self._around.passed(len(chunk.codes))
-        turns = chunk.h * np.abs(chunk.states[1:, 3 * (bodies + self._angular) + 2])
+        turns = chunk.h * np.abs(self.numbers.motion(chunk.states[1:])[1][:, self._angular, 2])
         struck = chunk.struck[:, self._angular]
         self._turned = max(self._turned, float(np.max(turns, where=struck, initial=0.0)))
         self._length = max(self._length, h)
@@ -434,9 +450,10 @@ class RigidBodyRun(SteppedSystem):
         They do no work: what they give is what they took before, or comes of steps that do not
         follow how what they pull at swings. Why the next step is not taken is kept.
         """
-        n, added = 3 * self._moving, self._added + np.append(0.0, np.cumsum(chunk.gained))
+        added = self._added + np.append(0.0, np.cumsum(chunk.gained))
         chunk.gained[:] = 0.0
-        moving = 0.5 * (chunk.states[1:, n : 2 * n] ** 2 / self.numbers.inverse.ravel()).sum(axis=1)
+        rates = self.numbers.motion(chunk.states[1:])[1]
+        moving = 0.5 * (rates**2 / self.numbers.inverse).sum(axis=(1, 2))
         moved = np.maximum.accumulate(np.append(self._moved, moving))
         added -= np.minimum.accumulate(np.minimum(added, 0.0))
         self._added, self._moved = float(added[-1]), float(moved[-1])
@@ -454,7 +471,7 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_jumps(self, start: float, state: Array) -> None:
         """Raise `NoConsistentMode` where a path has jumped into a body at an instant."""
-        jumped = self._around.jumped(start, state[6 * self._moving :])
+        jumped = self._around.jumped(start, state[2 * self.numbers.size :])
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
@@ -471,25 +488,28 @@ class RigidBodyRun(SteppedSystem):
 
     def _check_forces(self, start: float, h: float, state: Array) -> None:
         """Raise `StepTooLarge` where forces are too stiff for these steps."""
-        inverse, size = self.numbers.inverse, float(self.numbers.sizes[: self._moving].max())
-        stiff = self._around.forces.stiffness(inverse, size, h, state, start)
+        stiff = self._around.forces.stiffness(self.numbers, h, state, start)
         if not stiff.most() > UNSTABLE:
             return
         met = self.detect(state, start, _INSTANT * h)
         parts = met.normal.only(met.lasts), met.tangential.only(met.lasts & met.rough), met.joints
         held = Held(*(np.concatenate(three) for three in zip(*parts, strict=True)))
-        check_followed(stiff, self.numbers.inverse, held, h)
+        if self.numbers.links.bodies:
+            rows = self._by_coordinates(held, state) @ energy_root(self.numbers, state)
+        else:
+            rows = held.scaled(self.numbers.inverse)
+        check_followed(stiff, rows, h)
 
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float
     ) -> tuple[Chunk, int]:
         """Return the steps that could be taken, and how they ended."""
-        bodies = self._moving
+        bodies, n = self._moving, self.numbers.size
         holds = self.numbers.joints.holds
         joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
-        solved = 3 * bodies + joint_forces
+        solved = n + joint_forces
         # One step more, for the last detection.
-        ahead, remembered, known = self._around.ahead(start, h, state[6 * bodies :], count + 1)
+        ahead, remembered, known = self._around.ahead(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
@@ -507,7 +527,7 @@ class RigidBodyRun(SteppedSystem):
                 self._memory = self._memory.larger()
                 worst = self._workspace.worst
                 self._workspace = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
-        chunk.states[1:, 6 * bodies :] = remembered[:-1]
+        chunk.states[1:, 2 * n :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:
             at = slice(1, done + 1)

@@ -58,7 +58,7 @@ class Workspace(NamedTuple):
             np.empty((most, 2)),
             np.empty(most, np.int64),
             np.empty(most),
-            ContactRows.room(most, count, numbers.padded),
+            ContactRows.room(most, count, numbers.padded, numbers.links.rows),
             np.empty((5, most, 2)),
             np.empty(most, np.bool_),
             np.empty(count, np.int64),

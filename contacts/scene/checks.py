@@ -333,7 +333,7 @@ def check_physical(scene: SceneFields, values: Mapping[str, float]) -> None:
     for loc, text, least, most, words, advice, shown, slips in limits(scene):
         region = scene.controlled.region_of(text)
         known = {**values, **slips}
-        for state, seen in scene.controlled.seen_in_states(text, known, Formula.value):
+        for state, seen in scene.controlled.values_by_state(text, known, Formula.value):
             with found:
                 value = value_of(text, seen, *loc)
                 if least <= value <= most or loc in wrong:
@@ -691,7 +691,6 @@ def check_collisions(scene: SceneFields) -> None:
         return
     absent = {
         "contacts": scene.contacts,
-        "coordinates": scene.coordinates,
         "couplings": scene.couplings,
         "modes": scene.initial_modes,
     }
@@ -699,7 +698,7 @@ def check_collisions(scene: SceneFields) -> None:
         if declared:
             raise DeclarationProblem(
                 f"a scene with collisions has no {section} yet",
-                advice="bodies are free, and touch by their shapes",
+                advice="bodies touch by their shapes: list them, and surfaces, in collisions",
                 loc=(section,),
                 key=True,
             )
@@ -712,13 +711,21 @@ def check_collisions(scene: SceneFields) -> None:
                 key=True,
             )
     _check_memory(scene)
+    _check_joined(scene)
     for name, body in scene.bodies.items():
-        if not body.prescribed and body.coordinates != ("x", "y", "angle"):
+        if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
-                "a body that collides is free and has an inertia",
-                advice="give it an inertia, and no position; or a path, position and angle, and no "
-                "mass",
+                "a body that collides is free and has an inertia, or coordinates place it",
+                advice="give it an inertia, or a position by coordinates; or a path, position and "
+                "angle, and no mass",
                 loc=("bodies", name),
+            )
+        if body.linked and body.copies is not None:
+            raise DeclarationProblem(
+                "copies of a body that coordinates place would all be in one place",
+                advice="declare each body by itself",
+                loc=("bodies", name, "copies"),
+                key=True,
             )
         if body.prescribed:
             _check_path(scene, name)
@@ -785,6 +792,20 @@ def _check_path(scene: SceneFields, name: str) -> None:
                     advice="hold the other body to the place, to: [0, 1], or along the path, "
                     'to: ["v*time", 1]',
                     loc=("joints", joint, key, "body"),
+                )
+
+
+def _check_joined(scene: SceneFields) -> None:
+    """Check that joints hold free bodies: coordinates place others where joints would."""
+    for name, joint in scene.joints.items():
+        for key, point in (("point", joint.point), ("to", joint.to)):
+            body = scene.bodies.get(point.body) if isinstance(point, Point) else None
+            if body is not None and body.linked:
+                raise DeclarationProblem(
+                    "coordinates place this body, and joints of a scene with collisions hold free "
+                    "bodies",
+                    advice="place the other body by coordinates, too, as the joint holds it",
+                    loc=("joints", name, key, "body"),
                 )
 
 

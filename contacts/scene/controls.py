@@ -173,7 +173,7 @@ class Controls:
         used = [control for control in self.owners if control in parse(text).names]
         return self.owners[used[0]] if used else None
 
-    def seen_in_states(
+    def values_by_state(
         self,
         text: FormulaText,
         known: Mapping[str, Value],

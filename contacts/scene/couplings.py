@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from contacts.scene.friction import StaticKinetic, coefficients
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
 from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
 from statechart.documents.documented import declare
-from statechart.documents.fields import FiniteText, FormulaText, OneRelation, Part
+from statechart.documents.fields import FormulaText, OneRelation, Part
 from statechart.errors import DeclarationProblem
 from statechart.formulas.relation import conjunction
 
@@ -24,19 +25,6 @@ LIMIT_MARGINS = _UPPER, _LOWER = "limit - M", "limit + M"
 """Names of the margins of a locked coupling."""
 _SLIP = "slip"
 _DIRECTIONS = {"slip+": 1, "slip-": -1}
-
-
-class StaticKinetic(Part):
-    """A bound of friction at rest, and in motion."""
-
-    static: FiniteText = declare(
-        "Bound at rest: what it takes to start a slip.",
-        "1.1*M_max",
-        unit="force length; force along a guide",
-    )
-    kinetic: FiniteText = declare(
-        "Bound in motion.", "M_max", unit="force length; force along a guide"
-    )
 
 
 def _as_list(value: object) -> object:
@@ -103,9 +91,7 @@ class Coupling(Part):
     @property
     def bounds(self) -> tuple[FormulaText, FormulaText]:
         """The limits at rest and in motion."""
-        if isinstance(self.limit, StaticKinetic):
-            return self.limit.static, self.limit.kinetic
-        return self.limit, self.limit
+        return coefficients(self.limit)
 
     @property
     def gate(self) -> str:

@@ -77,7 +77,7 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
     controllers: dict[str, Controller] = {}
     joints: dict[str, Joint] = {}
 
-    def touches(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
+    def add_contact(name: str, joint: Joint, surface: Surface, gate: tuple[str, ...]) -> None:
         if scene.collisions:
             # Steps of bodies with shapes have rows for bounds of distances and angles.
             return
@@ -102,12 +102,12 @@ def expansion(scene: SceneFields) -> dict[str, dict[str, Any]]:
             controllers[name] = _region(scene, name, joint)
             gate = (f"in({name}.{CLOSED})",)
         if joint.rope is not None:
-            touches(name, joint, _circle(joint, joint.rope), gate)
+            add_contact(name, joint, _circle(joint, joint.rope), gate)
         if joint.limits is not None:
             other = joint.to.body if isinstance(joint.to, Point) else None
             for one, limit, side in zip(stops(name), joint.limits, (1, -1), strict=True):
                 stop = Stop.model_construct(limit=limit, side=side, other=other)
-                touches(one, joint, stop, gate)
+                add_contact(one, joint, stop, gate)
     resisted = {
         f"{name}_rolling": _resistance(scene, name, contact)
         for name, contact in scene.contacts.items()

@@ -185,17 +185,21 @@ class SceneFields(Declaration):
     def variables(self) -> tuple[str, ...]:
         """Names of all coordinates."""
         own = [f"{n}.{c}" for n, b in self.owners().items() for c in self.bodies[b].coordinates]
-        return (*self.coordinates, *own)
+        return (*own, *self.coordinates) if self.collisions else (*self.coordinates, *own)
 
     def owners(self) -> dict[str, str]:
         """Return the names of all bodies, copies one by one, to those that they are declared by.
 
-        Behind those that move by themselves are led ones, and fixed ones behind these.
+        In a scene with collisions free bodies come first, then those that coordinates place; led
+        ones are behind these, and fixed ones last.
         """
         single = all(body.copies is None for body in self.bodies.values())
         counts = dict.fromkeys(self.bodies) if single else copies(self, self.values())
         result: dict[str, str] = {}
-        groups = {name: body.prescribed + body.fixed for name, body in self.bodies.items()}
+        groups = {
+            name: 2 * body.prescribed + body.fixed + (body.linked and bool(self.collisions))
+            for name, body in self.bodies.items()
+        }
         for name in sorted(self.bodies, key=groups.__getitem__):
             count = counts[name]
             if count is None:
@@ -431,7 +435,7 @@ class SceneFields(Declaration):
         return frozenset(found)
 
     @cached_property
-    def asked_states(self) -> tuple[Member, ...]:
+    def condition_states(self) -> tuple[Member, ...]:
         """The terms `in(REGION.STATE)` of the conditions of contacts, each state once."""
         texts = [text for contact in self.contacts.values() for text in contact.enabled]
         texts += [text for coupling in self.couplings.values() for text in coupling.enabled]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from typing import Annotated, Any, ClassVar, NamedTuple
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
-from statechart.documents.fields import KINKED, FormulaText, Part, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import KINKED, FiniteText, FormulaText, Part
 from statechart.errors import DeclarationProblem, Loc
 from statechart.formulas.formula import parse
 from statechart.formulas.tree import Binary, Call, Name, Node, Unary, names_in, nodes
@@ -26,18 +27,29 @@ class Friction(Part):
         **dict.fromkeys(("mu_k", "dynamic", "sliding"), "kinetic"),
     }
 
-    static: FormulaText = Field(
-        description="Coefficient at rest: a pin holds up to static times V.",
-        examples=["mu_s"],
-        json_schema_extra=unit("1"),
+    static: FormulaText = declare(
+        "Coefficient at rest: a pin holds up to static times V.", "mu_s", unit="1"
     )
-    kinetic: FormulaText = Field(
-        description=(
-            "Coefficient in motion, at most static at rest; a formula of the contact's slip too, "
-            "smooth on each side of 0."
-        ),
-        examples=["0.2 + 0.2*exp(-abs(slip)/0.1)"],
-        json_schema_extra=unit("1"),
+    kinetic: FormulaText = declare(
+        "Coefficient in motion, at most static at rest; a formula of the contact's slip too, "
+        "smooth on each side of 0.",
+        "0.2 + 0.2*exp(-abs(slip)/0.1)",
+        unit="1",
+    )
+
+
+class StaticKinetic(Friction):
+    """A bound of friction at rest, and in motion."""
+
+    OTHER_WORDS: ClassVar = {}
+
+    static: FiniteText = declare(
+        "Bound at rest: what it takes to start a slip.",
+        "1.1*M_max",
+        unit="force length; force along a guide",
+    )
+    kinetic: FiniteText = declare(
+        "Bound in motion.", "M_max", unit="force length; force along a guide"
     )
 
 
@@ -89,7 +101,7 @@ def friction_law(
 
 
 def coefficients(friction: FormulaText | Friction) -> tuple[FormulaText, FormulaText]:
-    """Return the static and the kinetic coefficient."""
+    """Return the static and the kinetic coefficient, or bound."""
     if isinstance(friction, Friction):
         return friction.static, friction.kinetic
     return friction, friction

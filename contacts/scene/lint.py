@@ -59,7 +59,7 @@ def _warnings(scene: SceneFields) -> Iterator[str]:
         yield from _spread(scene)
     with suppress(DeclarationError, DeclarationProblem):
         # Other checks report formulas that have no value.
-        yield from _inside_out(scene)
+        yield from _starts_inside(scene)
     with suppress(DeclarationError, DeclarationProblem):
         yield from nearly_meeting_ends(scene)
     for formula, _ in fields_of(scene):
@@ -94,7 +94,10 @@ def _idle(scene: SceneFields) -> Iterator[str]:
     bodies = {name for law in scene.collisions.values() for name in law.bodies}
     surfaces = {name for law in scene.collisions.values() for name in law.surfaces}
     for kind, idle in (
-        ("bodies", [n for n, body in scene.bodies.items() if body.shape and n not in bodies]),
+        (
+            "bodies",
+            [n for n, b in scene.bodies.items() if b.shape and not (b.linked or n in bodies)],
+        ),
         ("surfaces", [name for name in scene.surfaces if name not in surfaces]),
     ):
         for name in idle:
@@ -125,7 +128,7 @@ def _spread(scene: SceneFields) -> Iterator[str]:
             )
 
 
-def _inside_out(scene: SceneFields) -> Iterator[str]:
+def _starts_inside(scene: SceneFields) -> Iterator[str]:
     """Say whose centre of mass starts in the solid of a line that its points are to touch."""
     known = scene.values()
     known |= {name: parse(one.start).value(known) for name, one in scene.coordinates.items()}

@@ -152,6 +152,11 @@ class Body(Part):
         return self.fixed or (self.position is not None and "mass" not in self.model_fields_set)
 
     @property
+    def linked(self) -> bool:
+        """True if coordinates of the scene place the body."""
+        return self.position is not None and not self.prescribed
+
+    @property
     def path(self) -> tuple[FiniteText, FiniteText, FiniteText]:
         """The path of a `prescribed` body: x, y and angle."""
         if self.position is None:

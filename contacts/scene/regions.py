@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 BODY_STATES = ("free", "slide", "pin")
 """States and events of a body that collides by its shape."""
-BODY_BLOW = "impact"
-BODY_CAUSES = ("touchdown", BODY_BLOW, "liftoff", "slip", "stick")
+BODY_IMPACT = "impact"
+BODY_CAUSES = ("touchdown", BODY_IMPACT, "liftoff", "slip", "stick")
 BODY_EDGES = (
     *(Edge("touchdown", "free", s, "an impulse acts on the body") for s in BODY_STATES),
     *(
-        Edge(BODY_BLOW, s, t, "another contact strikes")
+        Edge(BODY_IMPACT, s, t, "another contact strikes")
         for s in BODY_STATES[1:]
         for t in BODY_STATES
     ),

@@ -120,7 +120,7 @@ class Scene(SceneFields):
                     raise DeclarationProblem("must be finite", loc=loc)
 
     @model_validator(mode="after")
-    def _names_are_apart(self) -> Self:
+    def _names_are_distinct(self) -> Self:
         # Names in formulas, and where they are declared; the time is nowhere.
         declared: dict[str, Loc] = {TIME: ()}
         declared |= {name: ("parameters", name) for name in self.parameters}

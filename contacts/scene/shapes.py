@@ -7,7 +7,8 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from contacts.scene.friction import DeclaredFriction
-from statechart.documents.fields import FormulaText, Part, unit
+from statechart.documents.documented import declare
+from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationProblem
 
 INDEX = "index"
@@ -29,20 +30,12 @@ class Shape(Part):
         "radius": "disc",
     }
 
-    polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = Field(
-        default=None,
-        description="Corners, counter-clockwise.",
-        examples=[[[-1, -1], [1, -1], [0, 1]]],
-        json_schema_extra=unit("length"),
+    polygon: Annotated[tuple[_Pair, ...], Field(min_length=3, max_length=16)] | None = declare(
+        "Corners, counter-clockwise.", [[-1, -1], [1, -1], [0, 1]], unit="length", default=None
     )
-    disc: FormulaText | None = Field(
-        default=None, description="Radius.", examples=["r"], json_schema_extra=unit("length")
-    )
-    at: _Pair = Field(
-        default=(0, 0),
-        description="Centre of the disc in the body's frame.",
-        examples=[["L/2", 0]],
-        json_schema_extra=unit("length"),
+    disc: FormulaText | None = declare("Radius.", "r", unit="length", default=None)
+    at: _Pair = declare(
+        "Centre of the disc in the body's frame.", ["L/2", 0], unit="length", default=(0, 0)
     )
 
     @model_validator(mode="after")
@@ -112,55 +105,40 @@ class Collision(Part):
         "rolling_friction": "rolling_resistance: LENGTH",
     }
 
-    bodies: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description=(
-            "Bodies that collide with each other; the name of copies means all of "
-            "them. A pair that two lists contain collides by the first."
-        ),
-        examples=[["die"]],
+    bodies: Annotated[tuple[str, ...], Field(min_length=1)] = declare(
+        "Bodies that collide with each other; the name of copies means all of "
+        "them. A pair that two lists contain collides by the first.",
+        ["die"],
     )
-    surfaces: tuple[str, ...] = Field(
-        default=(),
-        description="Surfaces that the bodies collide with.",
-        examples=[["floor", "wall"]],
+    surfaces: tuple[str, ...] = declare(
+        "Surfaces that the bodies collide with.", ["floor", "wall"], default=()
     )
-    friction: DeclaredFriction = Field(
-        description="Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one.",
-        examples=[0.3],
-        json_schema_extra=unit("1"),
+    friction: DeclaredFriction = declare(
+        "Coulomb's friction coefficient, 0 to inf, or a static and a kinetic one.", 0.3, unit="1"
     )
-    restitution: FormulaText | None = Field(
+    restitution: FormulaText | None = declare(
+        "Coefficient of restitution of Moreau's law: 0 (plastic) to 1 (elastic); needed "
+        "without stiffness.",
+        0.2,
+        unit="1",
         default=None,
-        description=(
-            "Coefficient of restitution of Moreau's law: 0 (plastic) to 1 (elastic); needed "
-            "without stiffness."
-        ),
-        examples=[0.2],
-        json_schema_extra=unit("1"),
     )
-    rolling_resistance: FormulaText | None = Field(
+    rolling_resistance: FormulaText | None = declare(
+        "Of discs: a couple against the relative rotation of what touches, of at most this "
+        "length times the normal force.",
+        "0.02*r",
+        unit="length",
         default=None,
-        description=(
-            "Of discs: a couple against the relative rotation of what touches, of at most this "
-            "length times the normal force."
-        ),
-        examples=["0.02*r"],
-        json_schema_extra=unit("length"),
     )
-    stiffness: FormulaText | None = Field(
+    stiffness: FormulaText | None = declare(
+        "Makes contacts compliant: the normal force at each point is stiffness times depth, "
+        "plus damping times its rate, and never pulls. They have no impacts.",
+        "k",
+        unit="force/length",
         default=None,
-        description=(
-            "Makes contacts compliant: the normal force at each point is stiffness times depth, "
-            "plus damping times its rate, and never pulls. They have no impacts."
-        ),
-        examples=["k"],
-        json_schema_extra=unit("force/length"),
     )
-    damping: FormulaText | None = Field(
-        default=None,
-        description="Of compliant contacts, 0 by default.",
-        examples=["d"],
-        json_schema_extra=unit("force time/length"),
+    damping: FormulaText | None = declare(
+        "Of compliant contacts, 0 by default.", "d", unit="force time/length", default=None
     )
 
     @model_validator(mode="after")

@@ -68,9 +68,12 @@ class ContactRows(NamedTuple):
     padded: int
 
     @classmethod
-    def room(cls, most: int, bodies: int, padded: int = 0) -> ContactRows:
-        """Return place for so many contacts of so many bodies, with pads if they are `padded`."""
-        blocks, sides = bodies + padded * most, PAIR + padded
+    def room(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
+        """Return place for so many contacts of so many bodies, with pads if they are `padded`.
+
+        Behind these all may move `shared` blocks of coordinates.
+        """
+        blocks, sides = bodies + padded * most + shared, PAIR + padded + shared
         return cls(
             np.empty((most, sides), np.int64),
             0,
@@ -84,6 +87,11 @@ class ContactRows(NamedTuple):
             0,
             padded,
         )
+
+
+BEGINS, ON_TRIAL = 2, 3
+"""Ways of slips beside 1, -1 and 0, at rest: kinetic friction begins in the step (2 or -2); static
+friction is asked to hold the slip as it was before the step."""
 
 
 @kernel
@@ -105,6 +113,13 @@ def slope(cone: Array) -> float:
     if cone[0] < 0.0:
         return cone[0]
     return cone[1] / max(cone[0], STEEPEST)
+
+
+@kernel
+def overload(slip: float, own: float, normal: float, cone: Array) -> float:
+    """Return the impulse that ends a slip, over the largest one of friction."""
+    most = own * normal * cone[1]
+    return abs(slip) * cone[0] / most if most > 0.0 else math.inf
 
 
 @kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, ContactRows, add, seen, slope
+from contacts.solvers.contact_rows import LAW, PAIR, ContactRows, add, seen, slope
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
@@ -38,9 +38,12 @@ def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) 
         at += 1
         for k in range(count):
             shared = False
-            for side in range(2):
+            for side in range(contacts.bodies.shape[1]):
                 b, others = contacts.bodies[i, side], contacts.bodies[k]
-                shared = shared or (b < contacts.moving and (others[0] == b or others[1] == b))
+                # Pads are no bodies.
+                if b < contacts.moving and not (contacts.padded == 1 and side == PAIR):
+                    for beside in range(len(others)):
+                        shared = shared or others[beside] == b
             hit = next_ones[k] or pairs[k] == pairs[i] or slope(contacts.cones[k]) < 0.0
             if shared and hit and not taken[k]:
                 order[many], taken[k] = k, True

@@ -32,7 +32,7 @@ class ContactProblem(NamedTuple):
     columns: Array  # (2 m, s): of the coordinates the first n.
     delassus: Array  # shape (2 m, 2 m)
     groups: Ints  # (m,): equal for those that feel each other's impulses.
-    # (m,): direction (1, -1) of the slip whose friction is in `cones`; 0: that at rest.
+    # (m,): direction of the slip whose friction is in `cones`; 0: that at rest; or `ON_TRIAL`.
     directions: Ints
     # (m, 2): edges of cones; velocities before the step, and after it without impulses; what these
     # may not fall below, negated.

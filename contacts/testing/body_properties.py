@@ -46,12 +46,12 @@ def assert_depths(
         (trace.final[None], np.array([trace.t_end]), trace.final_mode),
     ]
     whole, times = (np.concatenate([part[k] for part in pieces_of_run]) for k in range(2))
-    states, frames, pieces = whole[:, : 3 * count].reshape(-1, count, 3), None, numbers.pieces
+    states, frames, pieces = numbers.motion(whole)[0], None, numbers.pieces
     if paths is not None:
         found = [
             paths(
                 at,
-                some[:, 6 * count :],
+                some[:, 2 * numbers.size :],
                 dict(zip(trace.regions[count:], mode[count:], strict=True)),
             )
             for some, at, mode in pieces_of_run
@@ -179,18 +179,19 @@ def _along_normals(one: Array, other: Array) -> Array:
 
 
 def assert_free_fall(numbers: BodyNumbers, trace: Trace) -> None:
-    """Check that gravity alone acts on a body that is free."""
+    """Check that gravity alone acts on a free body that touches nothing."""
     assert trace.step is not None
-    count = len(numbers.inverse)
+    count, n = numbers.free, numbers.size
     fall, arms = np.array([*numbers.gravity, 0.0]), np.ones((count, 3))
-    arms[:, 2] = numbers.sizes[:count] * numbers.inverse[:, 2] / numbers.inverse[:, 0]
+    inverse = numbers.inverse[:count]
+    arms[:, 2] = numbers.sizes[:count] * inverse[:, 2] / inverse[:, 0]
     for arc in trace.arcs:
         assert arc.solved is not None  # steps have numbers
         free = np.array([state == "free" for state in arc.mode[:count]])
         # The halves of a step with an impact show one mode each, and the forces of the step.
         whole = step_ends(trace, arc)
         off = np.abs(arc.solved[whole, : 3 * count].reshape(-1, count, 3)[:, free] - fall)
-        rates = arc.coefficients[whole, 3 * count : 6 * count, 0]
+        rates = arc.coefficients[whole, n : n + 3 * count, 0]
         speeds = np.abs(rates).reshape(-1, count, 3)[:, free]
         # What presses less than that, at the end of its arm, is told of nothing.
         allowed = LEAST * np.abs(fall).max() * arms[free] + ROUND_OFF * speeds / trace.step
@@ -227,9 +228,17 @@ def assert_energy_of_steps(numbers: BodyNumbers, subject: Subject, trace: Trace)
         where = f"in {subject.automaton.label(arc.mode)}"
         points += [(t, e, where) for t, e in zip(times.tolist(), values.tolist(), strict=True)]
     size = max((abs(e) for _, e, _ in points), default=0.0)
-    weights = float(numbers.gravity @ numbers.gravity) / numbers.inverse[:, 0]
-    rate = trace.step / 8.0 * float(weights.sum())
+    weights = float(numbers.gravity @ numbers.gravity) / numbers.inverse[: numbers.free, 0]
+    rate = trace.step / 8.0 * (float(weights.sum()) + _pull(numbers, trace))
     no_growth(points, 100.0 * ROUND_OFF * size + rate * trace.step, rate)
+
+
+def _pull(numbers: BodyNumbers, trace: Trace) -> float:
+    """Return the largest ``f^T M^-1 f`` of the coordinates in the steps of a run."""
+    states = np.concatenate([arc.coefficients[:, :, 0] for arc in trace.arcs])
+    masses, forces = numbers.inertia(states)
+    pulled = forces[:, :, None] * np.linalg.solve(masses, forces[:, :, None])
+    return float(pulled.sum(axis=(1, 2)).max(initial=0.0))
 
 
 def _scene(subject: Subject) -> Scene:

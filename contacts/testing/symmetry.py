@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from contacts.scene.couplings import Coupling, StaticKinetic
-from contacts.scene.friction import SLIP
+from contacts.scene.couplings import Coupling
+from contacts.scene.friction import SLIP, StaticKinetic
 from contacts.scene.scene import Scene
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FormulaText, Part

@@ -74,7 +74,7 @@ def cone_edges(
     values = {name: trace.parameters[name] for name in scene.parameters}
     region = scene.controlled.region_of(law.both)
     now = dict(zip(trace.regions, mode, strict=True)).get(region or "", "")
-    seen = dict(scene.controlled.seen_in_states(law.both, values, Formula.value))[now]
+    seen = dict(scene.controlled.values_by_state(law.both, values, Formula.value))[now]
     text = law.kinetic if declared_state(state) == "slide" else law.static
     if state == "pin" or not law.varies:
         at_rest = dict.fromkeys(law.slips, 0.0)

@@ -97,7 +97,7 @@ class StepControl:
         for first, *others in _simultaneous(jumps):
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
-            pending = self._listening.heard(pending, jump)
+            pending = self._listening.pending_after(pending, jump)
         time = np.array([recorder.clock.high])
         if not self._begun:
             self._begun = True
@@ -134,7 +134,7 @@ class StepControl:
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
-            pending, state = self._listening.heard(firing.pending, jump), after
+            pending, state = self._listening.pending_after(firing.pending, jump), after
         last = (
             f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
         )
@@ -201,7 +201,7 @@ class StepControl:
         near = ~guards.watch.timed & (np.abs(margin) <= zero)
         rises = (h * rate > zero) | ((h * rate >= -zero) & (h * h * second > zero))
         atoms: Bools = np.where(near, guards.watch.closed & np.isfinite(rate) & ~rises, true)
-        return guards.watch.hold(atoms, self._active.at(codes, self.states))
+        return guards.watch.truths(atoms, self._active.at(codes, self.states))
 
     def _holding(
         self, times: Array, states: Array, solved: Array, codes: Ints
@@ -212,7 +212,7 @@ class StepControl:
         margin, size = rows[..., 0], rows[..., 3]
         zero = self._setup.rounded * size
         atoms = margin <= np.where(guards.watch.closed, zero, -zero)
-        held = guards.watch.hold(atoms, self._active.at(codes, self.states))[0]
+        held = guards.watch.truths(atoms, self._active.at(codes, self.states))[0]
         return {
             (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
         }

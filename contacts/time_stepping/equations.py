@@ -180,10 +180,11 @@ class ContactForces(NamedTuple):
     jammed: int
 
 
-CONTACT, EDGES = 11, 7
+CONTACT, EDGES = 12, 8
 """Numbers of a contact beside its Jacobian (2, n): biases (2,), gap, its rate, slip, condition, and
-the condition without the ends of edges at which another edge makes a valley; from `EDGES` on the
-unit edges of its friction cone in slide+ and slide-, at the size of its slip. The gap of a coupling
+the condition without the ends of edges at which another edge makes a valley, and that with obtuse
+valleys; from `EDGES` on the unit edges of its friction cone in slide+ and slide-, at the size of
+its slip. The gap of a coupling
 is its limit at rest; of rolling resistance, its length."""
 
 JOINT = 4

@@ -14,7 +14,7 @@ from statechart.kernels.boxes import Steps, along_steps, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.resolution import at, look, ready
+from statechart.kernels.resolution import at, bound_box, jet_registers
 from statechart.kernels.tapes import TapeCode
 
 # Gauss-Legendre: exact for the fifth power, off by two thousandths over a turn of four radians.
@@ -35,7 +35,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = outputs.shape[0]
     along, regs = along_steps(tape, steps, len(_PLACES))
-    jets, bounds = ready(along, regs), np.zeros(coeffs.shape[1])
+    jets, bounds = jet_registers(along, regs), np.zeros(coeffs.shape[1])
     known = np.zeros((coeffs.shape[0], count))
     unknown = np.zeros((coeffs.shape[0], count))
     middle, mean = np.empty(count), np.empty(count)
@@ -52,7 +52,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
             top -= 1
             pieces += 1
             a, b = lefts[top], rights[top]
-            look(along, step, bounds, a, b, jets)
+            bound_box(along, step, bounds, a, b, jets)
             resolved = True
             for i in range(count):
                 resolved = resolved and jets[outputs[i], 2] == 0.0

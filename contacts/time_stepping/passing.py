@@ -13,7 +13,7 @@ import numpy as np
 from statechart.arrays import Bools
 from statechart.kernels.boxes import Steps, along_steps, enclose, prepare
 from statechart.kernels.jit import kernel
-from statechart.kernels.resolution import ready
+from statechart.kernels.resolution import jet_registers
 from statechart.kernels.tapes import TapeCode
 
 # Boxes of a line; what they leave undecided touches at most.
@@ -45,7 +45,7 @@ def passed(tape: TapeCode, lines: Steps, seen: Bools, near: float) -> tuple[int,
     """
     outputs, reads, coeffs = tape.outputs, tape.reads, lines.coeffs
     along, regs = along_steps(tape, lines, 1)
-    jets = ready(along, regs)
+    jets = jet_registers(along, regs)
     bounds, count = np.zeros(coeffs.shape[1]), outputs.shape[0]
     asked, depths = np.empty(count, np.bool_), np.empty(count)
     lefts, rights = np.empty(64), np.empty(64)

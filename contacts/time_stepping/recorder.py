@@ -94,11 +94,11 @@ class Recorder:
         self.arcs, self.jumps = self.kept(kept=False)
 
     def kept(self, *, kept: bool) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
-        """Return all arcs and jumps up to now and later; `kept`: not made anew at every look."""
+        """Return all arcs and jumps up to now and later; `kept`: not made anew at every access."""
         arcs, jumps, maker = self._arcs, self._jumps, self._maker
         return (
-            LazySequence(lambda i: maker.arc(arcs[i]), lambda: len(arcs), kept=kept),
-            LazySequence(lambda i: maker.jump(jumps[i]), lambda: len(jumps), kept=kept),
+            LazySequence(lambda i: maker.arc(arcs[i]), lambda: len(arcs), cached=kept),
+            LazySequence(lambda i: maker.jump(jumps[i]), lambda: len(jumps), cached=kept),
         )
 
     def add(self, chunk: Chunk) -> None:
@@ -388,7 +388,7 @@ class PoseRecorder:
             step = int(np.searchsorted(made.times, last, side="right")) - 1
             return cut(made, max(step, 0), last)
 
-        return LazySequence(arc, lambda: len(blocks), kept=False)
+        return LazySequence(arc, lambda: len(blocks), cached=False)
 
     def _seal(self) -> None:
         """Move the open steps to a block."""

@@ -105,6 +105,25 @@ def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
 
 
 @kernel
+def _is_at_kink(tape: TapeValues, change: Array, i: int, h: float, lies: float, acute: int) -> bool:
+    """Return whether a point is near the kink of a valley, beyond the end of the edge of contact i.
+
+    It is as near as it lies deep in one of the edges, or goes in some steps. In an obtuse valley it
+    is beyond the end wherever it lies on the other edge: `acute` (0 or 1) leaves those out.
+    """
+    n, numbers, row = tape.size, tape.numbers, tape.first + tape.per * i
+    changes = np.zeros(2)
+    for d in range(2):
+        for j in range(n):
+            changes[d] += numbers[row + d * n + j] * change[j]
+    at = row + 2 * n + 2
+    speed = math.hypot(numbers[at + 1], numbers[at + 2]) + math.hypot(changes[0], changes[1])
+    reach = _STEPS * (h * speed - lies)
+    beyond = max(numbers[at], -numbers[at + 3])
+    return numbers[at + 3] < 0.0 < numbers[at + 4 + acute] and beyond <= reach
+
+
+@kernel
 def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
     """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
     if off and holds:
@@ -118,17 +137,21 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
 
 @kernel
 def switch_contacts(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, k: int, met: ContactRoles, chunk:
-    Chunk
+    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
+    met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
 
-    Contacts that last are on for now where their conditions cease to hold: see `keep_leaving`.
+    Contacts that last are on for now where their conditions cease to hold: see `keep_leaving`. At
+    the kink of a valley both edges hold a point. A step without contacts changes rates by `change`.
     """
     numbers, n, off, h, left = tape.numbers, tape.size, memory.off, chunk.h, 1.0
-    deepest = np.empty(len(off))
+    deepest, at_kink = np.empty(len(off)), np.empty((len(off), 2), np.bool_)
     for i in range(len(off)):
         deepest[i] = _deepest(memory, tape, i) - scene.near
+        lies = min(deepest[i], memory.level[i])
+        for acute in range(2):
+            at_kink[i, acute] = _is_at_kink(tape, change, i, h, lies, acute)
         if scene.soft[i, 0] > 0.0:
             deepest[i] = -math.inf
     for i in range(len(off)):
@@ -137,11 +160,7 @@ def switch_contacts(
         if is_coupling(scene, i):
             continue
         if not off[i] and condition < 0.0:
-            speed = math.hypot(numbers[row + 2 * n + 3], numbers[row + 2 * n + 4])
-            reach = _STEPS * h * speed
-            near_kink = numbers[row + 2 * n + 6] > 0.0 and max(gap, -condition) <= reach
-            if near_kink and not memory.closed[i]:
-                # Deep in one side of a valley a point is beyond the end of the other.
+            if at_kink[i, 1 if memory.closed[i] else 0]:
                 continue
             inside = memory.closed[i] or memory.level[i] < 0.0
             met.leaving[i] = inside and scene.held[i] == 0
@@ -171,7 +190,8 @@ def switch_contacts(
                 begins = before[0] / (before[0] - condition)
                 entered = max(gap, _gap_between(before, gap, rate, begins, h))
             met.entered[i] = max(entered, _gap_between(before, gap, rate, left, h))
-            off[i] = not (condition > 0.0 and entered >= deepest[i])
+            holds = condition > 0.0 or (at_kink[i, 1] and rate < 0.0)
+            off[i] = not (holds and entered >= deepest[i])
             _note_missed(memory.missed[i], off[i], condition > 0.0, -gap)
             if leaves and off[i] and memory.behind[i] and condition < 0.0:
                 # Below a kink a point is beyond both surfaces that end there.
@@ -501,7 +521,7 @@ def step_scene(
             np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.zeros(c, np.bool_), np.empty(c),
             np.zeros((c, 2)), np.zeros((c, 2)), np.zeros((c, 2)),
         )  # fmt: skip
-        if not switch_contacts(scene, memory, tape, k, met, chunk):
+        if not switch_contacts(scene, memory, tape, equations.change, k, met, chunk):
             return k, NOT_FINITE
         if met.leaving.any():
             instant = StepInstant(time, state, middle)
@@ -515,7 +535,7 @@ def step_scene(
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
-            began, changes, rounds = np.zeros(len(which), np.bool_), True, 0
+            changes, rounds = True, 0
             last = memory.pushes[which]
             while changes:
                 missed, softened, pushes, least = solve_impacts(problem, last, allowed)
@@ -524,7 +544,7 @@ def step_scene(
                 unloaded = load_couplings(scene, tape, which, loads, problem.delassus, problem.free)
                 rounds += 1
                 changes = unloaded > LOADED and rounds < LOADINGS
-                changes = changes or change_friction(scene, tape, problem, least, pushes, began)
+                changes = changes or change_friction(scene, tape, problem, least, pushes)
             if unloaded > LOADED:
                 missed = max(missed, unloaded)
             chunk.efforts[k, RESIDUAL], chunk.efforts[k, CALMED] = missed, softened

@@ -85,8 +85,10 @@ class SteppedTape:
             outputs += [term.xreplace(known) for term in motion] if self.scene.leading else motion
             gate = mechanics.gate(name)
             holds = sp.S.One if gate is None else gate.by_steps(known)
-            valleys = {} if coupled else mechanics.valleys(name)
-            outputs += [holds, holds if gate is None else gate.by_steps(known, valleys)]
+            outputs.append(holds)
+            for acute in (False, True):
+                valleys = {} if coupled else mechanics.valleys(name, acute=acute)
+                outputs.append(holds if gate is None else gate.by_steps(known, valleys))
             edges = (
                 2 * _kinetic_edge(static, kinetic) if coupled else mechanics.sliding_edges(symbols)
             )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -22,6 +22,9 @@ from statechart.errors import StepTooLarge
 from statechart.formulas.tape import Tape
 from statechart.kernels.boxes import Steps
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 UNSTABLE = 4.0
 """Forces are those in the middle of a step, at the speeds before it. Under a stiffness k and a
 damping d, by mass, steps turn what moves around ever farther where h^2 k + 2 h d is above this."""
@@ -31,8 +34,8 @@ _COARSE = 0.5
 _FINE = 0.1
 # Directions are one to within this part of the largest.
 DEPENDENT = 1e-9
-# Step of the finite differences of forces, relative to the size of a body.
-_CHANGE = 1e-6
+CHANGE = 1e-6
+"""Step of the finite differences of forces, relative to the size of a body."""
 # Squares of directions, beside theirs of one, that are rounding: joints may imply each other.
 _DEPENDENT_SQUARES = 1e-12
 # Steps of Arnoldi's iteration: what is larger than it finds is so by less than a hundredth.
@@ -190,8 +193,8 @@ def stiffness(
     state (6 b + w,) is that of the step.
     """
     n = inverse.size
-    outputs, variables, colours = tape.apart(2 * n)
-    changes = np.where(variables % 3 == 2, _CHANGE, _CHANGE * size)
+    outputs, variables, colours = tape.coloured_sparsity(2 * n)
+    changes = np.where(variables % 3 == 2, CHANGE, CHANGE * size)
     changes[variables >= n] /= h
     found = np.zeros(len(outputs))
     for first in range(0, int(colours.max(initial=-1)) + 1, _AT_ONCE):
@@ -231,21 +234,31 @@ class Held(NamedTuple):
         found[np.arange(len(self.rows))[:, None], self.bodies] = self.rows.reshape(-1, 2, 3)
         return found[:, :count].reshape(len(self.rows), 3 * count)
 
+    def scaled(self, inverse: Array) -> csr_array:
+        """Return them as rows of rates whose squares are energies, by inverse masses (b, 3)."""
+        from scipy.sparse import csr_array
 
-def check_followed(found: Stiffness, inverse: Array, held: Held, h: float) -> None:
-    """Raise `StepTooLarge` where steps of this length swing ever farther under forces."""
-    from scipy.sparse import csr_array, identity
+        root = np.sqrt(inverse).ravel()
+        columns = (3 * self.bodies[:, :, None] + np.arange(3)).reshape(-1, 6)
+        values = np.where(columns >= 0, self.rows * root[columns], 0.0)
+        of = np.repeat(np.arange(len(values)), 6)
+        places = of, np.maximum(columns, 0).ravel()
+        return csr_array((values.ravel(), places), (len(values), root.size))
+
+
+def check_followed(found: Stiffness, held: csr_array | Array, h: float) -> None:
+    """Raise `StepTooLarge` where steps of this length swing ever farther under forces.
+
+    `held` (r, n) are rows that contacts and joints hold.
+    """
+    from scipy.sparse import csr_array, diags_array, identity
     from scipy.sparse.linalg import splu
 
-    root, n = np.sqrt(inverse).ravel(), found.size
-    columns = (3 * held.bodies[:, :, None] + np.arange(3)).reshape(-1, 6)
-    values = np.where(columns >= 0, held.rows * root[columns], 0.0)
-    sizes = np.sqrt((values**2).sum(axis=1))
-    values, columns = (values / sizes[:, None])[sizes > 0.0], columns[sizes > 0.0]
-    of = np.repeat(np.arange(len(values)), 6)
-    rows = csr_array((values.ravel(), (of, np.maximum(columns, 0).ravel())), (len(values), n))
-    gram = (rows @ rows.T + _DEPENDENT_SQUARES * identity(len(values))).tocsc()
-    factors = splu(gram) if len(values) else None
+    n, rows = found.size, csr_array(held)
+    sizes = np.sqrt(np.asarray((rows * rows).sum(axis=1))).ravel()
+    rows = diags_array(1.0 / sizes[sizes > 0.0]) @ rows[np.flatnonzero(sizes > 0.0)]
+    gram = (rows @ rows.T + _DEPENDENT_SQUARES * identity(rows.shape[0])).tocsc()
+    factors = splu(gram) if rows.shape[0] else None
 
     def free(x: Array) -> Array:
         # Twice: what is nearly held is left to the rounding of its factors.

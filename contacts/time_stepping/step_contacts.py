@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from contacts.solvers.contact_rows import BEGINS, ON_TRIAL, overload
 from contacts.solvers.impulse_coupling import coupled_contacts
 from contacts.solvers.redundancy import shared_forces
 from contacts.solvers.step_impulses import (
@@ -295,11 +296,12 @@ def _yielding(scene: StepConstants, i: int, h: float) -> float:
 
 
 @kernel
-def _is_alone(groups: Ints, a: int) -> bool:
-    """Return whether a contact is the only one of its group."""
+def _is_alone(groups: Ints, a: int, without: Bools) -> bool:
+    """Return whether a contact is the only one of its group, but for the first ones `without`."""
     alone = True
     for b in range(len(groups)):
-        alone = alone and (b == a or groups[b] != groups[a])
+        left_out = b < len(without) and without[b]
+        alone = alone and (b == a or left_out or groups[b] != groups[a])
     return alone
 
 
@@ -433,24 +435,45 @@ def write_cone(scene: StepConstants, tape: TapeValues, i: int, direction: int, c
 
 @kernel
 def change_friction(
-    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array,
-    began: Bools,
-) -> bool:  # fmt: skip
+    scene: StepConstants, tape: TapeValues, problem: ContactProblem, least: Array, pushes: Array
+) -> bool:
     """Change the friction of contacts whose slip begins or turns; return whether there are.
 
-    A slip that would turn in the step is stopped, as long as static friction holds it. What that
-    does not hold slips under kinetic friction (`began`, in place): each changes twice at most.
+    A slip that would turn in the step stops if static friction bears what would hold it over the
+    whole step; in an impact kinetic friction stops or turns it. What static friction does not hold
+    slips under kinetic friction: what slipped before the step first, then one by one the most
+    overloaded, as each relieves the others. Each contact changes three times at most.
     """
-    changes = False
-    for a in range(len(problem.which)):
-        i, direction = problem.which[a], problem.directions[a]
+    ways, first, most, way, changes = problem.directions, -1, 0.0, 0, False
+    for a in range(len(ways)):
+        i, normal = problem.which[a], pushes[a, 0]
         slip = velocity_after(problem.delassus, least, pushes, a, 1)
-        if not _has_two(scene, i) or began[a] or slip == 0.0 or slip * direction > 0.0:
+        judged = _has_two(scene, i) and abs(ways[a]) != BEGINS and normal > 0.0
+        if not judged or slip == 0.0 or (abs(ways[a]) == 1 and slip * ways[a] > 0.0):
             continue
-        began[a] = direction == 0
-        problem.directions[a] = (1 if slip > 0.0 else -1) if began[a] else 0
-        write_cone(scene, tape, i, problem.directions[a], problem.cones[a])
-        changes = True
+        turned = BEGINS if slip > 0.0 else -BEGINS
+        if abs(ways[a]) == 1:
+            struck = of_group(problem.sudden, problem.groups, problem.groups[a])
+            ways[a], changes = turned if struck and scene.used[i] >= 0 else 0, True
+            write_cone(scene, tape, i, ways[a], problem.cones[a])
+            if not struck:
+                ways[a] = ON_TRIAL
+                problem.wanted[a, 1] -= problem.before[a, 1]
+            continue
+        load = overload(slip, problem.delassus[2 * a + 1, 2 * a + 1], normal, problem.cones[a])
+        if abs(problem.before[a, 1]) > scene.rounding:
+            load = math.inf
+        if load > most:
+            first, most, way = a, load, turned
+    if changes:
+        return True
+    for a in range(len(ways)):
+        if ways[a] == ON_TRIAL and first in (a, -1):
+            ways[a], changes = 0, True
+            problem.wanted[a, 1] += problem.before[a, 1]
+    if first >= 0:
+        ways[first], changes = way, True
+        write_cone(scene, tape, problem.which[first], way, problem.cones[first])
     return changes
 
 
@@ -481,12 +504,9 @@ def contact_problem(
         rebounds[a], sudden[a] = met.hit[i] and scene.restitution[i] > 0.0, met.hit[i]
         if scene.carriers[i] >= 0:
             sudden[a] = met.hit[scene.carriers[i]]
-        if scene.plastic and rebounds[a] and not _is_alone(groups, a):
-            rebounds[a], met.wanted[i, 0] = False, 0.0
         write_cone(scene, tape, i, directions[a], cones[a])
         put(met.before[i], before[a])
         put(met.free[i], free[a])
-        put(met.wanted[i], wanted[a])
         yields[a] = scene.soft[i, 0] > 0.0
         apart[a] = yields[a] or is_coupling(scene, i)
         if yields[a]:
@@ -494,6 +514,10 @@ def contact_problem(
     loads = coupling_loads(scene, which, columns, equations.change, np.zeros((m, 2)), h)
     load_couplings(scene, tape, which, loads, delassus, free)
     for a in range(m):
+        # Couples and compliant forces are finite: no impact is simultaneous with them.
+        if scene.plastic and rebounds[a] and not _is_alone(groups, a, apart):
+            rebounds[a], met.wanted[which[a], 0] = False, 0.0
+        put(met.wanted[which[a]], wanted[a])
         # After an impact bodies turn otherwise than they did: no slip is left to what they did.
         if of_group(sudden, groups[:m], groups[a]):
             wanted[a, 1] = 0.0
@@ -524,7 +548,8 @@ def split_forces(
                 sudden[a], jammed = True, i + 1
             clear = SUM_ROUNDING * (abs(problem.before[a, 0]) + abs(problem.free[a, 0]))
             # The impulses of others decide, too, where there are others.
-            off = least[a, 0] > clear and memory.closed[i] and _is_alone(problem.groups, a)
+            off = least[a, 0] > clear and memory.closed[i]
+            off = off and _is_alone(problem.groups, a, np.zeros(0, np.bool_))
             several = several or (paradox and off)
     steady, slides = steady_impulses(problem, least, pushes, allowed)
     return ContactForces(least, pushes, steady, slides, several, jammed)

@@ -59,8 +59,8 @@ from statechart import interrupts
 from statechart.arrays import EPS, Bools, Ints
 from statechart.automaton.regions import Region, StopCondition
 from statechart.automaton.time_stepper import (
+    DEFAULT_IMPULSES,
     RECORD_ALL,
-    USUAL,
     Impulses,
     RecordingPolicy,
     Sample,
@@ -446,7 +446,7 @@ class Stepper(ABC):
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
         """Check the initial state; see `TimeStepper.start`."""
-        inputs = self._begin(overrides, 0.0, USUAL.tolerance, False)
+        inputs = self._begin(overrides, 0.0, DEFAULT_IMPULSES.tolerance, False)
         if inputs.failure is not None:
             raise inputs.failure
         states = tuple(STATES[code] for code in inputs.codes.tolist())
@@ -460,7 +460,7 @@ class Stepper(ABC):
         until: float,
         max_jumps: int,
         show: Callable[[float, int, int], None],
-        impulses: Impulses = USUAL,
+        impulses: Impulses = DEFAULT_IMPULSES,
         policy: RecordingPolicy = RECORD_ALL,
     ) -> Trace:
         """Run from the declared initial state; see `TimeStepper.run`."""
@@ -478,7 +478,7 @@ class Stepper(ABC):
         step: float,
         until: float,
         max_jumps: int,
-        impulses: Impulses = USUAL,
+        impulses: Impulses = DEFAULT_IMPULSES,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come; see `TimeStepper.stream`."""
         inputs = self._checked_inputs(overrides, step, until, impulses.tolerance)

@@ -140,7 +140,7 @@ class StopConditions:
         active = self._tapes.active.at(codes, controls)
         parts = self._parts(atoms)
         held = [
-            stop.condition.rows(part, active)
+            stop.condition.truths(part, active)
             for stop, part in zip(self._tapes.stops, parts, strict=True)
         ]
         return np.stack(held, axis=1)

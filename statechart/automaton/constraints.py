@@ -11,11 +11,11 @@ import sympy as sp
 from statechart.arrays import Array
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
-from statechart.kernels.tapes import off_by
+from statechart.kernels.tapes import largest_deviation
 
 
 class Constraints(NamedTuple):
-    """Numbers that stay at their targets while a flow lasts."""
+    """Quantities that a flow keeps at their targets."""
 
     tape: Tape  # Outputs: the numbers.
     # (k,): of the outputs; a weight is one through the tolerance, 0 where a number is free.
@@ -24,14 +24,16 @@ class Constraints(NamedTuple):
     # From a state that is off and the absolute time to the nearest one that is not; the same object
     # where it cannot be brought nearer. Of bodies, with other values of the parameters, too.
     project: Callable[..., Array]
-    # Outputs: what falls below minus `room` along a step that did not see something that the flow
-    # meets (a narrow bump under a sliding point); None where that cannot be.
+    # An output below minus `max_depth` along a step shows that the step passed over an obstacle of
+    # the flow (a narrow bump under a sliding point); None where that cannot be.
     within: Tape | None = None
-    room: float = 0.0
+    max_depth: float = 0.0
 
     def off(self, state: Array, parameters: Array, time: float) -> float:
         """Return how far a state is off, in tolerances."""
-        return off_by(*self.tape.program, self.targets, self.weights, state, parameters, time)
+        return largest_deviation(
+            *self.tape.program, self.targets, self.weights, state, parameters, time
+        )
 
 
 NO_CONSTRAINTS = Constraints(

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 HELD = ""
-"""In a role: the state of a region that contributes nothing, so that what it moves rests."""
+"""Role of a region without equations: the coordinates that it moves rest."""
 
 SWITCHES = "switches"
 """In a role behind those of the regions: its share are the signs of the switches of a flow (see
@@ -118,7 +118,7 @@ class Flow(NamedTuple):
     values: Array | None = None
     # Forces may begin beyond their bounds, by the error of the run: then they fall from where they
     # begin.
-    doubted: bool = False
+    near_bound: bool = False
     # The signs of its switches as a role; none where it has no switches. Kept by the executor.
     signs: Roles = ()
 
@@ -134,7 +134,7 @@ class Flow(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """End of a flow, as the laws are asked about it."""
+    """End of a flow, as the input of the laws."""
 
     setup: Setup  # The numbers of the run.
     clock: Clock  # Its time.
@@ -192,7 +192,7 @@ class Laws(Protocol):
         ...
 
     def constraints(self, setup: Setup, roles: Roles, start: float, anchor: Array) -> Constraints:
-        """Return what the states of a flow satisfy.
+        """Return the constraints that the states of a flow satisfy.
 
         The flow begins in the state `anchor` at the time `start`.
         """
@@ -213,7 +213,7 @@ class Laws(Protocol):
 
 
 class CompiledLaws(Protocol):
-    """Unambiguous instants in compiled code: a loop goes on until one needs words or cases."""
+    """Unambiguous instants in compiled code; a loop stops where one needs case analysis."""
 
     @property
     def tapes(self) -> tuple[Tape, ...]:
@@ -249,11 +249,11 @@ class CompiledLaws(Protocol):
         ...
 
     def listed(self, mode: Key, roles: Roles, margins: Sequence[str]) -> Sequence[int] | None:
-        """Return what it is to know of a mode with these margins; None where it cannot enter it."""
+        """Return the data of a mode with these margins; None where the loop cannot enter it."""
         ...
 
     def within(self, mode: Key) -> Tape | None:
-        """Return what is to stay above a room, as `Constraints.within`."""
+        """Return the outputs that must stay above a depth, as `Constraints.within`."""
         ...
 
     def tolerances(self, setup: Setup, state: Array, time: float) -> Mapping[str, float]:

@@ -1,4 +1,4 @@
-"""Mappings and sequences that are made when somebody looks at them."""
+"""Lazy mappings and sequences: items are computed at first access."""
 
 from __future__ import annotations
 
@@ -9,45 +9,45 @@ from typing import Generic, TypeVar, overload
 T = TypeVar("T")
 
 # Number of items, from the first on, that a sequence keeps once they are made.
-_MAX_KEPT = 1 << 12
+_MAX_CACHED = 1 << 12
 
 
 class LazyMapping(Mapping[str, T], Generic[T]):
-    """Mapping made when it is first read."""
+    """Mapping that is computed at its first access."""
 
     def __init__(self, make: Callable[[], Mapping[str, T]]) -> None:
         self._make = make
 
     @cached_property
-    def _made(self) -> Mapping[str, T]:
+    def _mapping(self) -> Mapping[str, T]:
         made = self._make()
         del self._make  # and what it holds
         return made
 
     def __getitem__(self, label: str) -> T:
-        return self._made[label]
+        return self._mapping[label]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._made)
+        return iter(self._mapping)
 
     def __len__(self) -> int:
-        return len(self._made)
+        return len(self._mapping)
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, T]]]:
         return dict, (dict(self),)
 
 
 class LazySequence(Sequence[T], Generic[T]):
-    """Sequence whose items are made when they are read.
+    """Sequence whose items are computed when they are read.
 
     The first ones are kept if it `keeps`. The object in which all of them stand may be its
     `source`, for those who read that; it does not travel.
     """
 
     def __init__(
-        self, make: Callable[[int], T], count: Callable[[], int], *, kept: bool = True
+        self, make: Callable[[int], T], count: Callable[[], int], *, cached: bool = True
     ) -> None:
-        self._make, self._count, self.keeps = make, count, kept
+        self._make, self._count, self.keeps = make, count, cached
         self.source: object = None
         self._seen: dict[int, T] = {}
 
@@ -70,17 +70,17 @@ class LazySequence(Sequence[T], Generic[T]):
         return map(self._at, range(len(self)))
 
     def forget(self, place: int) -> None:
-        """Make what stands at a place anew when it is looked at again."""
+        """Compute the item at a place again at its next access."""
         self._seen.pop(place, None)
 
     def _at(self, place: int) -> T:
         found = self._seen.get(place)
         if found is None:
             found = self._make(place)
-            if self.keeps and place < _MAX_KEPT:
+            if self.keeps and place < _MAX_CACHED:
                 self._seen[place] = found
         return found
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Travel as what is seen here."""
+        """Pickle the items as a tuple."""
         return tuple, (tuple(self),)

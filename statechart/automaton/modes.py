@@ -1,4 +1,4 @@
-"""Equations of a mode, built when it is entered, and reconstruction of what they eliminate."""
+"""Equations of a mode, built when it is entered, and reconstruction of eliminated variables."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def _minimal(
     def inserted(equations: Iterable[sp.Expr]) -> list[sp.Expr]:
         return [e.xreplace(known).xreplace(substitution) for e in equations]
 
-    left = [coordinates.accelerations[i] for i in coordinates.left(elimination)]
+    left = [coordinates.accelerations[i] for i in coordinates.remaining(elimination)]
     forces = [u for u in automaton.unknowns if u not in coordinates.accelerations]
     free = [force for force in forces if force not in elimination.forces]
     held = [force for force in forces if force in elimination.forces]
@@ -164,7 +164,7 @@ def _minimal(
 
 
 def _follows(automaton: Automaton, elimination: Elimination) -> dict[str, Any]:
-    """Return what a mode says of the variables that follow from others."""
+    """Return the fields of a mode that describe its dependent variables."""
     coordinates = automaton.coordinates
     assert coordinates is not None
     rates = dict(zip(coordinates.positions, coordinates.rates, strict=True))
@@ -199,7 +199,7 @@ def _without(margins: Iterable[Margin], hidden: Mapping[sp.Symbol, sp.Expr]) -> 
 def _shared(
     loads: Sequence[Loads], substitution: Mapping[sp.Symbol, sp.Expr]
 ) -> tuple[Definition, ...]:
-    """Solve for what the motion leaves open: forces, displacements, what joints are relieved of.
+    """Solve for what the motion leaves open: shared forces, displacements, relieved joints.
 
     Every unknown has its equation, and the matrix of the pairs is definite but for signs: their
     pivots do not vanish whatever the state is. Displacements are eliminated first, by contacts
@@ -239,7 +239,7 @@ class ModeReconstruction:
     places: Ints32  # (k,): of the outputs among the variables.
     anchors: Tape  # Outputs: the anchors, of the state in which a flow begins.
 
-    def begun(self, state: Array, parameters: Array, time: float) -> Reconstruction:
+    def start(self, state: Array, parameters: Array, time: float) -> Reconstruction:
         """Return the reconstruction in a flow that begins in `state` (n,) at an absolute time."""
         anchors = self.anchors.at(contiguous(state), parameters, time)
         program = self.tape.program

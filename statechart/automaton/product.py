@@ -1,4 +1,4 @@
-"""The product of the regions, as much of it as is asked for; as a networkx graph where one is."""
+"""Product of the regions, explored on demand; as a networkx graph on request."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def explored(
     directions: bool = True,
     unreached: bool = False,
 ) -> Product:
-    """Return the product automaton, or the part of it that is asked for; no other is built.
+    """Return the product automaton, or a part of it; only that part is built.
 
     Regions are orthogonal: an edge changes one of them. A jump of several at once, which no region
     declares, is an edge without guard. The part has the modes up to `within` edges from those

@@ -1,4 +1,4 @@
-"""Minimal coordinates: what a mode holds, solved for some coordinates in closed form.
+"""Minimal coordinates: holonomic constraints of a mode, solved in closed form.
 
 Where the coordinates are phi(z, t), the others z move by fewer equations, in which the forces that
 hold the rest do no work (J. L. Lagrange's equations of the second kind). These forces follow from
@@ -63,7 +63,7 @@ class Coordinates:
     # Parameter: the unit of mass in which modes are solved; where it is 0, in that of the model.
     mass_unit: sp.Symbol | None = None
 
-    def left(self, elimination: Elimination) -> tuple[int, ...]:
+    def remaining(self, elimination: Elimination) -> tuple[int, ...]:
         """Return the places of the coordinates that are left."""
         return tuple(i for i, q in enumerate(self.positions) if q not in elimination.positions)
 
@@ -82,7 +82,7 @@ def eliminated(
     substitution: Known,
     laws: Collection[sp.Expr] = (),
 ) -> Elimination | None:
-    """Solve what is held for coordinates in closed form; None where not all of it can be.
+    """Solve constraints for coordinates in closed form; None where some have no such solution.
 
     A loop that its last joint closes, or a circle, would have to be kept on what it holds by a
     projection that then moves what was eliminated.

@@ -317,7 +317,7 @@ class Region:
         return next((name for name in self.active(state) if name in self.listed), state)
 
     def active(self, state: str) -> tuple[str, ...]:
-        """Return what is active with a state: itself and its superstates, inner first.
+        """Return the active states: a state itself and its superstates, inner first.
 
         Of a configuration of several, each of them with its superstates.
         """

@@ -54,7 +54,7 @@ class Switches:
     gradients: int
     automaton: Automaton
 
-    def piece(self, signs: Any) -> Mode:
+    def mode_with_signs(self, signs: Any) -> Mode:
         """Return the mode with these signs: 1, -1, `SLIDES` or `RESTS`."""
         count = len(self.mode.margins) - len(self.automaton.stop_margins)
         sliding = [i for i, n in enumerate(signs) if n == SLIDES]
@@ -234,7 +234,7 @@ class _Reader:
         self.adds = True
 
     def read(self, node: sp.Expr) -> sp.Expr:
-        """Return a formula with signs in the place of what switches."""
+        """Return a formula with signs in the place of kinked functions."""
         found = self._read.get(node)
         if found is None:
             found = self._read[node] = self._rewritten(node) if node.has(*_KINKS) else node

@@ -18,7 +18,7 @@ class Impulses(NamedTuple):
     bound: float = math.inf  # More ends the run.
 
 
-USUAL = Impulses()
+DEFAULT_IMPULSES = Impulses()
 """Default tolerances."""
 
 
@@ -58,7 +58,7 @@ class TimeStepper(Protocol):
     """Steps a model through time, and recognises the state of every region at every step."""
 
     def start(self, overrides: Mapping[str, float]) -> tuple[Key, tuple[str, ...]]:
-        """Check the initial state; return its mode and what a reader must know.
+        """Check the initial state; return its mode and the warnings.
 
         Raises `DeclarationProblem` if no run can start there, `SimulationError` if the model has
         what the stepper lacks.
@@ -73,7 +73,7 @@ class TimeStepper(Protocol):
         until: float,
         max_jumps: int,
         show: Callable[[float, int, int], None],
-        impulses: Impulses = USUAL,
+        impulses: Impulses = DEFAULT_IMPULSES,
         policy: RecordingPolicy = RECORD_ALL,
     ) -> Trace:
         """Run from the declared initial state.
@@ -93,7 +93,7 @@ class TimeStepper(Protocol):
         step: float,
         until: float,
         max_jumps: int,
-        impulses: Impulses = USUAL,
+        impulses: Impulses = DEFAULT_IMPULSES,
     ) -> Iterator[Arc | Jump]:
         """Yield arcs and jumps as they come, an arc ending wherever the run is looked at.
 

@@ -102,7 +102,7 @@ LARGEST = 2**28
 # A jump and its arc take so many beside what they hold in arrays.
 _JUMP = 2048
 # Arcs, or jumps, that are made once for all who look at a run: some 200 MB.
-_AT_HAND = 200_000
+_MAX_PREPARED = 200_000
 
 Key = tuple[str, ...]
 """A product mode: the state of every region, in the automaton's order."""
@@ -274,7 +274,7 @@ class Jump:
     skipped: float = 0.0
 
 
-_UNTOLD = "an unknown amount, as an event is met too slowly or errors grow too fast"
+_UNKNOWN_AMOUNT = "an unknown amount, as an event is met too slowly or errors grow too fast"
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class Motion:
         most = f"{self.local:.2g} of the size of a variable ({self.of} from t = {self.at:.6g} on)"
         if not self.proved:
             return f"not proved: a step may be off by {most}"
-        whole = f"about {self.whole:.2g}" if self.whole < math.inf else _UNTOLD
+        whole = f"about {self.whole:.2g}" if self.whole < math.inf else _UNKNOWN_AMOUNT
         return f"interval enclosure: no step is off by more than {most}, the whole run by {whole}"
 
 
@@ -400,12 +400,12 @@ class Trace:
         return np.fromiter(self.parameters.values(), float, len(self.parameters))
 
     def at_hand(self) -> Trace:
-        """Return the run with its arcs and jumps made, for who looks at them again and again.
+        """Return the run with all arcs and jumps as objects, for repeated access.
 
         A very long one is returned as it is: made, it takes ten times the memory.
         """
         passing = isinstance(self.arcs, LazySequence) and not self.arcs.keeps
-        if passing or max(len(self.arcs), len(self.jumps)) > _AT_HAND:
+        if passing or max(len(self.arcs), len(self.jumps)) > _MAX_PREPARED:
             return self
         return replace(self, arcs=tuple(self.arcs), jumps=tuple(self.jumps))
 

@@ -28,8 +28,8 @@ Kind = tuple[Key, Roles]
 
 ARCS, TIMES, TERMS, EVENTS = range(4)
 """Places in `TraceBuffer.used`."""
-MADE = -1
-"""As the kind of an event's source: the jump is kept as it was made."""
+JUMP_OBJECT = -1
+"""Kind of an event that the store holds as a `Jump`."""
 
 # Size of a buffer: arcs and events, times, coefficients.
 _ARCS, _TIMES, _TERMS = 1 << 13, 1 << 14, 1 << 19
@@ -360,7 +360,7 @@ class TraceRecorder(TraceStore):
         self._reserve(0, 0, 0, 1)
         self.made[len(self.jumps)] = jump
         block = self.buffer
-        block.events[block.used[EVENTS]] = MADE
+        block.events[block.used[EVENTS]] = JUMP_OBJECT
         block.used[EVENTS] += 1
 
     def replace_last(self, jump: Jump) -> None:

@@ -45,7 +45,7 @@ class _Flattening:
 
     def __init__(self, name: str, found: Tree, loc: tuple[str | int, ...]) -> None:
         self._name, self._tree, self._loc = name, found, loc
-        self._named: dict[str, tuple[Nodes, Memory]] = {}
+        self._named: dict[str, tuple[Nodes, Histories]] = {}
         self._clocks = {
             place: f"{name}.{arrow.declared.name}_clock"
             for place, arrow in enumerate(found.arrows)
@@ -62,7 +62,7 @@ class _Flattening:
             range(len(found.arrows)), key=lambda place: (rank[found.arrows[place].source], place)
         )
         # While its parent is active, only transitions inside it can read a history.
-        self._recalled = {
+        self._remembered = {
             arrow.target
             for arrow in found.arrows
             if arrow.target >= 0
@@ -122,13 +122,13 @@ class _Flattening:
     def take(self, name: str, taken: tuple[int, ...]) -> FlatTransition:
         """Return the transition that takes some arrows together out of a configuration."""
         step = microstep(self._tree, *self._named[name], taken)
-        return self._transition(name, self._name_of(step.active, step.memory), step)
+        return self._transition(name, self._name_of(step.active, step.histories), step)
 
     def _contents(self, active: Nodes) -> tuple[BaseState, ...]:
         holders = (self._tree.nodes[node].declared for node in sorted(active))
         return tuple(holder for holder in holders if isinstance(holder, BaseState))
 
-    def _takeable(self, active: Nodes, memory: Memory) -> Iterable[tuple[int, ...]]:
+    def _takeable(self, active: Nodes, memory: Histories) -> Iterable[tuple[int, ...]]:
         """Yield which arrows may be taken together, alone first."""
         arrows = self._tree.arrows
         out = [i for i in self._ranks if arrows[i].source in active]
@@ -159,7 +159,7 @@ class _Flattening:
             if count is not None:
                 updates[count] = f"{count} + 1"
             blocks.append(updates)
-        blocks += [self._entered(node, step.memory) for node in step.entries]
+        blocks += [self._entered(node, step.histories) for node in step.entries]
         return FlatTransition(
             "+".join(member.name for member in members),
             source,
@@ -186,7 +186,7 @@ class _Flattening:
             over = f"(1 - {count})*({TIME} - {clock} - ({declared.period})) >= {count}"
         return conjunction((over,) if declared.guard is None else (over, declared.guard))
 
-    def _entered(self, node: int, memory: Memory) -> Updates:
+    def _entered(self, node: int, memory: Histories) -> Updates:
         declared = self._tree.nodes[node].declared
         began: dict[str, FiniteText] = {}
         for place, clock in self._clocks.items():
@@ -196,13 +196,13 @@ class _Flattening:
                     began[self._counts[place]] = 0
         return {**(declared.entry if isinstance(declared, BaseState) else {}), **began}
 
-    def _name_of(self, active: Nodes, memory: Memory) -> str:
+    def _name_of(self, active: Nodes, memory: Histories) -> str:
         """Return the name of a configuration, which is added where it is new."""
         found = self._tree
         kept = {
             history: remembered
             for history, remembered in sorted(memory.items())
-            if (found.nodes[history].parent not in active or history in self._recalled)
+            if (found.nodes[history].parent not in active or history in self._remembered)
             and remembered != self._default(history)
         }
         words = [
@@ -216,7 +216,7 @@ class _Flattening:
         return name
 
     def _default(self, history: int) -> Nodes:
-        """Return what a history would remember after what is entered without it."""
+        """Return the states that a history stands for before its parent was left."""
         nodes, first = self._tree.nodes, self._tree.remembered_first(history)
         deep = nodes[history].sort is Sort.DEEP
         return first if all(nodes[n].sort is Sort.ATOMIC or not deep for n in first) else Nodes()
@@ -382,7 +382,7 @@ class FlatRegion:
     superstates: Mapping[str, str]  # as of a `statechart.automaton.regions.Region`
     nesting: Nesting  # what else was declared of the hierarchy
     _tree: Tree
-    _configurations: Mapping[str, tuple[Nodes, Memory]]
+    _configurations: Mapping[str, tuple[Nodes, Histories]]
     # Configuration -> arrows out of it, those of inner states first.
     triggers: Mapping[str, tuple[Trigger, ...]]
     _flattening: _Flattening
@@ -438,14 +438,14 @@ class FlatRegion:
         return tuple(dict.fromkeys(chain.from_iterable(self.nesting.done.values())))
 
     def shared(self, part: str) -> Shared | None:
-        """Return what two states that are active side by side both set in a part, the first."""
+        """Return the first variable that two orthogonal states both set in a part."""
         owners: dict[str, list[int]] = {}
         for index, node in enumerate(self._tree.nodes):
             if not isinstance(node.declared, BaseState):
                 continue
             for what in getattr(node.declared, part, ()):
                 for other in owners.setdefault(what, []):
-                    if self._tree.beside(index, other):
+                    if self._tree.are_orthogonal(index, other):
                         return Shared(what, self._tree.nodes[other].name, node.name)
                 owners[what].append(index)
         return None
@@ -474,7 +474,7 @@ def causes_of(regions: Mapping[str, FlatRegion]) -> dict[str, tuple[str, ...]]:
 
 
 def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
-    """Return what a variable measures by which transitions wait; empty for another."""
+    """Return the dimension of a timer; empty for another variable."""
     for region in regions:
         if name in region.timers:
             return "time" if name in region.clocks else "1"
@@ -482,8 +482,8 @@ def timed(regions: Iterable[FlatRegion], name: str) -> Dimension:
 
 
 Nodes = frozenset[int]
-Memory = Mapping[int, Nodes]
-"""History -> what was active of its parent when that was last left."""
+Histories = Mapping[int, Nodes]
+"""History -> the active descendants of its parent when that was last left."""
 
 
 class Microstep(NamedTuple):
@@ -493,7 +493,7 @@ class Microstep(NamedTuple):
     exits: tuple[int, ...]  # nodes, in the order in which they are left and entered
     entries: tuple[int, ...]
     active: Nodes  # what is active then
-    memory: Memory  # what is remembered then
+    histories: Histories  # what is remembered then
 
 
 def beginning(tree: Tree) -> Microstep:
@@ -511,7 +511,7 @@ def leaves(tree: Tree, active: Collection[int]) -> list[int]:
 
 
 def selected(
-    tree: Tree, active: Nodes, memory: Memory, enabled: Collection[int]
+    tree: Tree, active: Nodes, memory: Histories, enabled: Collection[int]
 ) -> tuple[int, ...]:
     """Return which of the enabled arrows are taken together, in order.
 
@@ -537,7 +537,7 @@ def selected(
     return tuple(kept)
 
 
-def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -> Microstep:
+def microstep(tree: Tree, active: Nodes, memory: Histories, taken: Iterable[int]) -> Microstep:
     """Return what taking some arrows together does: the algorithm of SCXML, appendix D.
 
     An arrow leaves its source and all up to the innermost compound state that holds source and
@@ -571,7 +571,7 @@ def microstep(tree: Tree, active: Nodes, memory: Memory, taken: Iterable[int]) -
     )
 
 
-def _exit_set(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
+def _exit_set(tree: Tree, active: Nodes, memory: Histories, place: int) -> Nodes:
     """Return the exit set of an arrow."""
     if tree.arrows[place].target < 0:
         return frozenset()
@@ -579,7 +579,7 @@ def _exit_set(tree: Tree, active: Nodes, memory: Memory, place: int) -> Nodes:
     return frozenset(node for node in active if tree.holds(domain, node))
 
 
-def _domain(tree: Tree, memory: Memory, place: int) -> int:
+def _domain(tree: Tree, memory: Histories, place: int) -> int:
     """Return the innermost compound state that holds source and targets of an arrow."""
     arrow = tree.arrows[place]
     if arrow.declared.internal:
@@ -592,7 +592,7 @@ def _domain(tree: Tree, memory: Memory, place: int) -> int:
     )
 
 
-def _effective_targets(tree: Tree, memory: Memory, target: int) -> Nodes:
+def _effective_targets(tree: Tree, memory: Histories, target: int) -> Nodes:
     """Return what a target stands for: of a history, what is remembered."""
     node = tree.nodes[target]
     if node.sort not in HISTORIES:
@@ -600,7 +600,7 @@ def _effective_targets(tree: Tree, memory: Memory, target: int) -> Nodes:
     return memory.get(target, tree.remembered_first(target))
 
 
-def _descend(tree: Tree, state: int, found: set[int], memory: Memory) -> None:
+def _descend(tree: Tree, state: int, found: set[int], memory: Histories) -> None:
     """Add a state and what is entered in it; of a history, what it stands for."""
     node = tree.nodes[state]
     if node.sort in HISTORIES:
@@ -618,7 +618,7 @@ def _descend(tree: Tree, state: int, found: set[int], memory: Memory) -> None:
         _enter_regions(tree, state, found, memory)
 
 
-def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Memory) -> None:
+def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Histories) -> None:
     """Add what holds a state, up to `outer`, with the regions beside it."""
     for node in tree.above[state]:
         if node == outer:
@@ -628,7 +628,7 @@ def _ascend(tree: Tree, state: int, outer: int, found: set[int], memory: Memory)
             _enter_regions(tree, node, found, memory)
 
 
-def _enter_regions(tree: Tree, parallel: int, found: set[int], memory: Memory) -> None:
+def _enter_regions(tree: Tree, parallel: int, found: set[int], memory: Histories) -> None:
     for child in tree.nodes[parallel].children:
         if not any(tree.holds(child, node) for node in found):
             _descend(tree, child, found, memory)

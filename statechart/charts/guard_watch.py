@@ -36,7 +36,7 @@ from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, t
 from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
 from statechart.automaton.trace import Jump, Key
 from statechart.charts.flatten import FlatRegion, FlatTransition
-from statechart.formulas.condition import Active
+from statechart.formulas.condition import Active, AtomsAt, Condition
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -126,17 +126,21 @@ class GuardWatch:
     @cached_property
     def singles(self) -> list[int]:
         """The places of atoms that are guards by themselves."""
-        found = zip(self.conditions, self.firsts, strict=True)
-        return [first for condition, first in found if condition.single]
+        return [first for _, condition, first in self.placed if condition.single]
+
+    @cached_property
+    def placed(self) -> list[tuple[Guard, Condition, int]]:
+        """The guards, their conditions, and the places of the first atoms of these."""
+        return [*zip(self.guards, self.conditions, self.firsts, strict=True)]
 
     def valueless(self, rows: Array) -> str | None:
         """Return the name of a guard of one atom that has no value; None where there is none."""
         return next((self.margins[k] for k in self.singles if math.isnan(rows[k, 0])), None)
 
-    def hold(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
+    def truths(self, atoms: Bools, active: Callable[[str, str], Bools]) -> Bools:
         """Return which guards (m, g) hold, from their atoms (m, a); `active` returns (m,)."""
         found = [
-            condition.rows(atoms[:, first : first + len(condition.atoms)], active)
+            condition.truths(atoms[:, first : first + len(condition.atoms)], active)
             for condition, first in zip(self.conditions, self.firsts, strict=True)
         ]
         return np.stack(found, axis=1) if found else np.zeros((len(atoms), 0), np.bool_)
@@ -150,9 +154,7 @@ class GuardWatch:
         atoms: list[bool] = (rows[:, 0] <= np.where(self.closed, bounds, -bounds)).tolist()
         return {
             (guard.place, guard.trigger)
-            for guard, condition, first in zip(
-                self.guards, self.conditions, self.firsts, strict=True
-            )
+            for guard, condition, first in self.placed
             if condition.truth(atoms[first : first + len(condition.atoms)].__getitem__, active)
         }
 
@@ -161,7 +163,7 @@ class GuardWatch:
 
         Two that follow each other within the tolerance are taken at once, with nothing in between.
         """
-        for guard, condition, first in zip(self.guards, self.conditions, self.firsts, strict=True):
+        for guard, condition, first in self.placed:
             if (guard.place, guard.trigger) not in due or not condition.single:
                 continue
             margin, size = rows[first, 0], rows[first, 3]
@@ -214,25 +216,42 @@ class Judgement:
         later: Callable[[str], float],
         active: Active,
     ) -> None:
-        self._watch, self._rows, self._fired = watch, rows.tolist(), fired
-        self._relative, self._later, self._active = relative, later, active
-        self._flow = tolerances
-        self._tolerances = [tolerances[margin] for margin in watch.margins]
-        if math.inf in self._tolerances:
-            fresh = watch.tolerances(rows, relative)
-            self._tolerances = [
-                known if known < math.inf else fresh[margin]
-                for known, margin in zip(self._tolerances, watch.margins, strict=True)
-            ]
-        self._atoms: dict[int, bool | None] = {}
-        self._rests = {k for k, still in enumerate(watch.still) if still}
+        self._watch, self._flow, self._active = watch, tolerances, active
+        own = [tolerances[margin] for margin in watch.margins]
+        if math.inf in own:
+            fresh = watch.tolerances(rows, relative).values()
+            own = [one if one < math.inf else new for one, new in zip(own, fresh, strict=True)]
+        table = rows.tolist()
+
+        def way(k: int) -> float:
+            _, first, second, _, slow, slower = table[k]
+            if not abs(first) <= relative * slow:
+                return float(first)
+            if not abs(second) <= relative * slower:
+                return float(second)
+            return 0.0 if watch.still[k] else later(watch.margins[k])
+
+        self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
+        self._atoms = AtomsAt(
+            [row[0] for row in table], own, watch.closed.tolist(), way,
+            fell=self._fell, alone=watch.singles, still=watch.still,
+        )  # fmt: skip
 
     def due(self) -> set[tuple[int, int]]:
-        """Return place and trigger of the guards that are true."""
+        """Return place and trigger of the guards that are true.
+
+        One of several atoms that the flow came to is also where it is true at this very instant.
+        """
+        atoms, active = self._atoms, self._active
         return {
             (guard.place, guard.trigger)
-            for k, guard in enumerate(self._watch.guards)
-            if self._truth(k) or self._touched(k)
+            for guard, condition, first in self._watch.placed
+            if atoms.truth(condition, first, active)
+            or (
+                not condition.single
+                and any(first <= k < first + len(condition.atoms) for k in self._fell)
+                and atoms.touched(condition, first, active)
+            )
         }
 
     def watched(self) -> Mapping[str, float]:
@@ -243,74 +262,14 @@ class Judgement:
         if self._watch.single:
             return self._flow
         found = dict(self._flow)
-        for k, (condition, first) in enumerate(
-            zip(self._watch.conditions, self._watch.firsts, strict=True)
-        ):
+        for _, condition, first in self._watch.placed:
             if condition.single:
                 continue
-            places = range(len(condition.atoms))
-            certificate = frozenset(places)
-            if self._truth(k) is not None:
-                rests = [first + atom in self._rests for atom in places]
-                certificate = condition.certificate(self._of(k), self._active, rests.__getitem__)
-            for atom in places:
-                known = self._tolerances[first + atom] if atom in certificate else math.inf
-                found[self._watch.margins[first + atom]] = known
+            chosen = self._atoms.certificate(condition, first, self._active)
+            for k in range(first, first + len(condition.atoms)):
+                known = self._atoms.tolerances[k] if k in chosen else math.inf
+                found[self._watch.margins[k]] = known
         return found
-
-    def _truth(self, guard: int) -> bool | None:
-        """Return whether a guard is true from here on."""
-        return self._watch.conditions[guard].truth(self._of(guard), self._active)
-
-    def _touched(self, guard: int) -> bool:
-        """Return whether a guard of several atoms is true at this very instant."""
-        condition, first = self._watch.conditions[guard], self._watch.firsts[guard]
-        places = range(first, first + len(condition.atoms))
-        if condition.single or not any(self._watch.margins[k] in self._fired for k in places):
-            return False
-
-        def of(atom: int) -> bool:
-            place = first + atom
-            margin, tolerance = self._rows[place][0], self._tolerances[place]
-            return margin <= (tolerance if self._watch.closed[place] else -tolerance)
-
-        return bool(condition.truth(of, self._active))
-
-    def _of(self, guard: int) -> Callable[[int], bool | None]:
-        first = self._watch.firsts[guard]
-
-        def of(atom: int) -> bool | None:
-            place = first + atom
-            if place not in self._atoms:
-                self._atoms[place] = self._holds(place)
-            return self._atoms[place]
-
-        return of
-
-    def _holds(self, atom: int) -> bool | None:
-        """Return whether an atom holds from here on; None where its margin has no value."""
-        margin, first, second, _, slow, slower = self._rows[atom]
-        name, tolerance = self._watch.margins[atom], self._tolerances[atom]
-        strict = not self._watch.closed[atom]
-        fell = name in self._fired
-        if not (fell or margin <= tolerance):
-            return None if math.isnan(margin) else False
-        if not abs(first) <= self._relative * slow:
-            rate = first
-        elif not abs(second) <= self._relative * slower:
-            rate = second
-        elif margin < -tolerance or self._watch.still[atom]:
-            rate = 0.0
-        else:
-            rate = self._later(name)
-        if rate == 0.0 and abs(margin) <= tolerance and atom not in self._watch.singles:
-            # An atom that stays on its boundary is no more watched in this flow.
-            self._rests.add(atom)
-            return not strict
-        if fell:
-            # The search found a fall, or a touch too close to tell: then it must not rise.
-            return margin < -tolerance or not rate > 0.0
-        return margin < -tolerance or rate < 0.0 or (rate == 0.0 and not strict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +340,7 @@ def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
 
 
 def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:
-    """Return what else than a transition could have been taken, and why not, of a region."""
+    """Return a function from a taken transition to the others of a region, and why not those."""
     leaving: dict[str, list[Edge]] = {}
     for edge in region.edges:
         leaving.setdefault(edge.source, []).append(edge)
@@ -408,7 +367,7 @@ class Listening:
             name: region.awaited for name, region in declared.items() if region.awaited
         }
 
-    def heard(
+    def pending_after(
         self, pending: Mapping[str, tuple[Raised, ...]], jump: Jump
     ) -> dict[str, tuple[Raised, ...]]:
         """Return what is pending once `jump` has happened; a region hears its own ends alone."""

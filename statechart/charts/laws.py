@@ -241,7 +241,7 @@ class ChartLaws:
             ),
             held=held,
             summed=summed,
-            pending=self._listening.heard(pending, jump),
+            pending=self._listening.pending_after(pending, jump),
             signs=(),
         )
         return jump, self._with_tolerances(setup, clock, following, after)

@@ -1,4 +1,4 @@
-"""The states of a region as a tree, checked: what holds what, and where transitions lead.
+"""State tree of a region: nesting, and sources and targets of transitions, checked.
 
 Words as in SCXML (W3C Recommendation of 1 September 2015): a state without states is atomic, one
 with states is compound, one with regions is parallel; its regions are compound states. Nodes are
@@ -99,7 +99,7 @@ class Tree:
         return next(node for node in (other, *self.above[other]) if node in path)
 
     def remembered_first(self, history: int) -> frozenset[int]:
-        """Return what a history stands for as long as nothing is remembered."""
+        """Return the states that a history stands for before its parent was left."""
         node = self.nodes[history]
         return frozenset((node.initial,) if node.initial >= 0 else self.nodes[node.parent].children)
 
@@ -127,8 +127,8 @@ class Tree:
             last[parent] = max(last[parent], last[index])
         return tuple(sorted(range(len(self.nodes)), key=lambda node: (last[node], -node)))
 
-    def beside(self, one: int, other: int) -> bool:
-        """Tell whether two nodes are in different regions of a state, active side by side."""
+    def are_orthogonal(self, one: int, other: int) -> bool:
+        """Return whether two nodes are orthogonal: in different regions of one state."""
         meet = self.common(one, other)
         return meet not in (one, other) and self.nodes[meet].sort is Sort.PARALLEL
 
@@ -183,7 +183,7 @@ def tree(region: BaseRegion, *loc: str | int) -> Tree:
     bare = Tree(tuple(nodes), ())
     written = list(declared_transitions(region, *loc))
     arrows = [_arrow(bare, places, *found, by_place) for found in written]
-    _check_apart(arrows, [at for _, at in written])
+    _check_distinct(arrows, [at for _, at in written])
     return Tree(tuple(nodes), tuple(arrows))
 
 
@@ -207,7 +207,7 @@ def _check_none(keys: Sequence[str], at: Loc, reason: str, advice: str) -> None:
 
 
 def _check_state(name: str, state: BaseState, at: Loc) -> None:
-    """Check that what a state says of the states in it makes sense by itself."""
+    """Check the keys of a state that describe its substates."""
     if state.history is not None:
         _check_none(
             sorted(state.model_fields_set - {"history", "initial"}), at,
@@ -320,7 +320,7 @@ def _arrow(
         )
     if target < 0:
         return Arrow(declared, source, -1)
-    if bare.beside(source, target):
+    if bare.are_orthogonal(source, target):
         meet = bare.common(source, target)
         raise DeclarationProblem(
             f"{declared.source!r} and {declared.target!r} are in regions of "
@@ -332,7 +332,7 @@ def _arrow(
     return Arrow(declared, source, target)
 
 
-def _check_apart(arrows: list[Arrow], locs: list[Loc]) -> None:
+def _check_distinct(arrows: list[Arrow], locs: list[Loc]) -> None:
     """Check that transitions can be told apart, and that none is always preceded by another."""
     named: set[tuple[str, int, int]] = set()
     timed: set[str] = set()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,36 +18,35 @@ from pydantic import BaseModel
 from statechart.charts.transitions import Transition
 from statechart.documents.declaration import Declaration
 from statechart.documents.fields import TIME, value_of
-from statechart.errors import DeclarationProblem, Loc
-from statechart.formulas.formula import parse
-from statechart.formulas.tree import JUMPS
+from statechart.errors import DeclarationProblem, FormulaError, Loc
+from statechart.formulas.formula import Formula, parse
+from statechart.formulas.relation import parse_relation
+from statechart.formulas.tree import JUMPS, Call, Node, names_in, nodes
 
 Document = TypeVar("Document", bound=Declaration)
 
 STATE = "on"
 """The only state of a region that counts."""
 
-_CALL = re.compile(rf"(?<![\w.])({'|'.join(sorted(JUMPS))})\s*\(")
-_TIME = re.compile(rf"(?<![\w.]){TIME}\b")
 _ATOM = re.compile(r"[\w.]+")
 # Those of what is computed once, and of what is read off a run.
-_APART = frozenset(("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings"))
+_NOT_WRAPPED = frozenset(
+    ("parameters", "ranges", "units", "outputs", "stop", "invariants", "settings")
+)
 _EVENTS = {"mod": ("wrap", "unwrap"), "floor": ("rise", "fall")}
 
 
-class Call(NamedTuple):
-    """A call of `mod` or `floor` whose first argument uses the time."""
+class Wrap(NamedTuple):
+    """A call of `mod` or `floor` whose first argument uses the time, in a text."""
 
-    function: str
+    call: Call
     value: str
     period: str
-    start: int  # Its place in the text, and the end of it.
-    end: int
 
     @property
     def key(self) -> tuple[str, str, str]:
         """Its function and arguments: calls that are alike share a count."""
-        return self.function, self.value, self.period
+        return self.call.function, self.value, self.period
 
 
 class Count(NamedTuple):
@@ -65,23 +65,24 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
         names = getattr(document, part)
         taken |= names.keys() if isinstance(names, Mapping) else set()
 
-    def name(call: Call) -> str:
-        if call.key not in regions:
-            own, number = call.function, 1
+    def name(wrap: Wrap) -> str:
+        if wrap.key not in regions:
+            function = wrap.call.function
+            own, number = function, 1
             while own in taken:
                 number += 1
-                own = f"{call.function}{number}"
+                own = f"{function}{number}"
             taken.add(own)
-            regions[call.key] = own
-        return regions[call.key]
+            regions[wrap.key] = own
+        return regions[wrap.key]
 
     def rewritten(value: Any) -> Any:
         if isinstance(value, str):
-            for call in reversed(list(calls(value))):
-                count = f"{name(call)}.count"
+            for wrap in reversed(list(wraps(value))):
+                count, call = f"{name(wrap)}.count", wrap.call
                 if call.function == "mod":
-                    count = f"({call.value} - {_factor(call.period)}*{count})"
-                value = value[: call.start] + count + value[call.end :]
+                    count = f"({wrap.value} - {_factor(wrap.period)}*{count})"
+                value = value[: call.offset] + count + value[call.marks[-1] + 1 :]
             return value
         if isinstance(value, BaseModel):
             own = {field: getattr(value, field) for field in type(value).model_fields}
@@ -97,7 +98,7 @@ def counted(document: Document) -> tuple[Document, Mapping[str, Count]]:
         return value
 
     fields = {part: getattr(document, part) for part in type(document).model_fields}
-    fields |= {part: rewritten(value) for part, value in fields.items() if part not in _APART}
+    fields |= {part: rewritten(value) for part, value in fields.items() if part not in _NOT_WRAPPED}
     if not regions:
         return document, {}
     counts = {own: _count(own, *key) for key, own in regions.items()}
@@ -112,7 +113,7 @@ def _count(region: str, function: str, value: str, period: str) -> Count:
         ways.append((down, f"{value} < {count}*{period}", f"{count} - 1"))
     return Count(
         count,
-        f"floor({_TIME.sub('0', _factor(value))}/{period})",
+        f"floor({_factor(_at_start(value))}/{period})",
         tuple(
             Transition(**{"name": event, "from": STATE, "guard": guard, "updates": {count: to}})
             for event, guard, to in ways
@@ -124,21 +125,31 @@ def _factor(text: str) -> str:
     return text if _ATOM.fullmatch(text) else f"({text})"
 
 
-def calls(text: str) -> Iterator[Call]:
-    """Yield the calls in a formula or a relation."""
-    for found in _CALL.finditer(text):
-        depth, places = 0, [found.end()]
-        for place in range(found.end() - 1, len(text)):
-            depth += {"(": 1, ")": -1}.get(text[place], 0)
-            if not depth:
-                break
-            if depth == 1 and text[place] == ",":
-                places.append(place + 1)
-        places.append(place + 1)
-        parts = [text[a : b - 1].strip() for a, b in pairwise(places)]
-        value, period = (*parts, "1")[:2]
-        if _TIME.search(value):
-            yield Call(found[1], value, period, found.start(), place + 1)
+def _at_start(text: str) -> str:
+    """Return a formula with 0 in the place of the time."""
+    for name in reversed([*names_in(parse(text).root)]):
+        if name.name == TIME:
+            text = text[: name.offset] + "0" + text[name.offset + len(TIME) :]
+    return text
+
+
+def wraps(text: str) -> Iterator[Wrap]:
+    """Yield the calls in a formula or a relation; none where a text is neither."""
+    formulas: tuple[Formula, ...] = ()
+    if any(function in text for function in JUMPS):
+        with suppress(FormulaError):
+            formulas = (parse(text),)
+        if not formulas:
+            with suppress(FormulaError):
+                formulas = parse_relation(text).formulas
+    for call in (node for formula in formulas for node in nodes(formula.root)):
+        if isinstance(call, Call) and call.function in JUMPS and _uses_time(call.arguments[0]):
+            parts = [text[a + 1 : b].strip() for a, b in pairwise(call.marks)]
+            yield Wrap(call, *(*parts, "1")[:2])
+
+
+def _uses_time(node: Node) -> bool:
+    return any(name.name == TIME for name in names_in(node))
 
 
 def check_wrapping(
@@ -150,48 +161,50 @@ def check_wrapping(
     `DeclarationProblem` at the first that is not.
     """
     for loc, text in _texts(document, ()):
-        for call in calls(text):
-            _check(document, call, loc, values)
-            if loc[0] in _APART or any(loc[: len(part)] == part for part in still):
+        for wrap in wraps(text):
+            call = wrap.call
+            _check(document, wrap, loc, values)
+            if loc[0] in _NOT_WRAPPED or any(loc[: len(part)] == part for part in still):
                 raise DeclarationProblem(
                     f"{call.function} jumps, and cannot stand in this field",
                     advice="write it in paths of surfaces and led bodies, flows, forces, controls, "
                     "guards, or enabled",
                     loc=loc,
-                    offset=call.start,
+                    offset=call.offset,
                 )
 
 
-def _check(document: Declaration, call: Call, loc: Loc, values: Mapping[str, float]) -> None:
-    used = parse(call.value).names | parse(call.period).names
+def _check(document: Declaration, wrap: Wrap, loc: Loc, values: Mapping[str, float]) -> None:
+    call, function = wrap.call, wrap.call.function
+    used = {name.name for name in names_in(call)}
     others = sorted(used - {TIME, *document.parameters})
-    others += ["a formula that jumps"] if _CALL.search(call.value) else []
+    inside = (node.function for node in nodes(call.arguments[0]) if isinstance(node, Call))
+    others += ["a formula that jumps"] if any(name in JUMPS for name in inside) else []
     if others:
         raise DeclarationProblem(
-            f"{call.function} of {others[0]} is not periodic in time",
-            advice=f"write {call.function} of {TIME} and parameters, as in mod({TIME}, T); of what "
+            f"{function} of {others[0]} is not periodic in time",
+            advice=f"write {function} of {TIME} and parameters, as in mod({TIME}, T); of what "
             "else changes, write a region whose transition to its own state counts",
             loc=loc,
-            offset=call.start,
+            offset=call.offset,
         )
-    if TIME in parse(call.period).names:
+    if TIME in parse(wrap.period).names:
         problem = "changes"
     else:
-        found = value_of(call.period, values, *loc)
+        found = value_of(wrap.period, values, *loc)
         problem = "" if 0.0 < found < math.inf else f"is {found:g}"
     if problem:
         raise DeclarationProblem(
-            f"the period of {call.function} {problem}",
+            f"the period of {function} {problem}",
             advice="write a number above 0, or a formula of parameters",
             loc=loc,
-            offset=call.start,
+            offset=call.offset,
         )
 
 
 def _texts(value: Any, loc: Loc) -> Iterator[tuple[Loc, str]]:
     if isinstance(value, str):
-        if _CALL.search(value):
-            yield loc, value
+        yield loc, value
     elif isinstance(value, BaseModel):
         for field in type(value).model_fields.keys() - {"doc"}:
             yield from _texts(getattr(value, field), (*loc, field))

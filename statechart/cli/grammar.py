@@ -77,6 +77,8 @@ def read(arguments: Sequence[str] | None) -> argparse.Namespace:
     (verbs,) = (one for one in whole._actions if isinstance(one, argparse._SubParsersAction))
     words = sys.argv[1:] if arguments is None else arguments
     first = next((word for word in words if not word.startswith("-")), None)
+    if not words:
+        whole.error(f"no verb; such as: statechart run FILE; known: {', '.join(verbs.choices)}")
     if first is not None and first not in verbs.choices:
         whole.error(f"no verb {first!r}; {close_matches(first, verbs.choices)}")
     chosen, unknown = whole.parse_known_args(arguments)
@@ -266,6 +268,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, which the list of all options would hide."""
 
     def error(self, message: str) -> NoReturn:
+        message = message.replace("the following arguments are required", "missing")
         self.exit(2, f"{self.prog}: error: {message}\nfor the options: {self.prog} --help\n")
 
 

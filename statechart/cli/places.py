@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from statechart.documents.declaration import Declaration
-    from statechart.reporting.pieces import Pieces
+    from statechart.reporting.partial_report import PartialReport
     from statechart.running.runner import Runner
     from statechart.study.study import Study
     from statechart.sweeps.plan import Plan
@@ -71,7 +71,7 @@ def is_store(output: str | None) -> bool:
     return output is not None and Path(output).suffix == _STORE
 
 
-def kept_study(arguments: argparse.Namespace) -> Study | None:
+def stored_study(arguments: argparse.Namespace) -> Study | None:
     """Return the study that `trade` has left in the folder of the results."""
     if arguments.output is None or (arguments.accuracy is None and arguments.budget is None):
         return None
@@ -152,7 +152,7 @@ def check_sweep(arguments: argparse.Namespace, plan: Plan) -> None:
 
 
 def write_sweep(
-    arguments: argparse.Namespace, plan: Plan, data: xr.Dataset, pieces: Pieces
+    arguments: argparse.Namespace, plan: Plan, data: xr.Dataset, pieces: PartialReport
 ) -> None:
     """Write the file and the picture of a sweep; note those that cannot be written."""
     from statechart.reporting.figure import render

@@ -25,13 +25,13 @@ from statechart.cli.places import (
     check_sweep,
     film_options,
     is_store,
-    kept_study,
     shown_study,
+    stored_study,
     write_sweep,
 )
 from statechart.errors import DeclarationError, SimulationError, StatechartError
-from statechart.reporting.pieces import Pieces
-from statechart.tabular import Block, Table, plain
+from statechart.reporting.partial_report import PartialReport
+from statechart.tabular import Block, Table, plain, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     runner = _runner(
         arguments.file,
         **{part.name: getattr(arguments, part.name) for part in fields(Setting)},
-        study=kept_study(arguments),
+        study=stored_study(arguments),
         once=True,
         progress=not arguments.quiet,
     )
@@ -106,7 +106,7 @@ def _deliver(
     runner: Runner, result: Result, parameters: Mapping[str, float], arguments: argparse.Namespace
 ) -> bool:
     """Save and print a run; return whether all of it could be."""
-    pieces, failure = Pieces(), ""
+    pieces, failure = PartialReport(), ""
     result = replace(result, trace=result.trace.at_hand())
 
     @functools.cache
@@ -159,7 +159,7 @@ def _deliver(
 def _save(
     result: Result,
     report_of: Callable[[], dict[str, Any]],
-    pieces: Pieces,
+    pieces: PartialReport,
     output: str,
     samples: bool | None,
 ) -> None:
@@ -339,7 +339,7 @@ def trade(arguments: argparse.Namespace) -> int:
     check_folder(arguments.output)
     runner = _runner(arguments.file)
     study = study_of(runner, folder=arguments.output, progress=_printer(arguments))
-    pieces = Pieces()
+    pieces = PartialReport()
     if arguments.output is not None:
         from statechart.study.figure import write
 
@@ -377,7 +377,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     workers = arguments.workers and min(arguments.workers, plan.size)
     with crew(workers, arguments.scheduler) as executor:
         made = run_plan(plan, executor, store=store, resume=arguments.resume, progress=shown)
-    pieces = Pieces()
+    pieces = PartialReport()
     with interrupts.held(), interrupts.limited(PATIENCE):
         data = made.dataset(loaded=True)
         write_sweep(arguments, plan, data, pieces)
@@ -400,14 +400,14 @@ def check(arguments: argparse.Namespace) -> int:
 
     runner = _runner(arguments.file)
     warn(runner.start()[1])
-    with _scratch():
+    with _hypothesis_folder():
         report = check_model(
             runner.model,
             examples=arguments.examples,
             seed=arguments.seed,
             progress=_printer(arguments, "testing: "),
         )
-    pieces, written = Pieces(), None
+    pieces, written = PartialReport(), None
     if not report.passed:
         path = Path(f"{runner.model.name}_failure.yaml")
         data = report.reproduction.encode()
@@ -424,7 +424,7 @@ def check(arguments: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _scratch() -> Iterator[None]:
+def _hypothesis_folder() -> Iterator[None]:
     """Let Hypothesis keep its notes elsewhere: in the user's folder nothing is left behind."""
     from hypothesis.configuration import set_hypothesis_home_dir
 
@@ -518,7 +518,7 @@ def _printer(arguments: argparse.Namespace, before: str = "") -> Callable[[str],
     return print_line
 
 
-def _print_left_out(pieces: Pieces) -> None:
+def _print_left_out(pieces: PartialReport) -> None:
     if pieces.failed:
         print(f"left out: {pieces.text()}", file=sys.stderr)
 
@@ -533,7 +533,13 @@ def show(blocks: Iterable[Block]) -> None:
     console = Console(markup=False, emoji=False, highlight=False)
     for block in blocks:
         if isinstance(block, Table):
-            console.print(_ruled(block))
+            lines = table(block.rows)
+            if max(map(len, lines.splitlines())) > console.width:
+                console.print(_ruled(block))
+                continue
+            head, _, rest = lines.partition("\n")
+            console.print(head, style="bold" if block.headed else None)
+            console.print(rest, end="", soft_wrap=True)
         else:
             console.print(block, end="", soft_wrap=True)
 

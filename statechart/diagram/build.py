@@ -192,7 +192,7 @@ def _axis(automaton: Automaton, region: Region, start: str) -> Chart:
 
 
 def _run(automaton: Automaton, trace: Trace, modes: Product) -> tuple[Chart, tuple[str, ...]]:
-    """Return the modes that a run visited, named by what is not at its default; and notes."""
+    """Return the modes that a run visited, named by states that are no default; and notes."""
     if trace.step is None:
         path = modes_on_path(automaton, trace)
         links = _taken(automaton, modes)
@@ -328,7 +328,7 @@ def region_chart(
     begins = {*nesting.initial.values()}
     first = nesting.configurations.get(start or "", (start,))[0]
     initial = nesting.initial.get("")
-    if initial is None or first not in _begun(region, initial):
+    if initial is None or first not in _initial_states(region, initial):
         initial = first
 
     def node(name: str) -> Node:
@@ -369,15 +369,15 @@ def region_chart(
     return Chart(nodes, tuple(links), title)
 
 
-def _begun(region: Region, name: str) -> set[str]:
-    """Return the state with those that it begins with, where all of a parallel one do."""
+def _initial_states(region: Region, name: str) -> set[str]:
+    """Return a state and the states that are entered with it."""
     nesting, found = region.nesting, {name}
     if name in nesting.parallel:
         inner = [state for state, outer in region.superstates.items() if outer == name]
     else:
         inner = [nesting.initial[name]] if name in nesting.initial else []
     for state in inner:
-        found |= _begun(region, state)
+        found |= _initial_states(region, state)
     return found
 
 
@@ -438,7 +438,7 @@ def _superstates(region: Region) -> Iterator[str]:
 
 
 def _reset(region: Region, edge: HierarchicalEdge) -> str:
-    """Return what an edge resets; where that depends on the choice, a line for every reset."""
+    """Return the reset of an edge; a line for each where it depends on the choice."""
     by_reset: dict[str, list[str]] = {}
     for choice in edge.choices:
         by_reset.setdefault(choice.reset, []).append(choice.target)
@@ -472,7 +472,7 @@ def _actions(region: Region, state: str) -> tuple[str, ...]:
 
 
 def _conditions(automaton: Automaton, region: Region, state: str) -> tuple[str, ...]:
-    """Return what holds while a state is active; of one without direction, what holds in both."""
+    """Return the conditions of a state; without direction, those of both directions."""
     if automaton.laws is None or region.nesting.edges or region.nesting.configurations:
         return ()
     inner = [leaf for leaf, outer in region.superstates.items() if outer == state] or [state]
@@ -493,6 +493,6 @@ def _condition(automaton: Automaton, region: Region, state: str) -> list[str]:
 
 
 def _sense(automaton: Automaton, margin: Margin) -> str:
-    """Return the sign of what the margin is named after, where that is its negative."""
+    """Return "-" where a margin is the negative of the quantity in its name."""
     named = automaton.observables.get(margin.name)
     return "<=" if named is not None and margin.expression == -named else ">="

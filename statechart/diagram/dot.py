@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from statechart.diagram.layout.block import Block, beside, stacked, written
+from statechart.diagram.layout.block import Block, side_by_side, stacked, written
 from statechart.diagram.layout.flow import flow
 from statechart.diagram.layout.graphviz_program import FONT, INCH
 from statechart.diagram.layout.grid import grid
@@ -106,7 +106,7 @@ def _legend_rows(blocks: Iterable[Block], wide: float) -> list[Block]:
         if not rows or width > wide:
             rows.append([])
         rows[-1].append(block)
-    return [beside(row, _GAP) for row in rows]
+    return [side_by_side(row, _GAP) for row in rows]
 
 
 def _source(page: Block, title: str) -> str:
@@ -127,11 +127,11 @@ def _source(page: Block, title: str) -> str:
     for box in page.boxes:
         width, height = (f"{side / INCH:.4f}" for side in box.size)
         place = f"{box.centre[0]:.2f},{box.centre[1]:.2f}"
-        look = {**box.look, "width": width, "height": height}
+        look = {**box.attributes, "width": width, "height": height}
         if look["shape"] == "plain":
             # A box as large as its text, which a fixed size would make nothing of.
             look |= {"shape": "none", "margin": "0"}
         graph.node(box.name, pos=place, **look)
     for arrow in page.arrows:
-        graph.edge(arrow.source, arrow.target, pos=arrow.course, **arrow.look)
+        graph.edge(arrow.source, arrow.target, pos=arrow.curve, **arrow.attributes)
     return str(graph.source)

@@ -63,7 +63,7 @@ def _titled(chart: Chart) -> Chart:
 
 
 def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
-    lines = _inside(None, chart, states, guards)
+    lines = _substates(None, chart, states, guards)
     arrows: dict[tuple[str, str], list[Link]] = {}
     for link in chart.links:
         source, target = link.source, chart.entered(link.target)
@@ -79,7 +79,9 @@ def _chart(chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
     return lines
 
 
-def _inside(outer: str | None, chart: Chart, states: dict[str, str], guards: Guards) -> list[str]:
+def _substates(
+    outer: str | None, chart: Chart, states: dict[str, str], guards: Guards
+) -> list[str]:
     """Return the states right inside another, and where it starts among them."""
     inner = chart.within(outer)
     parts = [_state(node, chart, states, guards) for node in inner]
@@ -103,7 +105,7 @@ def _state(node: Node, chart: Chart, states: dict[str, str], guards: Guards) -> 
     details += map(_escape, node.actions if guards == "inline" or fits(node) else ())
     if chart.within(node.name):
         label = "<br/>".join([label, *details])
-        block = _indent(_inside(node.name, chart, states, guards))
+        block = _indent(_substates(node.name, chart, states, guards))
         return [f'state "{label}" as {identifier} {{', *block, "}"]
     if node.infeasible is not None:
         details.append(f"infeasible#58; {_escape(node.infeasible)}")

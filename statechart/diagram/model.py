@@ -1,4 +1,4 @@
-"""The value that every renderer of a statechart reads: states and labelled links, no drawing."""
+"""Data model of a diagram, which all renderers read: states and labelled links."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ class Diagram:
 
     @property
     def pieces(self) -> tuple[Chart, ...]:
-        """Charts as people draw them: of a product, those of its two regions."""
+        """Charts as drawn: a product is drawn as those of its two regions."""
         return tuple(piece for chart in self.charts for piece in chart.axes or (chart,))
 
     @property

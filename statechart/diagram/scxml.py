@@ -182,7 +182,9 @@ class _MachineWriter:
             event = f"{what}.{ids[choice.target]}" if several else what
             element = ET.SubElement(parent, "transition", {"event": event})
             if edge.events:
-                element.set("event", " ".join(self._heard(region, event) for event in edge.events))
+                element.set(
+                    "event", " ".join(self._event_name(region, event) for event in edge.events)
+                )
             if edge.events and edge.condition is None:
                 pass
             elif (condition := self._relation(edge.condition or edge.guard)) is not None:
@@ -202,8 +204,8 @@ class _MachineWriter:
                 element.set("diagram:reset", printable(choice.reset))
                 self._lose("what is reset of the motion", what)
 
-    def _heard(self, region: Region, event: str) -> str:
-        """Return an event that a transition waits for, as the machine or its host sends it."""
+    def _event_name(self, region: Region, event: str) -> str:
+        """Return the name of an awaited event in SCXML."""
         owner, _, cause = event.rpartition(".")
         if cause == DONE:
             ends = {name: end for (name, state), end in self._ends.items() if state == owner}
@@ -248,7 +250,9 @@ class _MachineWriter:
             return None
         roots = [formula.root for formula in relation.formulas]
         exist = all(m.state in self._ids.get(m.region, {}) for m in relation.members)
-        return self._text(relation.root) if exist and self._known(relation, roots) else None
+        return (
+            self._text(relation.root) if exist and self._is_expressible(relation, roots) else None
+        )
 
     def _text(self, term: Term) -> str:
         match term:
@@ -266,9 +270,9 @@ class _MachineWriter:
 
     def _formula(self, text: str | int | float) -> bool:
         formula = parse(text)
-        return self._known(formula, (formula.root,))
+        return self._is_expressible(formula, (formula.root,))
 
-    def _known(self, written: Formula | Relation, roots: Iterable[FormulaNode]) -> bool:
+    def _is_expressible(self, written: Formula | Relation, roots: Iterable[FormulaNode]) -> bool:
         plain = not any(isinstance(node, Call | Constant) for root in roots for node in nodes(root))
         if not (plain and written.names <= self._data.keys()):
             return False

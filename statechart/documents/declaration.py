@@ -154,11 +154,11 @@ class Declaration(Part):
 
     @property
     def timers(self) -> frozenset[str]:
-        """Variables that nobody declared: what transitions wait by."""
+        """Undeclared variables: the timers of transitions."""
         return frozenset()
 
     def counted(self, values: Mapping[str, float]) -> Mapping[str, int | None]:
-        """Return how many there are of what parameters with these values count."""
+        """Return the numbers of copies that parameters with these values count."""
         return {}
 
     def variant(self, overrides: Mapping[str, float]) -> Self:
@@ -166,11 +166,11 @@ class Declaration(Part):
         return self
 
     def stated(self, name: str) -> Quantity:
-        """Return what a variable or an observable measures, as far as its name alone tells."""
+        """Return the quantity of a variable or an observable, as far as its name tells."""
         return Quantity(name, "time" if name == TIME else "")
 
     def facts(self) -> Iterator[Fact]:
-        """Yield what formulas measure, and which measure the same."""
+        """Yield dimensions of formulas, and pairs of formulas of the same dimension."""
         yield from fields_of(self)
         for name, output in self.outputs.items():
             formula = formula_of(output)
@@ -196,7 +196,7 @@ class Declaration(Part):
         return inferred(facts, known)
 
     def quantity(self, name: str) -> Quantity:
-        """Return what a variable, an observable or a parameter measures, as far as is known."""
+        """Return the quantity of a variable, an observable or a parameter, as far as is known."""
         stated = self.stated(name)
         if stated.dimension:
             return stated
@@ -434,7 +434,7 @@ class Declaration(Part):
 
 
 def _of_output(name: str) -> str:
-    """Return what an output is called among names, of which one may be the same."""
+    """Return the name of an output among names, which may contain the same one."""
     return f"outputs.{name}"
 
 

@@ -99,7 +99,7 @@ class Documented(ModelMetaclass):
 
     @__signature__.setter
     def __signature__(cls, value: object) -> None:
-        """Leave what pydantic makes, types with the addresses of their validators."""
+        """Discard the signature that pydantic makes, with the addresses of validators."""
 
 
 def own_words(schema: dict[str, Any], model: type[BaseModel]) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from statechart.documents.documented import Documented, own_words
@@ -175,14 +175,6 @@ Label = Annotated[str, Field(min_length=1, max_length=200)]
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 """A finite number, not text that looks like one."""
-
-
-def unit(words: str) -> dict[str, JsonValue]:
-    """Return how a field says in what it is measured: `json_schema_extra` of it.
-
-    A document may use any units that belong together; angles are in rad, ratios in 1.
-    """
-    return {"unit": words}
 
 
 class Part(BaseModel, metaclass=Documented):

@@ -95,14 +95,16 @@ def known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> dict[str, st
 
 
 def other_word(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return what is written for a key that goes by another name at its place; empty for none."""
+    """Return our key for a key of another program; empty for none."""
     members = _models(_annotations_at(model, loc[:-1]))
     words = (getattr(member, "OTHER_WORDS", {}).get(str(loc[-1]), "") for member in members)
     return next(filter(None, words), "")
 
 
-def elsewhere(model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]) -> str:
-    """Return to which parts a key belongs that has no meaning where it stands; empty for none.
+def sections_with_key(
+    model: type[BaseModel], loc: Sequence[str | int], known: Collection[str]
+) -> str:
+    """Return the sections that a misplaced key belongs to; empty for none.
 
     Those on the way to it come first. A key that is nearly a known one belongs here.
     """
@@ -260,8 +262,8 @@ def _wrong_call(
         named = ", ".join(word for word in taken if word not in placed)
         listed = ", ".join(placed) or "nothing"
         return (
-            f"of what is given, {listed} can stand without a name",
-            f"give the others by name: {named}",
+            f"too many positional arguments; these may be positional: {listed}",
+            f"pass the others by name: {named}",
         )
     for word in placed[count:]:
         if taken[word].default is inspect.Parameter.empty and word not in kwargs:
@@ -286,10 +288,10 @@ def _argument(word: str, value: object, known: list[str]) -> str:
         return f"write {meant}=...; known: {listed}"
     if meant in {part.name for part in fields(Setting)}:
         return (
-            f"say it of a runner, Runner(model, {meant}=...), or among the model's settings; "
+            f"pass it to a runner, Runner(model, {meant}=...), or write it into the settings; "
             f"known: {listed}"
         )
     advice = close_matches(word, known)
     if "parameters" in known and isinstance(value, Real) and not advice.startswith("did"):
-        return f"a parameter of the model is given by parameters={{{word!r}: {value}}}; {advice}"
+        return f"for a parameter of the model, write parameters={{{word!r}: {value}}}; {advice}"
     return advice

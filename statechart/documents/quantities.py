@@ -54,7 +54,7 @@ class Powers(NamedTuple):
     angle: bool = False  # whether it is an angle, or one per time
 
     def times(self, other: Powers, exponent: Fraction | int = 1) -> Powers:
-        """Return what the product with a power of another quantity is measured in."""
+        """Return the dimension of the product with a power of another quantity."""
         length = self.length + exponent * other.length
         time = self.time + exponent * other.time
         mass = self.mass + exponent * other.mass
@@ -89,13 +89,13 @@ POWERS: Mapping[str, Powers] = {
 
 
 def per_time(dimension: Dimension) -> Dimension:
-    """Return what the rate of a quantity is measured in."""
+    """Return the dimension of the rate of a quantity."""
     rates: Mapping[Dimension, Dimension] = {"length": "length/time", "angle": "angle/time"}
     return rates.get(dimension, "")
 
 
 def named(powers: Powers | None) -> Dimension:
-    """Return the name of a dimension that is told by its powers; empty where it has none."""
+    """Return the name of a dimension from its powers; empty where it has none."""
     found: Iterable[Dimension] = ("1", "angle", "length", "time", "mass", "length/time",
                                   "angle/time", "force", "impulse")  # fmt: skip
     return next((name for name in found if POWERS[name] == powers), "")
@@ -133,14 +133,14 @@ def written(powers: Powers | None, units: Mapping[str, str]) -> str:
     return "/".join([" ".join(above) or "1", *below])
 
 
-def beside(unit: str) -> str:
-    """Return a unit as it stands beside a number: a ratio has none."""
+def unit_suffix(unit: str) -> str:
+    """Return a unit as written behind a number; a ratio has none."""
     return "" if unit == "1" else unit
 
 
 def entitled(what: str, unit: str) -> str:
     """Return what stands at an axis, such as height in m."""
-    return f"{what} in {beside(unit)}" if beside(unit) else what
+    return f"{what} in {unit_suffix(unit)}" if unit_suffix(unit) else what
 
 
 def _power(unit: str, exponent: Fraction) -> str:
@@ -157,7 +157,7 @@ def _force(units: Mapping[str, str]) -> str:
     return units.get("force", "N" if known == ("kg", "m", "s") else "")
 
 
-Known = dict[str, Powers]
+Dimensions = dict[str, Powers]
 Fact = tuple[Node, Node | Powers]
 """A formula, and what it measures or another that measures the same."""
 
@@ -171,9 +171,9 @@ _COUNTS = range(1, 13)
 _MAX_OPERATIONS = 200
 
 
-def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Known:
-    """Return what names measure."""
-    found, short = _Known(known), [fact for fact in facts if _short(fact)]
+def inferred(facts: Iterable[Fact], known: Mapping[str, Powers]) -> Dimensions:
+    """Infer the dimensions of names."""
+    found, short = _Inference(known), [fact for fact in facts if _short(fact)]
     for _ in range(_MAX_PASSES):
         before = dict(found)
         for left, right in short:
@@ -192,7 +192,7 @@ def _short(fact: Fact) -> bool:
 
 
 def measured(node: Node, known: Mapping[str, Powers]) -> Powers | None:
-    """Return what a formula measures; None where that does not follow.
+    """Return the dimension of a formula; None where it is unknown.
 
     A small whole number in it is a number; another may convert, or stand for anything.
     """
@@ -240,13 +240,13 @@ def _of_turn(node: Node) -> bool:
 
 
 def _common(parts: Iterable[Node], known: Mapping[str, Powers]) -> Powers | None:
-    """Return what parts measure that are of one kind: numbers among them say nothing."""
+    """Return the common dimension of parts; numbers among them do not count."""
     several = tuple(parts)
     speaking = [part for part in several if not is_constant(part)] or several
     return next((p for part in speaking if (p := measured(part, known)) is not None), None)
 
 
-class _Known(Known):
+class _Inference(Dimensions):
     """Dimensions of names, of which the first ones are certain."""
 
     def __init__(self, known: Mapping[str, Powers]) -> None:
@@ -254,14 +254,14 @@ class _Known(Known):
         self._certain = frozenset(known)
 
     def note(self, name: str, powers: Powers) -> None:
-        """Note what a name measures; of an angle more is told than of a number."""
+        """Note the dimension of a name; an angle is more specific than a number."""
         before = self.setdefault(name, powers)
         if name not in self._certain and before[:3] == powers[:3] and powers.angle:
             self[name] = powers
 
 
-def _unify(left: Node, right: Node | Powers, known: _Known) -> None:
-    """Note what follows from two formulas that measure the same."""
+def _unify(left: Node, right: Node | Powers, known: _Inference) -> None:
+    """Unify the dimensions of two formulas."""
     for one, other in ((left, right), (right, left)):
         if isinstance(one, Powers):
             continue
@@ -273,8 +273,8 @@ def _unify(left: Node, right: Node | Powers, known: _Known) -> None:
             _infer_names(one, powers, known)
 
 
-def _unify_parts(node: Node, known: _Known) -> None:
-    """Note what sums and sines in a formula tell."""
+def _unify_parts(node: Node, known: _Inference) -> None:
+    """Unify the terms of sums, and the arguments of sines, in a formula."""
     for part in nodes(node):
         match part:
             case Call(function=function, arguments=(of,)) if function in _OF_ANGLES:
@@ -285,8 +285,8 @@ def _unify_parts(node: Node, known: _Known) -> None:
                     _infer_names(part, whole, known)
 
 
-def _infer_names(node: Node, powers: Powers, known: _Known) -> None:
-    """Note what names in a formula measure, which as a whole is measured so."""
+def _infer_names(node: Node, powers: Powers, known: _Inference) -> None:
+    """Infer the dimensions of names in a formula from that of the whole."""
     match node:
         case Name():
             if all(exponent.denominator == 1 for exponent in powers[:3]):
@@ -318,7 +318,7 @@ def _infer_names(node: Node, powers: Powers, known: _Known) -> None:
 
 
 def fields_of(part: BaseModel) -> Iterator[Fact]:
-    """Yield what the units of fields tell of the formulas in a part, and in parts of it.
+    """Yield the dimensions that the units of fields give the formulas of a part.
 
     A field whose formulas belong to names says so: their unit is that of each, or that per time.
     """
@@ -336,7 +336,7 @@ def fields_of(part: BaseModel) -> Iterator[Fact]:
 
 
 def rate_of(name: str) -> Node:
-    """Return the formula of what a rate of a name measures."""
+    """Return a formula with the dimension of the rate of a name."""
     return Binary("/", Name(name), Name("time"))
 
 
@@ -355,7 +355,7 @@ def _facts_in(value: Any, powers: Powers | None) -> Iterator[Fact]:
 
 
 def _powers(words: object) -> Powers | None:
-    """Return what the unit of a field stands for, such as mass length**2."""
+    """Return the dimension of a field's unit, such as mass length**2."""
     if not isinstance(words, str):
         return None
     try:

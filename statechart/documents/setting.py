@@ -194,7 +194,7 @@ class Setting:
             )
 
     @property
-    def kept(self) -> Record:
+    def recorded(self) -> Record:
         """The extent of the record."""
         return Record(self.record or Record.MODES.value)
 

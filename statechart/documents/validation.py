@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from statechart.documents.hints import elsewhere, example, known_keys, other_word
+from statechart.documents.hints import example, known_keys, other_word, sections_with_key
 from statechart.documents.yaml_text import flow
 from statechart.errors import (
     DeclarationError,
@@ -54,7 +54,7 @@ _SHAPES = frozenset({*_EXPECTED, "output", "too_short", "too_long"})
 def declaration_error(
     error: ValidationError, document: Document | Built, model: type[BaseModel]
 ) -> DeclarationError:
-    """Return what pydantic found as one error with places."""
+    """Return the errors of pydantic as one error with places."""
     errors = error.errors(include_url=False)
     empty = frozenset[Loc]() if isinstance(document, Built) else document.empty
     found = [
@@ -111,6 +111,12 @@ def _empty(
         at = document.position(loc, key=True)
         # Keys that belong below it stand in the same column, and are unknown there.
         below = unknown and shown.startswith("{")
+        if str(loc[-1]).isdecimal():
+            yield at.error(
+                f"{loc[-1]!r} is not a name",
+                "decimals have a point: 9.81",
+            )
+            continue
         yield at.error(
             f"{'.'.join(map(str, loc))}: nothing is written",
             f"write a value{f', such as {shown}' if shown else ''}, or remove the key"
@@ -151,7 +157,7 @@ def _lacks_items(details: ErrorDetails) -> bool:
 def _errors_of(
     details: ErrorDetails, document: Document | Built, model: type[BaseModel]
 ) -> Iterator[DeclarationError]:
-    """Yield what is wrong, and what a validator of ours found besides."""
+    """Yield the errors of pydantic, and the further problems of our validators."""
     cause = details.get("ctx", {}).get("error")
     yield _to_error(details, cause, document, model)
     if isinstance(cause, DeclarationProblem):
@@ -211,7 +217,7 @@ def _of_key(details: ErrorDetails, model: type[BaseModel], known: Collection[str
         if details["input"] is None and not key.isdecimal():
             return f"a comma in braces ends a value; a list stands in brackets: [..., {key}]"
         return no_name(key)
-    return elsewhere(model, loc, known)
+    return sections_with_key(model, loc, known)
 
 
 def _message_and_advice(
@@ -436,13 +442,13 @@ class Built:
 
     def existing(self, loc: Loc) -> Loc:
         """Return the parts of `loc` that lead down the data, as Python names them."""
-        return self._followed(loc)[0]
+        return self._descend(loc)[0]
 
     def value(self, loc: Loc) -> Any:
         """Return the value at `loc`, or at its nearest ancestor that exists."""
-        return self._followed(loc)[1]
+        return self._descend(loc)[1]
 
-    def _followed(self, loc: Loc) -> tuple[Loc, Any]:
+    def _descend(self, loc: Loc) -> tuple[Loc, Any]:
         value: Any = self._data
         found: list[str | int] = []
         for part in loc:

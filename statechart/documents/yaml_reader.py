@@ -96,6 +96,8 @@ class _Builder:
             message = " ".join(str(error.problem or error.context).split())
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
             advice = next((hint for words, hint in YAML_HINTS.items() if words in message), "")
+            if message.startswith("expected <block end>"):
+                message = "this line is indented neither as the line above nor as its parent"
             raise place.error(f"not YAML: {message}", advice) from None
         except ReaderError as error:
             at = int(error.position)

@@ -1,4 +1,4 @@
-"""Models written as YAML text."""
+"""Serialisation of models as YAML text."""
 
 from __future__ import annotations
 

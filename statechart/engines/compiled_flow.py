@@ -18,7 +18,7 @@ from statechart.engines.event_location import BOXES
 from statechart.engines.taylor_loop import ORDERS, STRAY, call_step, expand, let_pass, stray
 from statechart.kernels.boxes import Along, Steps
 from statechart.kernels.copies import put
-from statechart.kernels.defect import rough_in, unseen
+from statechart.kernels.defect import find_defect, is_unresolved
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import cut_steps, horner
 from statechart.kernels.reconstruction import Program as Following
@@ -26,8 +26,13 @@ from statechart.kernels.reconstruction import reconstruct_any, reconstruction_pr
 from statechart.kernels.resolution import roughen
 from statechart.kernels.roots import value_at
 from statechart.kernels.search import CROSSING, NONE, clear_whole, search, search_step
-from statechart.kernels.search_memory import Memory, Ready, ready_along, room
-from statechart.kernels.tapes import TapeCode, off_by, tape_values
+from statechart.kernels.search_workspace import (
+    PreparedTape,
+    SearchWorkspace,
+    prepare_tape,
+    search_workspace,
+)
+from statechart.kernels.tapes import TapeCode, largest_deviation, tape_values
 
 PLAIN, GAP, SPEED, FORCE, HOLD = range(5)
 KINDS = ("plain", "gap", "speed", "force", "hold")
@@ -149,7 +154,7 @@ class Scratch(NamedTuple):
     doubtful: Bools  # (s,): steps.
     # (m,): of margins; at least as many as any mode has, likewise for what follows.
     tolerances: Array
-    searched: Memory
+    searched: SearchWorkspace
     whole: Array  # (r, 6): ranges over a step.
 
 
@@ -173,7 +178,7 @@ def scratch(
         np.empty(variables),
         np.empty(steps, np.bool_),
         np.empty(modes[:, MARGINS].max()),
-        Memory(*room(registers, operations, outputs, variables)),
+        SearchWorkspace(*search_workspace(registers, operations, outputs, variables)),
         np.empty((registers, 6)),
     )
 
@@ -270,7 +275,7 @@ def _following(
 
 
 @kernel
-def _level(ready: Ready, registers: int, jets: Array) -> None:
+def _level(ready: PreparedTape, registers: int, jets: Array) -> None:
     """Write ranges of what does not change along a flow: all their slopes are zero."""
     for r in range(registers):
         jets[r, 0], jets[r, 1] = ready[4][r, 0], ready[4][r, 1]
@@ -282,7 +287,7 @@ def _off(program: Program, watch: Watch, state: Array, time: float) -> bool:
     """Return whether a state is so far off its constraints that it has to be projected."""
     code, constants, outputs, _, _ = tape_of(program, watch.off)
     return (
-        off_by(
+        largest_deviation(
             code, constants, outputs, watch.targets, watch.weights, state, watch.parameters, time
         )
         > NEAR
@@ -325,7 +330,7 @@ def flow_to_event(
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
     follows = _following(program, row, watch, initial, start)
     reconstruct_any(follows, initial, start)
-    ready = ready_along(tape, Steps(times, coeffs, watch.parameters, start), memory.searched)
+    ready = prepare_tape(tape, Steps(times, coeffs, watch.parameters, start), memory.searched)
     _level(ready, ready[0][1] + tape.code.shape[0], jets)
     _enter(program, row, watch, memory, initial, start)
     while True:
@@ -417,7 +422,7 @@ def _strays(
 
 
 @kernel
-def _rates_at_end(ready: Ready, rates: Ints32, step: int, series: Array) -> None:
+def _rates_at_end(ready: PreparedTape, rates: Ints32, step: int, series: Array) -> None:
     """Write the rates where a step ends, as a series from there begins with them."""
     along, regs = ready[0], ready[3]
     value_at(along, step, rates[0], 1.0, regs)
@@ -445,7 +450,7 @@ def _followed(
     for v in range(offs.shape[0]):
         reaches[v] = max(reaches[v], watch.floors[v])
         followed = followed and offs[v] <= watch.allowed * reaches[v]
-    return followed and not rough_in(rates, jets, length, watch.allowed, reaches)
+    return followed and not is_unresolved(rates, jets, length, watch.allowed, reaches)
 
 
 @kernel
@@ -472,7 +477,7 @@ def _missed(
         while last < doubtful.shape[0] and doubtful[last]:
             last += 1
         if last > first:
-            found = unseen(rates, steps, first, last, watch.floors, watch.allowed, LOOKS)
+            found = find_defect(rates, steps, first, last, watch.floors, watch.allowed, LOOKS)
             if found[0] >= 0:
                 return True
         first = last + 1

@@ -37,11 +37,10 @@ class Allowance:
         self._until = math.inf
 
     def check_for(self, seconds: float) -> None:
-        """Raise where there is no time for what takes so many `seconds`."""
-        if self.clock() + seconds > self._until:
+        """Raise where there is no time for a compilation of so many `seconds`."""
+        if seconds and self.clock() + seconds > self._until:
             raise OutOfBudget(
-                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more "
-                "time, or take the engine scipy"
+                f"{self.seconds:g} s are too few to compile the mode's integrator; allow more time"
             )
 
     def check(self, now: float) -> None:

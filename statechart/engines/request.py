@@ -155,7 +155,7 @@ def planned(
         raise _refused(message, "leave the engine out, or take impulse", of_file)
     if asked.engine == "impulse":
         return _stepping(asked, model, automaton, steps_only, of_file)
-    if asked.kept is not Record.MODES:
+    if asked.recorded is not Record.MODES:
         raise DeclarationError(
             f"only the engine impulse records less than modes, and {model.name!r} runs with events",
             advice="remove record, or take the engine impulse",

@@ -17,7 +17,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.kernels.copies import put
-from statechart.kernels.jit import kernel, native
+from statechart.kernels.jit import intrinsic, kernel
 from statechart.kernels.polynomials import horner
 from statechart.kernels.reconstruction import Program, reconstruct_any
 
@@ -82,7 +82,7 @@ def _called(address: int, *arrays: Array) -> None:
     _FUNCTION(int(address))(*(array.ctypes.data for array in arrays))
 
 
-@native(_called)
+@intrinsic(_called)
 def call_step(
     typing: Any, address: Any, state: Any, parameters: Any, time: Any, h: Any, series: Any
 ) -> Any:

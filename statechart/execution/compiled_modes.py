@@ -101,7 +101,7 @@ class SolvedModes:
         if found is None and (regions := of_regions(roles)) != roles:
             switches = self.switches(regions, zeros)
             assert switches is not None
-            found = self._modes[roles, zeros] = switches.piece(roles[-1].share)
+            found = self._modes[roles, zeros] = switches.mode_with_signs(roles[-1].share)
         elif found is None:
             # Zeros that its equations do not mention call for no mode of its own.
             mentioned = zeros & self._used(roles)

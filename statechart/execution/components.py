@@ -149,8 +149,8 @@ class MergedRun:
             parameters=dict(
                 zip(automaton.parameter_names, self._setup.values.tolist(), strict=True)
             ),
-            arcs=LazySequence(self._arc, lambda: len(self._spans), kept=jumps < _KEPT),
-            jumps=LazySequence(self._jump, lambda: jumps, kept=jumps < _KEPT),
+            arcs=LazySequence(self._arc, lambda: len(self._spans), cached=jumps < _KEPT),
+            jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _KEPT),
             initial=self._state([part.trace.initial for part in parts]),
             final=self._state(finals),
             start_mode=self._key([part.trace.start_mode for part in parts]),

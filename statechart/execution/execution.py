@@ -264,7 +264,7 @@ class Execution:
         compiled = self._enter(flow.moving)
         if self.loop is not None:
             self.loop.add(flow.mode, flow.roles, compiled)
-        if flow.doubted:
+        if flow.near_bound:
             flow = self.flow = from_here(compiled, flow, self.setup, self.state, self.clock.high)
         watch = self._watch(flow, compiled)
         begun, told = (
@@ -332,7 +332,7 @@ class Execution:
         allowed = [special.get(name, setup.tolerances[kind]) for name, kind in compiled.watched]
         laws = self.automaton.laws_of_events
         constraints = laws.constraints(setup, flow.roles, start, self.state)
-        reconstruction = compiled.reconstruction.begun(self.state, setup.values, start)
+        reconstruction = compiled.reconstruction.start(self.state, setup.values, start)
         values = setup.values if flow.values is None else flow.values
         return FlowWatch(
             compiled.guards, np.array(allowed), constraints, values, start, reconstruction
@@ -360,7 +360,9 @@ class Execution:
             since = self.record.jumps[-1].t if self.record.jumps else 0.0
             self.horizon = LOOK_AHEAD * max(elapsed, self.clock.high - since)
         self.state = reached.state
-        following = Flow(flow.mode, flow.roles, flow.remaining - elapsed, doubted=flow.doubted)
+        following = Flow(
+            flow.mode, flow.roles, flow.remaining - elapsed, near_bound=flow.near_bound
+        )
         self.flow = following._replace(
             held=flow.held, tolerances=flow.tolerances, terms=terms, values=flow.values,
             signs=flow.signs,

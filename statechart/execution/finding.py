@@ -81,7 +81,8 @@ def decided(found: Search, compiled: CompiledMode, watch: FlowWatch, path: Path)
     names = compiled.names
     if found.verdict is Verdict.BUDGET:
         raise Undecided(
-            f"no decision within {found.boxes} boxes on one of the guards {', '.join(names)}"
+            f"the search for events of {', '.join(names)} was given up after {found.boxes} "
+            "interval evaluations; simplify the guard, or take shorter steps (--max-step)"
         )
     # An end of the run may lie where the equations end too: the cosine under a force vanishes as
     # the stick lies flat. A margin that is zero there to within its tolerance has been reached.

@@ -35,7 +35,7 @@ from statechart.execution.finding import (
 )
 from statechart.formulas.series import sizes_at
 from statechart.kernels.boxes import Steps
-from statechart.kernels.defect import unseen
+from statechart.kernels.defect import find_defect
 from statechart.kernels.polynomials import cut_steps, local_time, sample_states
 
 FOLLOWED = "the slopes of all steps were compared with the rates"
@@ -192,7 +192,7 @@ class Advance:
         watch, path, rates = self.watch, self.path, self.compiled.rates
         where = found.crossing or found.undecided
         while True:
-            step, s, off, _ = unseen(
+            step, s, off, _ = find_defect(
                 rates.parts,
                 Steps(path.times, path.coefficients, watch.parameters, watch.start),
                 first,
@@ -328,7 +328,8 @@ def _check_pace(steps: int, took: float, left: float) -> None:
     pace = took / steps
     if pace * _TOO_MANY < left:
         raise TooLong(
-            f"{steps} steps took {took:.3g}, and {left:.3g} is left; end the run earlier, or "
+            f"{steps} steps advanced the time by {took:.6g}, of {took + left:.6g}; end the run "
+            "earlier, or "
             "replace the fast variation by its mean"
         )
 
@@ -354,7 +355,7 @@ def _blind(
     where = found.crossing or found.undecided
     left = search(
         within,
-        np.full(len(within.outputs), watch.constraints.room),
+        np.full(len(within.outputs), watch.constraints.max_depth),
         path,
         watch.parameters,
         watch.start,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from statechart.automaton.automaton import Automaton
 from statechart.automaton.laws import Flow, Instant, Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.regions import Mode, StopCondition
+from statechart.formulas.condition import AtomsAt
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
 
@@ -30,6 +30,7 @@ class StandingStops:
         self._derivatives = MarginDerivatives(
             automaton.variables, automaton.parameters, automaton.time
         )
+        self._names = [margin.name for margin in automaton.stop_margins]
 
     def __bool__(self) -> bool:
         return bool(self._automaton.stops)
@@ -40,32 +41,24 @@ class StandingStops:
         The flow has room for the conditions that begin on their boundary and do not fall; it is
         without those that its certificates do not need.
         """
-        atoms = _Atoms(self._automaton, self._derivatives, mode, guards, at)
-        flow, tolerances = at.flow, dict[str, float]()
+        atoms, active = self._atoms(mode, guards, at), self._automaton.active(at.flow.mode)
+        flow, tolerances, names = at.flow, dict[str, float](), self._names
         for stop, first in self._stops():
-            if stop.condition.disjoint:
-                for k, atom in enumerate(stop.condition.atoms, first):
-                    if not atoms.near(k):
-                        continue
-                    way = atoms.way(k)
-                    if way == 0.0 and not atom.strict:
+            condition = stop.condition
+            places = range(first, first + len(condition.atoms))
+            if condition.disjoint:
+                for k in filter(atoms.near, places):
+                    if atoms.rests(k) and atoms.holds(k):
                         return stop.name, flow
-                    if way >= 0.0:
-                        known = flow.tolerances.get(atoms.names[k], 0.0)
-                        tolerances[atoms.names[k]] = max(atoms.room[k], known)
-                continue
-            of = partial(atoms.holds, stop, first)
-            active = self._automaton.active(flow.mode)
-            truth = stop.condition.truth(of, active)
-            if truth:
+                    if atoms.way(k) >= 0.0:
+                        known = flow.tolerances.get(names[k], 0.0)
+                        tolerances[names[k]] = max(atoms.tolerances[k], known)
+            elif atoms.truth(condition, first, active):
                 return stop.name, flow
-            places = range(len(stop.condition.atoms))
-            certificate = frozenset(places)
-            if truth is not None:
-                certificate = stop.condition.certificate(of, active, partial(atoms.rests, first))
-            for k in places:
-                name = atoms.names[first + k]
-                tolerances[name] = atoms.room[first + k] if k in certificate else math.inf
+            else:
+                chosen = atoms.certificate(condition, first, active)
+                for k in places:
+                    tolerances[names[k]] = atoms.tolerances[k] if k in chosen else math.inf
         if tolerances:
             flow = flow._replace(tolerances={**flow.tolerances, **tolerances})
         return None, flow
@@ -73,16 +66,16 @@ class StandingStops:
     def met(self, mode: Mode, guards: Tape, at: Instant) -> str | None:
         """Return the condition that holds where a flow came to the fall of one of its margins."""
         (fired,) = at.fired
-        atoms = _Atoms(self._automaton, self._derivatives, mode, guards, at)
-        stop, first = next(
-            (stop, first) for stop, first in self._stops() if stop is self._automaton.stop_of[fired]
-        )
-        active = self._automaton.active(at.flow.mode)
-        holds = stop.condition.disjoint or any(
-            stop.condition.truth(partial(of, stop, first), active)
-            for of in (atoms.holds, atoms.touches)
-        )
-        return stop.name if holds else None
+        fallen = self._automaton.stop_of[fired]
+        stop, first = next((stop, first) for stop, first in self._stops() if stop is fallen)
+        if not stop.condition.disjoint:
+            atoms, active = self._atoms(mode, guards, at), self._automaton.active(at.flow.mode)
+            if not (
+                atoms.truth(stop.condition, first, active)
+                or atoms.touched(stop.condition, first, active)
+            ):
+                return None
+        return stop.name
 
     def _stops(self) -> Iterator[tuple[StopCondition, int]]:
         """Yield stop conditions and the places of their first atoms."""
@@ -91,57 +84,24 @@ class StandingStops:
             yield stop, first
             first += len(stop.margins)
 
-
-class _Atoms:
-    """The atoms of stop conditions at an instant."""
-
-    def __init__(
-        self,
-        automaton: Automaton,
-        derivatives: MarginDerivatives,
-        mode: Mode,
-        guards: Tape,
-        at: Instant,
-    ) -> None:
+    def _atoms(self, mode: Mode, guards: Tape, at: Instant) -> AtomsAt:
+        """Return the atoms of stop conditions at an instant."""
         setup, clock, _, flow, state, _ = at
-        self._derivatives, self._at = derivatives, at
-        time, count = clock.high, len(automaton.stop_margins)
-        first = len(mode.margins) - count
-        self._values = guards.values(state, setup.values, time)[first:].tolist()
-        self._flow_sizes = flow_sizes(setup, flow, state)
+        time, first = clock.high, len(mode.margins) - len(self._names)
+        sizes = flow_sizes(setup, flow, state)
         places = tuple(range(first, len(mode.margins)))
-        terms = sizes_at(guards, places, state, self._flow_sizes, setup.values, time)
-        self.room = [max(setup.precision * term, UNDERFLOW) for term in terms]
-        self.names = [margin.name for margin in automaton.stop_margins]
+        terms = sizes_at(guards, places, state, sizes, setup.values, time)
 
-    def near(self, k: int) -> bool:
-        """Return whether an atom is on its boundary."""
-        return bool(abs(self._values[k]) <= self.room[k])
+        def way(k: int) -> float:
+            moving, name = flow.moving, self._names[k]
+            return self._derivatives.sign(setup, moving, name, state, sizes, time, setup.precision)
 
-    def way(self, k: int) -> float:
-        """Return the sign of the first derivative of an atom's margin that is not zero."""
-        setup, clock, _, flow, state, _ = self._at
-        return self._derivatives.sign(
-            setup, flow.moving, self.names[k], state, self._flow_sizes, clock.high, setup.precision
+        return AtomsAt(
+            guards.values(state, setup.values, time)[first:].tolist(),
+            [max(setup.precision * term, UNDERFLOW) for term in terms],
+            [not atom.strict for stop, _ in self._stops() for atom in stop.condition.atoms],
+            way,
         )
-
-    def holds(self, stop: StopCondition, first: int, k: int) -> bool | None:
-        """Return whether atom k of a condition holds from here on; None if it has no value."""
-        place, strict = first + k, stop.condition.atoms[k].strict
-        value = self._values[place]
-        if not self.near(place):
-            return None if math.isnan(value) else value < 0.0
-        way = self.way(place)
-        return way < 0.0 or (way == 0.0 and not strict)
-
-    def rests(self, first: int, k: int) -> bool:
-        """Return whether atom k of a condition stays on its boundary."""
-        return self.near(first + k) and self.way(first + k) == 0.0
-
-    def touches(self, stop: StopCondition, first: int, k: int) -> bool:
-        """Return whether atom k of a condition holds at this very instant."""
-        place, strict = first + k, stop.condition.atoms[k].strict
-        return bool(self._values[place] <= (-1.0 if strict else 1.0) * self.room[place])
 
 
 def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from statechart.automaton.time_stepper import (
-    USUAL,
+    DEFAULT_IMPULSES,
     Impulses,
     OutputStream,
     RecordingPolicy,
@@ -31,7 +31,7 @@ class SteppingSimulator:
         self,
         automaton: Automaton,
         step: float,
-        impulses: Impulses = USUAL,
+        impulses: Impulses = DEFAULT_IMPULSES,
         record: Record = Record.MODES,
         *,
         progress: bool = False,

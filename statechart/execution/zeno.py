@@ -10,7 +10,7 @@ import numpy as np
 
 from statechart.arrays import Array
 from statechart.automaton.clock import Clock
-from statechart.kernels.accumulation import COUNT, FIRST, HIGH, WIDTH, follow
+from statechart.kernels.accumulation import COUNT, FIRST, HIGH, WIDTH, add_jump
 
 # That spread corrects the sum by no more than this part of it.
 _CORRECTION = 0.1
@@ -76,7 +76,7 @@ class Accumulation:
             more[:, HIGH] = math.nan
             self.series = np.concatenate([self.series, more])
         row = self.series[place]
-        rest = follow(row, clock.high, clock.low, flowed, short)
+        rest = add_jump(row, clock.high, clock.low, flowed, short)
         return None if rest < 0.0 else _summed(row, rest)
 
     def found(self, place: int, rest: float) -> float:

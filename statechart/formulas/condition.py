@@ -12,10 +12,10 @@ all of them. As long as no atom of the certificate changes, nor does the relatio
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import partial, reduce
-from math import inf
+from functools import cache, partial, reduce
+from math import inf, isnan
 from typing import TYPE_CHECKING, Any
 
 from statechart.formulas.tree import Source
@@ -112,8 +112,8 @@ class Condition:
         """Return whether it holds; None where atoms that are not known leave it open."""
         return _truth(self.root, of, active)
 
-    def rows(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
-        """Return where it holds (m,): `atoms` (m, a) say where each of them does.
+    def truths(self, atoms: Any, active: Callable[[str, str], Any]) -> Any:
+        """Return its truth (m,) from that of its atoms (m, a).
 
         `active` returns arrays (m,).
         """
@@ -142,6 +142,77 @@ class Condition:
     ) -> frozenset[int]:
         """Return atoms that decide its truth as long as they keep their own."""
         return _certificate(self.root, bool(self.truth(of, active)), of, active, still)
+
+
+class AtomsAt:
+    """Atoms of conditions at an instant, on their boundary judged by the way that they go.
+
+    Within its tolerance a margin is on its boundary, and the sign `way(k)` of its first derivative
+    that is not zero decides; where it stays, an atom holds if it is closed. Atoms that the flow
+    does not change are `still`. The margins of those that `fell` have been found to, and must not
+    rise; they hold where they stay if they are `alone` in their relation.
+    """
+
+    def __init__(
+        self,
+        margins: Sequence[float],
+        tolerances: Sequence[float],
+        closed: Sequence[bool],
+        way: Callable[[int], float],
+        *,
+        fell: Collection[int] = (),
+        alone: Collection[int] = (),
+        still: Sequence[bool] = (),
+    ) -> None:
+        self.tolerances = tolerances
+        self._margins, self._closed, self._still = margins, closed, still
+        self._fell, self._sure = fell, {*fell}.intersection(alone)
+        self.way = cache(way)
+        self.holds = cache(self._holds)
+
+    def near(self, k: int) -> bool:
+        """Return whether an atom is on its boundary."""
+        return abs(self._margins[k]) <= self.tolerances[k]
+
+    def _holds(self, k: int) -> bool | None:
+        """Return whether an atom holds from here on; None if it has no value."""
+        margin, near, fell = self._margins[k], self.near(k), k in self._fell
+        if margin < -self.tolerances[k]:
+            return True
+        if not (fell or near):
+            return None if isnan(margin) else False
+        way = self.way(k)
+        if way == 0.0 and near:
+            return self._closed[k] or k in self._sure
+        return not way > 0.0 if fell else way < 0.0
+
+    def rests(self, k: int) -> bool:
+        """Return whether an atom stays as it is in this flow."""
+        still = bool(self._still) and self._still[k]
+        return still or (self.near(k) and self.way(k) == 0.0)
+
+    def _touches(self, k: int) -> bool:
+        """Return whether an atom holds at this very instant."""
+        return self._margins[k] <= (self.tolerances[k] if self._closed[k] else -self.tolerances[k])
+
+    def truth(self, condition: Condition, first: int, active: Active) -> bool | None:
+        """Return whether a condition, whose atoms begin at `first`, holds from here on."""
+        return condition.truth(lambda k: self.holds(first + k), active)
+
+    def touched(self, condition: Condition, first: int, active: Active) -> bool:
+        """Return whether a condition holds at this very instant."""
+        return bool(condition.truth(lambda k: self._touches(first + k), active))
+
+    def certificate(self, condition: Condition, first: int, active: Active) -> frozenset[int]:
+        """Return the places of atoms that decide a condition; of all where it is open."""
+        places = range(len(condition.atoms))
+        found: Collection[int] = places
+        if self.truth(condition, first, active) is not None:
+            rests = [self.rests(first + k) for k in places]
+            found = condition.certificate(
+                lambda k: self.holds(first + k), active, rests.__getitem__
+            )
+        return frozenset(first + k for k in found)
 
 
 def _truth(tree: Any, of: Callable[[int], bool | None], active: Active) -> bool | None:

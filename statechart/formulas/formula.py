@@ -121,7 +121,7 @@ def finished(expression: sp.Expr, formula: Formula) -> sp.Expr:
 
 
 def _bounded(power: sp.Expr) -> sp.Expr:
-    """Return 1 / (a + b exp(x)) and 1 / cosh(x) to a power as what nowhere is inf / inf.
+    """Rewrite powers of 1 / (a + b exp(x)) and 1 / cosh(x) so that they never are inf / inf.
 
     Nor are their derivatives then; with a and b > 0 the first is (1 - tanh((x + log(b/a))/2))/2/a.
     """

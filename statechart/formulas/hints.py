@@ -99,7 +99,7 @@ _WHOLE: Mapping[str, str] = {
 }  # fmt: skip
 _DELAYED = frozenset({"delay", "delayed", "lag", "past", "transport", "transportdelay"})
 _CONVERTED = frozenset({"deg", "degrees", "radians", "deg2rad"})
-_ROOMS = ("math.", "np.", "numpy.")
+_MODULES = ("math.", "np.", "numpy.")
 
 
 def meant(
@@ -107,7 +107,7 @@ def meant(
 ) -> str:
     """Return advice on a name or a function that there is not."""
     names = frozenset(known)
-    bare = next((name.removeprefix(room) for room in _ROOMS if name.startswith(room)), name)
+    bare = next((name.removeprefix(room) for room in _MODULES if name.startswith(room)), name)
     if bare.lower() in _CONVERTED:
         return TOKENS["deg"]
     if bare.lower() in _DELAYED:

@@ -305,7 +305,7 @@ def _components(rows: list[Equation]) -> list[list[int | sp.Symbol]]:
 
 
 def _largest(rows: list[Equation]) -> int:
-    """Return how many equations and unknowns belong together at most."""
+    """Return the size of the largest connected component."""
     return max((len(component) for component in _components(rows)), default=0)
 
 
@@ -391,7 +391,7 @@ def _by_determinants(rows: list[Equation], unknowns: Sequence[sp.Symbol]) -> lis
 
 
 def _naming(word: str, named: list[Definition]) -> Callable[[sp.Expr], sp.Expr]:
-    """Return what gives an expression a symbol, and notes it; symbols and numbers stay."""
+    """Return a function that names an expression by a new symbol; symbols and numbers stay."""
     known: dict[sp.Expr, sp.Symbol] = {}
 
     def name(entry: sp.Expr) -> sp.Expr:

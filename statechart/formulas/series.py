@@ -68,7 +68,7 @@ def expand(
 def sizes_at(
     tape: Tape, places: tuple[int, ...], state: Array, sizes: Array, parameters: Array, time: float
 ) -> list[float]:
-    """Return how large the terms of outputs at these places are, given those of the state."""
+    """Return the sizes of the terms of outputs, from those of the state."""
     pairs = zip(state.tolist(), sizes.tolist(), strict=True)
     variables = [Series([x], [max(abs(x), size)]) for x, size in pairs]
     found = expand(tape, variables, parameters.tolist(), time, places)

@@ -80,11 +80,11 @@ def _tokens(source: Source) -> Iterator[_Token]:
         kind = match.lastgroup or ""
         offset, at = match.start(kind), match.end()
         if kind == "number" and at < len(text) and (text[at].isalnum() or text[at] in "._"):
-            advice = "write a product as 2*x, not 2x; units are not written"
+            advice = "write a product as 2*x, not 2x; numbers have no unit here"
             if text[at] == ".":
                 advice = "a number has one point: 1.5"
             elif text.startswith("deg", at):
-                advice = f"{TOKENS['deg']}; units are not written"
+                advice = f"{TOKENS['deg']}; numbers have no unit here"
             source.fail(f"{match[kind]!r} runs into {text[at]!r}", at, character(text[at], advice))
         yield _Token(kind, match[kind], offset)
         if kind == "end":
@@ -203,10 +203,11 @@ class Reader:
                 advice = DELAY if past else f"write a product as {name.text}*(...); {advice}"
             self.source.fail(f"unknown function {name.text!r}", name.offset, advice)
         opening = self.advance()
-        arguments = [self.sum()]
+        arguments, marks = [self.sum()], [opening.offset]
         while self.token.text == ",":
-            self.advance()
+            marks.append(self.advance().offset)
             arguments.append(self.sum())
+        marks.append(self.token.offset)
         function = FUNCTIONS[name.text]
         most = function.most
         # In a mapping between braces YAML ends a value at its first comma.
@@ -215,7 +216,7 @@ class Reader:
         if len(arguments) < function.least or (most is not None and len(arguments) > most):
             wanted = f"{function.least}" if most is not None else f"at least {function.least}"
             self.source.fail(f"{name.text} takes {wanted}, not {len(arguments)}", name.offset)
-        return self._checked(Call(name.text, tuple(arguments), name.offset))
+        return self._checked(Call(name.text, tuple(arguments), name.offset, tuple(marks)))
 
     def close(self, opening: _Token, advice: str = _CLOSE) -> None:
         """Read the parenthesis that closes `opening`."""
@@ -247,7 +248,7 @@ class Reader:
         token = self.token
         advice = {
             **TOKENS,
-            "name": "write a product as a*b; units are not written",
+            "name": "write a product as a*b; numbers have no unit here",
             "number": "write a product as a*b",
             "end": "write what follows the last sign",
         }

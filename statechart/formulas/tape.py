@@ -90,17 +90,17 @@ class Tape:
             self.code, self.constants, self.outputs, self.n_fixed, states, parameters, times
         )
 
-    def apart(self, variables: int) -> tuple[Ints, Ints, Ints]:
+    def coloured_sparsity(self, variables: int) -> tuple[Ints, Ints, Ints]:
         """Return outputs and which of the first variables they read, and a colour of each of these.
 
         No output reads two variables of one colour. The arrays (k,) have a row for every pair.
         """
-        if variables not in self._apart:
-            self._apart[variables] = _coloured(self._read_by_outputs(variables), variables)
-        return self._apart[variables]
+        if variables not in self._colourings:
+            self._colourings[variables] = _coloured(self._read_by_outputs(variables), variables)
+        return self._colourings[variables]
 
     @cached_property
-    def _apart(self) -> dict[int, tuple[Ints, Ints, Ints]]:
+    def _colourings(self) -> dict[int, tuple[Ints, Ints, Ints]]:
         return {}
 
     def needed(self, places: tuple[int, ...]) -> list[tuple[int, int, int, int]]:

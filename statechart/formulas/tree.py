@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from statechart.errors import FormulaError
 from statechart.formulas.hints import meant
-from statechart.kernels.whole import whole
+from statechart.kernels.tolerant_floor import tolerant_floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,8 @@ class Call:
     function: str
     arguments: tuple[Node, ...]
     offset: int = field(default=0, compare=False)
+    # Offsets of its opening parenthesis, commas and closing parenthesis.
+    marks: tuple[int, ...] = field(default=(), compare=False)
 
 
 Node = Number | Constant | Name | Unary | Binary | Call
@@ -131,8 +133,8 @@ FUNCTIONS: Mapping[str, Function] = {
     "sat": Function(3, 3, lambda x, a, b: min(max(x, a), b), _sat),
     "hypot": Function(2, 2, math.hypot, _hypot),
     "atan2": Function(2, 2, math.atan2, _sympy("atan2")),
-    "floor": Function(1, 1, whole, _floor),
-    "mod": Function(2, 2, lambda x, y: x - y * whole(x / y), _mod),
+    "floor": Function(1, 1, tolerant_floor, _floor),
+    "mod": Function(2, 2, lambda x, y: x - y * tolerant_floor(x / y), _mod),
 }
 
 CONSTANTS: Mapping[str, float] = {"pi": math.pi, "inf": math.inf}

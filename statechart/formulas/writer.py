@@ -14,7 +14,7 @@ import sympy as sp
 from statechart.errors import StatechartError
 from statechart.formulas.tape import Tape
 from statechart.kernels.tapes import OPCODES, tape_values
-from statechart.kernels.whole import whole
+from statechart.kernels.tolerant_floor import tolerant_floor
 
 
 class Whole(sp.Function):
@@ -24,8 +24,8 @@ class Whole(sp.Function):
 
     @classmethod
     def eval(cls, of: sp.Expr) -> sp.Expr | None:
-        """Return that of a number; of anything else nothing is known yet."""
-        return sp.Integer(whole(float(of))) if of.is_number and of.is_finite else None
+        """Return the floor of a number; other arguments stay unevaluated."""
+        return sp.Integer(tolerant_floor(float(of))) if of.is_number and of.is_finite else None
 
 
 class Difference(sp.Function):
@@ -103,7 +103,7 @@ def compile_tape(
     writer = _Writer(inputs, n_variables=len(variables))
     for symbol, expression in definitions:
         if symbol in needed:
-            writer.known[symbol] = writer.register(expression)
+            writer.registers[symbol] = writer.register(expression)
     registers = [writer.register(sp.sympify(expression)) for expression in outputs]
     return writer.finish(registers, len(variables), len(parameters))
 
@@ -118,19 +118,19 @@ class _Writer:
 
     inputs: list[sp.Symbol]
     n_variables: int
-    known: dict[sp.Basic, int] = field(default_factory=dict)
+    registers: dict[sp.Basic, int] = field(default_factory=dict)
     constants: list[float] = field(default_factory=list)
     operations: list[tuple[int, int, int]] = field(default_factory=list)
     places: dict[tuple[int, int, int], int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.known.update({symbol: k for k, symbol in enumerate(self.inputs)})
+        self.registers.update({symbol: k for k, symbol in enumerate(self.inputs)})
 
     def register(self, node: sp.Expr) -> int:
         """Return the register that holds an expression."""
-        if node not in self.known:
-            self.known[node] = self._write(node)
-        return self.known[node]
+        if node not in self.registers:
+            self.registers[node] = self._write(node)
+        return self.registers[node]
 
     def _write(self, node: sp.Expr) -> int:
         if node.is_Symbol:
@@ -250,7 +250,7 @@ class _Writer:
         return self.places[key]
 
     def _evaluate(self, op: int, left: int, right: int) -> float:
-        """Fold an operation on constants, to what the kernel that would run it makes of them."""
+        """Fold an operation on constants, to the bits of the kernel."""
         binary = op <= OPCODES["pow"]
         constants = [self.constants[~left], self.constants[~right] if binary else 0.0]
         with suppress(ZeroDivisionError):

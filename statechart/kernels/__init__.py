@@ -2,9 +2,9 @@
 
 `jit` interprets kernels until they are hot; then `compiler` compiles them with `numba.njit`, whose
 `lowering` counts few references, and `cache` keeps their machine code on disk. `copies` are cheap
-loops. `tapes` runs straight-line programs, `whole` is their floor; `intervals` and `jets` enclose
+loops. `tapes` runs straight-line programs with a `tolerant_floor`; `intervals` and `jets` enclose
 their values and time derivatives, `boxes` bounds them over a piece of a step, and `search` finds
-the first fall of a margin by branch and bound, in its `search_memory`, down to their `roots`.
+the first fall of a margin by branch and bound, in its `search_workspace`, down to their `roots`.
 `resolution` says where a step may have passed something over, which `defect` asks of rates and
 `quadrature` of what is integrated; `enclosed_defect` proves it, on the complex `discs` of analytic
 functions. `polynomials` is dense output, `extremes` its least and greatest values, `reconstruction`

@@ -1,4 +1,4 @@
-"""Intervals between jumps of one kind: as long as they shrink, and whether they end soon."""
+"""Prediction of accumulating jumps (Zeno) from intervals that shrink by a constant ratio."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _RISE = 1e-3
 # So many flows in turn that the time cannot tell apart have come to their end.
 _UNRESOLVED = 3
 
-KEPT = 12
-"""Intervals that are kept."""
+MAX_INTERVALS = 12
+"""Number of latest intervals that a series stores."""
 
 (HIGH, LOW, LONGEST, UNRESOLVED, COUNT, FIRST) = range(6)
-WIDTH = FIRST + KEPT
+WIDTH = FIRST + MAX_INTERVALS
 """Columns of a series: when its last jump was, the longest interval since they shrink, how many in
 turn time could not tell apart, how many intervals are kept, and these, the oldest first. Not a
 number as `HIGH`: there was no jump."""
 
 
 @kernel
-def follow(series: Array, high: float, low: float, flowed: bool, short: float) -> float:
+def add_jump(series: Array, high: float, low: float, flowed: bool, short: float) -> float:
     """Add a jump to a series (`WIDTH`,); return the time from there to the accumulation.
 
     The jump is at `high` + `low` (a `Clock`); `flowed`: it follows a flow, not another jump. An
@@ -49,8 +49,8 @@ def follow(series: Array, high: float, low: float, flowed: bool, short: float) -
     count = int(series[COUNT])
     if count == 0 or interval >= series[FIRST + count - 1]:
         count, series[LONGEST] = 0, interval
-    if count == KEPT:
-        for i in range(KEPT - 1):
+    if count == MAX_INTERVALS:
+        for i in range(MAX_INTERVALS - 1):
             series[FIRST + i] = series[FIRST + i + 1]
         count -= 1
     series[FIRST + count] = interval

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Ints32
-from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, whole, wide
+from statechart.kernels.intervals import EPS, INF, LIBM, TINY, add, or_whole_line, wide
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import TapeCode, filled
@@ -102,12 +102,12 @@ def place(
         grow = 1.0 + 64.0 * EPS
         d1, d2 = abs(p1) + r1, abs(p2) + r2
         radius = grow * (r0 + w * (d1 + w * (0.5 * d2 + w * b3 / 6.0)))
-        row[0], row[1] = whole(wide((p0 - radius, p0 + radius), EPS))
+        row[0], row[1] = or_whole_line(wide((p0 - radius, p0 + radius), EPS))
         if order > 0:
             radius = grow * (r1 + w * (d2 + w * 0.5 * b3))
-            row[2], row[3] = whole(wide((p1 - radius, p1 + radius), EPS))
+            row[2], row[3] = or_whole_line(wide((p1 - radius, p1 + radius), EPS))
             radius = grow * (r2 + w * b3)
-            row[4], row[5] = whole(wide((p2 - radius, p2 + radius), EPS))
+            row[4], row[5] = or_whole_line(wide((p2 - radius, p2 + radius), EPS))
 
 
 @kernel

@@ -50,7 +50,7 @@ class CodeCache:
         return any(any(folder.glob(self._file("*"))) for folder in self._folders)
 
     def load(self, key: str) -> bytes | None:
-        """Return what is kept by a key; what is damaged is removed."""
+        """Return the code stored under a key; remove a damaged file."""
         for folder in self._folders:
             # A folder that cannot be read has nothing.
             with suppress(OSError):
@@ -62,7 +62,7 @@ class CodeCache:
         return None
 
     def save(self, key: str, data: bytes) -> None:
-        """Keep what is known by a key, in the first folder that can be written."""
+        """Store code under a key, in the first folder that can be written."""
         for folder in self._folders:
             with suppress(OSError):
                 folder.mkdir(parents=True, exist_ok=True)

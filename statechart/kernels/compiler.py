@@ -24,8 +24,8 @@ _njit = partial(njit, error_model="numpy", no_cfunc_wrapper=True, pipeline_class
 _TYPING = _njit()(lambda: None).typingctx
 
 
-def part(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel into each of those that call it."""
+def inner_dispatcher(kernel: jit.Kernel) -> Any:
+    """Return numba's dispatcher for calls of a kernel from other kernels."""
     made = _njit(no_cpython_wrapper=True)(kernel.py_func)
     compile_ = made.compile
 
@@ -41,7 +41,7 @@ def part(kernel: jit.Kernel) -> Any:
 
 
 def dispatcher(kernel: jit.Kernel) -> Any:
-    """Return what compiles a kernel for calls from Python, or loads it from the disk."""
+    """Return numba's dispatcher for calls from Python; it compiles a kernel or loads its code."""
     made = _njit()(kernel.py_func)
     compile_ = made.compile
 
@@ -81,7 +81,7 @@ def _count(kernel: jit.Kernel) -> int:
     return sum(not one.inner.overloads for one in kernel.below)
 
 
-def native(function: Callable[..., Any]) -> Any:
+def intrinsic_dispatcher(function: Callable[..., Any]) -> Any:
     """Return a function that writes its own LLVM code."""
     made = intrinsic(function)
     # Made while what calls it is compiled, it would be seen by the next compilation only.
@@ -90,7 +90,7 @@ def native(function: Callable[..., Any]) -> Any:
 
 
 @typeof_impl.register(jit.Kernel)
-@typeof_impl.register(jit.Native)
+@typeof_impl.register(jit.Intrinsic)
 def _type(value: Any, context: Any) -> Any:
-    """Let kernels see in another kernel what numba made of it."""
+    """Type a kernel, where a kernel names it, as its dispatcher."""
     return _TYPING.resolve_value_type(value.inner)

@@ -9,7 +9,14 @@ from statechart.kernels.boxes import Along, Steps, along_steps, prepare
 from statechart.kernels.intervals import INF
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import reaches, slopes_at
-from statechart.kernels.resolution import NARROW, PLACES, at, look, look_closer, ready
+from statechart.kernels.resolution import (
+    NARROW,
+    PLACES,
+    at,
+    bound_box,
+    bound_box_tightly,
+    jet_registers,
+)
 from statechart.kernels.tapes import TapeCode
 
 # Slopes are sums of a series, whose terms are rounded more often than a rate is.
@@ -20,8 +27,8 @@ _SHARE = 1.0 / 64.0
 
 
 @kernel
-def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
-    """Return whether what is not resolved of rates may move a variable farther than is allowed."""
+def is_unresolved(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: Array) -> bool:
+    """Return whether unresolved parts of the rates may move a variable farther than `allowed`."""
     rough = False
     for v in range(sizes.shape[0]):
         rough = rough or not time * jets[outputs[v], 2] <= _SHARE * allowed * sizes[v]
@@ -29,7 +36,7 @@ def rough_in(outputs: Ints32, jets: Array, time: float, allowed: float, sizes: A
 
 
 @kernel
-def unseen(
+def find_defect(
     tape: TapeCode, steps: Steps, first: int, last: int, floors: Array, allowed: float, budget: int
 ) -> tuple[int, float, float, int]:
     """First box of the steps [first, last) whose polynomials may not follow the rates.
@@ -43,7 +50,7 @@ def unseen(
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     n = coeffs.shape[1]
     along, regs = along_steps(tape, steps, PLACES.shape[0])
-    jets = ready(along, regs)
+    jets = jet_registers(along, regs)
     bounds, sizes, rounding = np.zeros(n), np.empty(n), np.empty(n)
     lefts, rights = np.empty(64), np.empty(64)
     boxes = 0
@@ -60,11 +67,11 @@ def unseen(
             top -= 1
             a, b = lefts[top], rights[top]
             m, looked = 0.5 * (a + b), looked + 1
-            look(along, step, bounds, a, b, jets)
-            rough = rough_in(outputs, jets, h * (b - a), allowed, sizes)
+            bound_box(along, step, bounds, a, b, jets)
+            rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
-                look_closer(along, step, bounds, a, b, jets)
-                rough = rough_in(outputs, jets, h * (b - a), allowed, sizes)
+                bound_box_tightly(along, step, bounds, a, b, jets)
+                rough = is_unresolved(outputs, jets, h * (b - a), allowed, sizes)
             if rough:
                 if b - a <= NARROW:
                     continue
@@ -117,7 +124,7 @@ def _defect(
 def _round(
     along: Along, outputs: Ints32, step: int, h: float, rounding: Array, regs: Array
 ) -> None:
-    """Write what slopes may be off by rounding: next to where a step begins they are the rates."""
+    """Write the round-off of slopes; near the beginning of a step these are the rates."""
     coeffs = along[6]
     at(along, step, 0.0, _NEXT, PLACES, regs)
     for v in range(coeffs.shape[1]):

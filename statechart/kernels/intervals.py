@@ -22,7 +22,7 @@ LIBM = 4.0 * EPS
 INF = math.inf
 LARGEST = 1.7976931348623157e308
 
-WHOLE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
+WHOLE_LINE, ZERO, ONE = (-INF, INF), (0.0, 0.0), (1.0, 1.0)
 HALF, MINUS_ONE = (0.5, 0.5), (-1.0, -1.0)
 
 
@@ -69,7 +69,7 @@ def hull(p: float, q: float, r: float, s: float) -> Interval:
 def _hull4(p: float, q: float, r: float, s: float) -> Interval:
     total = p + q + r + s
     if total != total:
-        return WHOLE
+        return WHOLE_LINE
     return wide(hull(p, q, r, s), EPS)
 
 
@@ -85,7 +85,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 def div(a: Interval, b: Interval) -> Interval:
     """Quotient; the whole line where the divisor may be zero."""
     if not (b[0] > 0.0 or b[1] < 0.0):
-        return WHOLE
+        return WHOLE_LINE
     return _hull4(a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1])
 
 
@@ -109,7 +109,7 @@ def square(a: Interval) -> Interval:
 def sqrt(a: Interval) -> Interval:
     """Square root; the whole line where a number below zero is possible."""
     if not a[0] >= 0.0:
-        return WHOLE
+        return WHOLE_LINE
     p, q = math.sqrt(a[0]), math.sqrt(a[1])
     return max(0.0, p - p * EPS), q + q * EPS
 
@@ -184,8 +184,8 @@ def cosh(a: Interval) -> Interval:
 
 
 @kernel
-def whole(a: Interval) -> Interval:
+def or_whole_line(a: Interval) -> Interval:
     """Return the interval, or the whole line where a bound was lost."""
     if a[0] <= a[1]:
         return a
-    return WHOLE
+    return WHOLE_LINE

@@ -18,7 +18,7 @@ from statechart.kernels.intervals import (
     LIBM,
     MINUS_ONE,
     ONE,
-    WHOLE,
+    WHOLE_LINE,
     ZERO,
     Interval,
     add,
@@ -30,6 +30,7 @@ from statechart.kernels.intervals import (
     hull,
     mul,
     neg,
+    or_whole_line,
     power,
     scaled,
     sinh,
@@ -37,7 +38,6 @@ from statechart.kernels.intervals import (
     square,
     sub,
     wave,
-    whole,
     wide,
 )
 from statechart.kernels.jit import kernel
@@ -92,7 +92,7 @@ def _defined(op: int, a: Interval) -> Interval:
 @kernel
 def _kinked(op: int, a: Interval) -> Jet:
     """Enclosures of abs or sign and of their derivatives."""
-    f = d = e = WHOLE
+    f = d = e = WHOLE_LINE
     if op == ABS:
         if a[0] >= 0.0:
             f, d, e = a, ONE, ZERO
@@ -112,7 +112,7 @@ def _kinked(op: int, a: Interval) -> Jet:
 @kernel
 def _inverse(op: int, a: Interval) -> Jet:
     """Enclosures of atan, asin or acos and of their derivatives."""
-    f = d = e = WHOLE
+    f = d = e = WHOLE_LINE
     if op == ATAN:
         f = wide((math.atan(a[0]), math.atan(a[1])), LIBM)
         d = div(ONE, add(square(a), ONE))
@@ -132,7 +132,7 @@ def _inverse(op: int, a: Interval) -> Jet:
 @kernel
 def _hyperbolic(op: int, a: Interval) -> Jet:
     """Enclosures of sinh, cosh or tanh and of their derivatives."""
-    f = d = e = WHOLE
+    f = d = e = WHOLE_LINE
     if op == SINH:
         f = e = sinh(a)
         d = cosh(a)
@@ -152,7 +152,7 @@ def _unary(op: int, exponent: int, a: Interval, order: int) -> Jet:
     """Enclosures over an interval of f and, if the order is above 0, of f' and f''."""
     if order < 0:
         a = _defined(op, a)
-    f = d = e = WHOLE
+    f = d = e = WHOLE_LINE
     if op == SIN:
         f = wave(a, True)
         if order > 0:
@@ -212,7 +212,7 @@ def _polar(op: int, y: Jet, x: Jet) -> Jet:
         n = add(add(square(x1), square(y1)), add(mul(x0, x2), mul(y0, y2)))
         return f, d, div(sub(n, square(d)), f)
     if not (x0[0] > 0.0 or y0[0] > 0.0 or y0[1] < 0.0):
-        return (-LIBM - math.pi, math.pi + LIBM), WHOLE, WHOLE
+        return (-LIBM - math.pi, math.pi + LIBM), WHOLE_LINE, WHOLE_LINE
     # Away from the cut the angle is monotone along every edge: its extremes are at corners.
     a, b = math.atan2(y0[0], x0[0]), math.atan2(y0[0], x0[1])
     c, r = math.atan2(y0[1], x0[0]), math.atan2(y0[1], x0[1])
@@ -256,7 +256,7 @@ def _power_jet(x: Jet, y: Jet, order: int) -> Jet:
     if order < 0:
         x0 = _defined(POW, x0)
     if not (x0[0] > 0.0 or (x0[0] == 0.0 and y0[0] > 0.0)):
-        return WHOLE, WHOLE, WHOLE
+        return WHOLE_LINE, WHOLE_LINE, WHOLE_LINE
     f = hull(x0[0] ** y0[0], x0[0] ** y0[1], x0[1] ** y0[0], x0[1] ** y0[1])
     f = wide(f, LIBM)
     f = (max(0.0, f[0]), f[1])
@@ -277,8 +277,8 @@ def _extreme(op: int, u: Jet, v: Jet) -> Jet:
         return v if op == MIN else u
     d = (min(u[1][0], v[1][0]), max(u[1][1], v[1][1]))
     if op == MIN:
-        return (min(u[0][0], v[0][0]), min(u[0][1], v[0][1])), d, WHOLE
-    return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE
+        return (min(u[0][0], v[0][0]), min(u[0][1], v[0][1])), d, WHOLE_LINE
+    return (max(u[0][0], v[0][0]), max(u[0][1], v[0][1])), d, WHOLE_LINE
 
 
 @kernel
@@ -343,10 +343,10 @@ def run_jets(code: Ints32, first: int, last: int, base: int, jets: Array, order:
                 d = mul(g, du)
             if order > 1:
                 e = add(mul(h, square(du)), mul(g, ddu))
-        jets[base + k, 0], jets[base + k, 1] = whole(f)
+        jets[base + k, 0], jets[base + k, 1] = or_whole_line(f)
         if order > 0:
-            jets[base + k, 2], jets[base + k, 3] = whole(d)
-            jets[base + k, 4], jets[base + k, 5] = whole(e)
+            jets[base + k, 2], jets[base + k, 3] = or_whole_line(d)
+            jets[base + k, 4], jets[base + k, 5] = or_whole_line(e)
 
 
 @kernel

@@ -44,15 +44,15 @@ class _Interpreter:
     """State of the interpretation of kernels.
 
     The kernel under way is given up at the CPU time `until`, infinite where none is; `calls` are
-    the kernels called by interpreted kernels, `spent` the seconds of all; `ahead` says that this
+    the kernels called by interpreted kernels, `spent` the seconds of all; `ahead_of_time`: this
     process runs to fill the cache.
     """
 
-    until, calls, spent, ahead = math.inf, 0, 0.0, False
+    until, calls, spent, ahead_of_time = math.inf, 0, 0.0, False
 
 
 class Kernel:
-    """A kernel: called by Python interpreted or compiled, by other kernels as they are."""
+    """A kernel: Python calls it interpreted or compiled, other kernels call its compiled code."""
 
     def __init__(self, function: Callable[..., Any], interpreted: bool) -> None:
         self.py_func = function
@@ -71,7 +71,7 @@ class Kernel:
         """Numba's dispatcher for calls from kernels."""
         from statechart.kernels import compiler
 
-        return compiler.part(self)
+        return compiler.inner_dispatcher(self)
 
     @cached_property
     def written(self) -> Callable[..., Any]:
@@ -82,7 +82,7 @@ class Kernel:
     @cached_property
     def cache(self) -> CodeCache:
         """Its machine code on disk."""
-        return CodeCache(self.py_func, (Kernel, Native))
+        return CodeCache(self.py_func, (Kernel, Intrinsic))
 
     @cached_property
     def is_cached(self) -> bool:
@@ -116,7 +116,7 @@ class Kernel:
 
     def _is_hot(self) -> bool:
         loads = self._spent >= LINKING if numba_is_imported() else _Interpreter.spent >= LOADING
-        enough = LINKING if _Interpreter.ahead else HOT
+        enough = LINKING if _Interpreter.ahead_of_time else HOT
         self._hot = self._spent >= enough or (loads and self.is_cached)
         return self._hot
 
@@ -144,7 +144,7 @@ class Kernel:
         return self.py_func.__qualname__
 
 
-class Native:
+class Intrinsic:
     """A function of kernels that writes its own LLVM code, as `numba.extending.intrinsic`."""
 
     def __init__(self, function: Callable[..., Any], as_written: Callable[..., Any]) -> None:
@@ -159,7 +159,7 @@ class Native:
         """The kernel as numba compiles it."""
         from statechart.kernels import compiler
 
-        return compiler.native(self.py_func)
+        return compiler.intrinsic_dispatcher(self.py_func)
 
 
 @overload
@@ -178,19 +178,19 @@ def kernel(function: Any = None, *, interpreted: bool = True) -> Any:
     return Kernel(function, interpreted)
 
 
-def native(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
-    """Let a function write the code of kernels that call it; Python calls another."""
-    return lambda function: Native(function, as_written)
+def intrinsic(as_written: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """Declare an intrinsic, which writes LLVM code; Python calls `as_written` in its place."""
+    return lambda function: Intrinsic(function, as_written)
 
 
 @contextmanager
 def ahead_of_time() -> Iterator[None]:
     """Compile kernels sooner, for runs whose purpose is to fill the cache."""
-    _Interpreter.ahead = True
+    _Interpreter.ahead_of_time = True
     try:
         yield
     finally:
-        _Interpreter.ahead = False
+        _Interpreter.ahead_of_time = False
 
 
 def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
@@ -206,7 +206,7 @@ def entry(kernel: Any, *arguments: Any) -> Callable[..., Any]:
 
 def is_ready(kernel: Any) -> bool:
     """Return whether a kernel is compiled, or on disk, in a process that has imported numba."""
-    if _Interpreter.ahead:
+    if _Interpreter.ahead_of_time:
         return True
     return numba_is_imported() and (bool(kernel.compiled.overloads) or kernel.is_cached)
 

@@ -142,7 +142,7 @@ def sample_states(coeffs: Array, times: Array, tau: Array) -> Array:
 
 @kernel
 def summands(times: Array, coeffs: Array) -> Array:
-    """Return what each variable was summed from as an arc ended, its rounded time among them."""
+    """Return the size of the terms whose sum is each variable at the end of an arc."""
     last, n, terms = len(coeffs) - 1, coeffs.shape[1], coeffs.shape[2]
     # A last step shorter than the time can tell has no rate; the one before it has.
     long = last

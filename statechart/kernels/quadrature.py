@@ -13,9 +13,9 @@ from statechart.kernels.resolution import (
     NARROW,
     PLACES,
     at,
-    look,
-    look_whole,
-    ready,
+    bound_box,
+    bound_step,
+    jet_registers,
     roughen_by_places,
 )
 from statechart.kernels.tapes import TapeCode
@@ -27,7 +27,7 @@ _ROUNDINGS = 8.0
 # Far above what enclosures are widened by against underflow.
 _NOTHING = 1e-280
 # Most pieces of a step: what has more is finer than anybody would integrate.
-_PIECES = 1 << 14
+_MAX_PIECES = 1 << 14
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES = (_NODES + 1.0) / 2.0
@@ -35,7 +35,7 @@ _WEIGHTS = _WEIGHTS / 2.0
 
 
 @kernel
-def _misses(
+def _is_unresolved(
     outputs: Ints32, jets: Array, width: float, undefined: Bools, largest: Array, rough: Array
 ) -> bool:
     """Return whether a piece is not resolved for some output; writes how rough each is in it."""
@@ -59,7 +59,7 @@ def integrate_outputs(
     outputs, reads, times, coeffs = tape.outputs, tape.reads, steps.times, steps.coeffs
     count = _NODES.shape[0]
     along, regs = along_steps(tape, steps, count)
-    jets, bounds = ready(along, regs), np.zeros(coeffs.shape[1])
+    jets, bounds = jet_registers(along, regs), np.zeros(coeffs.shape[1])
     sums = np.zeros((4, outputs.shape[0]))
     result, largest, rough, noise = sums[0], sums[1], sums[2], sums[3]
     undefined = np.empty(outputs.shape[0], np.bool_)
@@ -83,33 +83,33 @@ def integrate_outputs(
                     value = abs(regs[outputs[i], j])
                     undefined[i] = undefined[i] or value != value
                     largest[i] = max(largest[i], value)
-            whole = b - a == 1.0 and look_whole(along, step, jets)
-            halve = not whole or _misses(outputs, jets, b - a, undefined, largest, rough)
+            whole = b - a == 1.0 and bound_step(along, step, jets)
+            halve = not whole or _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 if not prepared:
                     prepare(coeffs, step, reads, bounds)
                     prepared = True
-                look(along, step, bounds, a, b, jets)
-                halve = _misses(outputs, jets, b - a, undefined, largest, rough)
+                bound_box(along, step, bounds, a, b, jets)
+                halve = _is_unresolved(outputs, jets, b - a, undefined, largest, rough)
             if halve:
                 # A register as rough at places as in the box, or no rougher than its values are
                 # rounded there, is the rounding of a kink's zero.
                 halve, rounded = False, np.empty(jets.shape[0])
                 for j in range(2):
                     s = a + PLACES[j + 1] * (b - a)
-                    look(along, step, bounds, s, s, jets)
+                    bound_box(along, step, bounds, s, s, jets)
                     for r in range(jets.shape[0]):
                         rounded[r] = max(jets[r, 1] - jets[r, 0], rounded[r] if j == 1 else 0.0)
                     for i in range(outputs.shape[0]):
                         here = jets[outputs[i], 2] + _ROUNDINGS * rounded[outputs[i]]
                         noise[i] = min(noise[i], here) if j == 1 else here
-                look(along, step, bounds, a, b, jets)
+                bound_box(along, step, bounds, a, b, jets)
                 roughen_by_places(along, regs, count, rounded, jets)
                 for i in range(outputs.shape[0]):
                     more = min(rough[i], jets[outputs[i], 2]) - noise[i]
                     missed = (b - a) * more if more > 0.0 else 0.0
                     halve = halve or not (undefined[i] or missed <= _EXACT * largest[i] + _NOTHING)
-            if halve and b - a > NARROW and looked < _PIECES:
+            if halve and b - a > NARROW and looked < _MAX_PIECES:
                 m = 0.5 * (a + b)
                 lefts[top], rights[top] = m, b
                 lefts[top + 1], rights[top + 1] = a, m

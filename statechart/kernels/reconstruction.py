@@ -1,4 +1,4 @@
-"""The variables that follow from the others, written into a state."""
+"""Reconstruction of the dependent variables of a state from the independent ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def reconstruction_program(
     parameters: Array,
     variables: int,
 ) -> Program:
-    """Return what follows in a flow.
+    """Return the program that reconstructs the dependent variables of a flow.
 
     `places` (k,) are those of the tape's outputs in a state of so many `variables`; the tape reads
     the `anchors` (a,) of the flow behind the state.
@@ -35,7 +35,7 @@ def reconstruction_program(
 
 @kernel
 def reconstruct(program: Program, state: Array, time: float) -> None:
-    """Write what follows from the rest of `state` into it."""
+    """Write the dependent variables of `state`."""
     code, base, outputs, places, clock, registers = program
     for v in range(state.shape[0]):
         registers[v, 0] = state[v]
@@ -47,6 +47,6 @@ def reconstruct(program: Program, state: Array, time: float) -> None:
 
 @kernel
 def reconstruct_any(program: Program, state: Array, time: float) -> None:
-    """Do what `reconstruct` does where something follows, and nothing where nothing does."""
+    """Write the dependent variables of `state`, if there are any."""
     if program[3].shape[0] > 0:
         reconstruct(program, state, time)

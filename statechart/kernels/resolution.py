@@ -56,9 +56,9 @@ NARROW = 2.0**-48
 """Narrowest box, in parts of a step: a rough one is not halved further."""
 
 # The range of an argument may be so many times as wide as its distance from a singularity.
-_ROOM = 2.0
+_MAX_SPAN = 2.0
 # The limit where there is none, in units of growth by a factor e or a turn by a radian.
-_TURN = 4.0
+_MAX_TURN = 4.0
 
 
 @kernel
@@ -80,23 +80,25 @@ def _resolved(op: int, exponent: int, a: Interval) -> bool:
     if span == 0.0:
         return True
     if op in (SIN, COS, EXP, SINH, COSH):
-        return span <= _TURN
+        return span <= _MAX_TURN
     if op == TANH:
-        return span <= _ROOM * math.hypot(_away(a), 0.5 * math.pi)
+        return span <= _MAX_SPAN * math.hypot(_away(a), 0.5 * math.pi)
     if op == ATAN:
-        return span <= _ROOM * math.hypot(_away(a), 1.0)
+        return span <= _MAX_SPAN * math.hypot(_away(a), 1.0)
     if op in (ABS, SIGN):
         return low >= 0.0 or high <= 0.0
     if op == TAN:
         turn = math.floor(low / math.pi - 0.5)
         begin = (turn + 0.5) * math.pi
-        return span <= _ROOM * min(low - begin, begin + math.pi - high)
+        return span <= _MAX_SPAN * min(low - begin, begin + math.pi - high)
     if op in (ASIN, ACOS):
-        return span <= _ROOM * min(low + 1.0, 1.0 - high)
+        return span <= _MAX_SPAN * min(low + 1.0, 1.0 - high)
     if op == POWI:
         n, near, size = abs(float(exponent)), _away(a), _size(a)
-        return n * span <= 2.0 * _TURN * size or (near > 0.0 and n * math.log(size / near) <= _TURN)
-    return span <= _ROOM * low  # SQRT, LOG
+        return n * span <= 2.0 * _MAX_TURN * size or (
+            near > 0.0 and n * math.log(size / near) <= _MAX_TURN
+        )
+    return span <= _MAX_SPAN * low  # SQRT, LOG
 
 
 @kernel
@@ -106,14 +108,14 @@ def _power_resolved(x: Interval, y: Interval) -> bool:
     n = math.floor(0.5 * (y[0] + y[1]) + 0.5)
     if max(n - y[0], y[1] - n) <= 1e-14 * abs(n):  # a parameter may be a whole number
         whole = n < 2.0**31 and _resolved(POWI, int(n), x)
-        return whole and (n >= 0.0 or high - low <= _ROOM * _away(x))
+        return whole and (n >= 0.0 or high - low <= _MAX_SPAN * _away(x))
     if not low > 0.0:
         return high == low and y[0] == y[1]
     logs = max(abs(math.log(low)), abs(math.log(high)))
     return (
-        high - low <= _ROOM * low
-        and _size(y) * math.log(high / low) <= _TURN
-        and (y[1] - y[0]) * logs <= _TURN
+        high - low <= _MAX_SPAN * low
+        and _size(y) * math.log(high / low) <= _MAX_TURN
+        and (y[1] - y[0]) * logs <= _MAX_TURN
     )
 
 
@@ -148,7 +150,7 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
                     rough += q * _size(a)
             elif op == DIV:
                 near = _away(b)
-                if b[1] - b[0] <= _ROOM * near:
+                if b[1] - b[0] <= _MAX_SPAN * near:
                     rough = (p + q * _size(f)) / near if p > 0.0 or q > 0.0 else 0.0
                 else:
                     rough = width
@@ -162,14 +164,14 @@ def _roughen(code: Ints32, first: int, last: int, base: int, jets: Array) -> Non
             else:
                 span = max(a[1] - a[0], b[1] - b[0])
                 seen = p == 0.0 and q == 0.0
-                seen = seen and span <= _ROOM * math.hypot(_away(a), _away(b))
+                seen = seen and span <= _MAX_SPAN * math.hypot(_away(a), _away(b))
                 rough = 0.0 if seen else width
         jets[base + k, 2] = min(rough, width) if rough == rough else INF
 
 
 @kernel
-def ready(along: Along, regs: Array) -> Array:
-    """Return registers of jets with what does not change along the steps filled in."""
+def jet_registers(along: Along, regs: Array) -> Array:
+    """Return registers of jets, with constants and parameters filled in."""
     code, base, fixed, _, _, _, coeffs, _ = along
     n = coeffs.shape[1]
     run_tape(code, 0, fixed, base, regs, regs.shape[1])
@@ -191,7 +193,7 @@ def roughen(along: Along, jets: Array) -> None:
 
 
 @kernel
-def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
+def bound_box(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
     """Fill in ranges and roughness of all registers over the box [a, b] of a step."""
     code, base, first, last = along[:4]
     m = 0.5 * (a + b)
@@ -201,8 +203,8 @@ def look(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array
 
 
 @kernel
-def look_whole(along: Along, step: int, jets: Array) -> bool:
-    """Do what `look` does on a whole step, by ranges of its variables that are quickly told.
+def bound_step(along: Along, step: int, jets: Array) -> bool:
+    """Do what `bound_box` does on a whole step, by ranges of its variables that cost little.
 
     False where one is not finite.
     """
@@ -215,8 +217,10 @@ def look_whole(along: Along, step: int, jets: Array) -> bool:
 
 
 @kernel
-def look_closer(along: Along, step: int, bounds: Array, a: float, b: float, jets: Array) -> None:
-    """Do what `_look` does with ranges by the mean value form, too: they shrink with the square.
+def bound_box_tightly(
+    along: Along, step: int, bounds: Array, a: float, b: float, jets: Array
+) -> None:
+    """Do what `bound_box` does, by the mean value form, too: its ranges shrink with the square.
 
     The determinant of a mode that nears its end is a small difference of large numbers.
     """
@@ -254,12 +258,12 @@ def _by_places(r: int, count: int, regs: Array, rounded: Array, jets: Array) -> 
 
 @kernel
 def roughen_by_places(along: Along, regs: Array, count: int, rounded: Array, jets: Array) -> None:
-    """Fill in roughness anew with what values at places tell of what is resolved.
+    """Fill in roughness again, from values of resolved registers at sampled places.
 
     Enclosures do not see that terms cancel (``cos(x)**2 + sin(x)**2 - 1``), however short a box is:
     a kink of what is nothing but rounding was looked for to the end. `regs` (r, ..) are values at
     `count` places of the box, `rounded` (r,) how wide ranges of single places are, `jets` (r, 8)
-    the ranges over the box (see `look`).
+    the ranges over the box (see `bound_box`).
     """
     code, base, first, last, reads = along[:5]
     for v in reads:

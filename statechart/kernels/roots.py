@@ -43,7 +43,7 @@ def _risen(along: Along, step: int, output: int, place: float, bounds: Array, je
 
 
 @kernel
-def returned(
+def return_to_zero(
     along: Along, step: int, output: int, place: float, below: float, bounds: Array, regs: Array,
     jets: Array,
 ) -> float:  # fmt: skip

@@ -20,8 +20,15 @@ from statechart.kernels.intervals import INF, LIBM
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
 from statechart.kernels.polynomials import local_time
-from statechart.kernels.roots import last_place, returned, value_at
-from statechart.kernels.search_memory import BOXES, Ready, bit, narrowed, ready_along, room
+from statechart.kernels.roots import last_place, return_to_zero, value_at
+from statechart.kernels.search_workspace import (
+    BOXES,
+    PreparedTape,
+    bit,
+    prepare_tape,
+    search_workspace,
+    select_outputs,
+)
 from statechart.kernels.tapes import TapeCode
 
 NONE, CROSSING, GRAZE, BUDGET, NON_FINITE = range(5)
@@ -30,13 +37,13 @@ NARROW = 2.0**-48  # of a step: narrower boxes tell nothing new in float64
 
 FLAT = 2.0**-12  # likewise: nothing that a step resolves is within rounding of zero thrice in it
 
-Scratch = tuple[Array, Array, Array, Array]
-"""Memory to evaluate in: bounds of third derivatives, registers, jets, evidence on one output."""
+BoxWorkspace = tuple[Array, Array, Array, Array]
+"""Bounds of third derivatives, registers, jets, and evidence on one output."""
 
 
 @kernel
 def _descent(
-    along: Along, guard: Ints32, step: int, left: float, right: float, scratch: Scratch
+    along: Along, guard: Ints32, step: int, left: float, right: float, workspace: BoxWorkspace
 ) -> tuple[int, float]:
     """Return the root of the margin itself, on the descent that ends at `right` below tolerance.
 
@@ -45,7 +52,7 @@ def _descent(
     of it, the answer is where it starts.
     """
     reads, coeffs = along[4], along[6]
-    bounds, regs, jets, work = scratch
+    bounds, regs, jets, work = workspace
     p, q = right, left
     if value_at(along, step, guard[0], p, regs) >= 0.0:
         return step, p
@@ -74,14 +81,20 @@ def _descent(
 
 @kernel
 def _falls(
-    along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float, scratch: Scratch
+    along: Along,
+    guard: Ints32,
+    tolerance: float,
+    step: int,
+    a: float,
+    b: float,
+    workspace: BoxWorkspace,
 ) -> tuple[int, float]:
     """Return whether an output that falls all over [a, b] passes -tolerance there, and a sure end.
 
     Returns 0 for no, 1 for yes, 2 for undecided. Zero to within rounding at b is a yes if b is
     the end of the step; elsewhere it is decided a little beyond b, if it falls there too.
     """
-    bounds, _, jets, work = scratch
+    bounds, _, jets, work = workspace
     end = b
     for shrink in (0.0, 1.0, 0.0625):
         if shrink > 0.0:
@@ -132,12 +145,12 @@ box is too narrow to look closer."""
 
 
 @kernel
-def _sure(
+def _certain_end(
     along: Along, guard: Ints32, tolerance: float, step: int, here: float, end: float,
-    scratch: Scratch,
+    workspace: BoxWorkspace,
 ) -> float:  # fmt: skip
     """Return a place where an output that falls from `here` to `end` is surely below -tolerance."""
-    bounds, _, jets, aside = scratch
+    bounds, _, jets, aside = workspace
     # The slope carries the round-off left at the float root below 0.
     enclose(along, step, bounds, here, 0.0, 0, jets)
     rest = max(0.0, jets[guard[0], 1] + tolerance) / -aside[0, 7]
@@ -154,12 +167,12 @@ def _sure(
 
 
 @kernel
-def _decided(
+def _judge_box(
     along: Along, guard: Ints32, tolerance: float, step: int, a: float, b: float,
-    evidence: Array, scratch: Scratch,
+    evidence: Array, workspace: BoxWorkspace,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Tell from the evidence whether an output falls on [a, b]: where, and where it surely has."""
-    bounds, regs, jets, aside = scratch
+    """Judge by the evidence whether an output falls on [a, b]; return where, and a certain end."""
+    bounds, regs, jets, aside = workspace
     output = guard[0]
     if a == 0.0 and evidence[10] + tolerance < 0.0:
         return FALLS, 0.0, 0.0
@@ -170,12 +183,12 @@ def _decided(
         return CLEAR, INF, INF
     if evidence[7] < 0.0:
         aside[0, 7] = evidence[7]
-        falls, end = _falls(along, guard, tolerance, step, a, b, scratch)
+        falls, end = _falls(along, guard, tolerance, step, a, b, workspace)
         if falls == 0:
             return CLEAR, INF, INF
         if falls == 1:
             here = last_place(along, step, output, tolerance, a, end, regs)
-            return FALLS, here, _sure(along, guard, tolerance, step, here, end, scratch)
+            return FALLS, here, _certain_end(along, guard, tolerance, step, here, end, workspace)
     bounded = evidence[4] > -INF and evidence[5] < INF
     edge = b - a <= FLAT and not bounded
     if edge and _clear_at_edge(along, output, tolerance, step, a, b, bounds, jets):
@@ -212,15 +225,19 @@ def search(
             raise ValueError("the tolerances of margins are numbers >= 0")
     n, operations = steps.coeffs.shape[1], tape.code.shape[0]
     registers = n + 1 + steps.parameters.shape[0] + tape.constants.shape[0] + operations
-    memory = room(registers, operations, outputs.shape[0], n)
-    return search_along(ready_along(tape, steps, memory), outputs, tolerances, first, last, budget)
+    workspace = search_workspace(registers, operations, outputs.shape[0], n)
+    return search_along(
+        prepare_tape(tape, steps, workspace), outputs, tolerances, first, last, budget
+    )
 
 
 @kernel
-def clear_whole(ready: Ready, outputs: Ints32, tolerances: Array, step: int, jets: Array) -> bool:
-    """Return whether no output falls in a step, as far as the ranges of the variables in it tell.
+def clear_whole(
+    ready: PreparedTape, outputs: Ints32, tolerances: Array, step: int, jets: Array
+) -> bool:
+    """Return whether the ranges of the variables in a step exclude that an output falls.
 
-    Leaves those of all registers in `jets`, and the first of the marks for `search_step`.
+    Writes the ranges of all registers to `jets`, and the first marks for `search_step`.
     """
     along, marks = ready[0], ready[7]
     code, base, first, last = along[:4]
@@ -247,7 +264,7 @@ def _undecided(marks: NDArray[np.uint8], count: int) -> int:
 
 @kernel
 def search_along(
-    ready: Ready, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
+    ready: PreparedTape, outputs: Ints32, tolerances: Array, first: int, last: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """Search steps (see `search`)."""
     boxes, jets = 0, ready[4]
@@ -266,14 +283,14 @@ def search_along(
 
 @kernel
 def search_step(
-    ready: Ready, outputs: Ints32, tolerances: Array, step: int, budget: int
+    ready: PreparedTape, outputs: Ints32, tolerances: Array, step: int, budget: int
 ) -> tuple[int, int, int, float, float, float, int]:
     """Search a step (see `search`) for the fall of an output that `clear_whole` has marked."""
     along, needs, bounds, regs, jets, work, ends, marks = ready
     reads, times, coeffs, start = along[4:]
     n_out = outputs.shape[0]
     aside, state = work[n_out:], marks[BOXES]
-    scratch = (bounds, regs, jets, aside)
+    workspace = (bounds, regs, jets, aside)
     lefts, rights = ends[0], ends[1]  # the leftmost on top
     boxes = 0
     finite = prepare(coeffs, step, reads, bounds) and abs(start) < INF
@@ -291,7 +308,7 @@ def search_step(
             return BUDGET, -1, step, a, at, end, boxes - 1
         for i in range(n_out):
             state[i] = marks[top, i]
-        few = narrowed(needs, along, _undecided(state, n_out))
+        few = select_outputs(needs, along, _undecided(state, n_out))
         if b - a == 1.0:
             unclear = unclear_by_slopes(few, outputs, tolerances, step, bounds, jets, state, work)
         else:
@@ -301,14 +318,16 @@ def search_step(
             unclear = unclear_by_values(outputs, tolerances, jets, state)
         if unclear == 0:
             continue
-        few = narrowed(needs, along, _undecided(state, n_out))
+        few = select_outputs(needs, along, _undecided(state, n_out))
         judge(few, outputs, step, bounds, a, b, jets, work)
         unclear, improved = 0, False
         for i in range(n_out):
             if state[i] == 0:
                 continue
-            alone, guard = narrowed(needs, along, bit(i)), outputs[i : i + 1]
-            verdict, here, far = _decided(alone, guard, tolerances[i], step, a, b, work[i], scratch)
+            alone, guard = select_outputs(needs, along, bit(i)), outputs[i : i + 1]
+            verdict, here, far = _judge_box(
+                alone, guard, tolerances[i], step, a, b, work[i], workspace
+            )
             if verdict == OPEN:
                 unclear += 1
                 continue
@@ -337,10 +356,10 @@ def search_step(
             marks[max(top - 2, 0), i] = marks[top - 1, i] = state[i]
     if found >= 0:
         guard = outputs[found : found + 1]
-        alone = narrowed(needs, along, bit(found))
-        event_step, event = _descent(alone, guard, step, found_left, root, scratch)
+        alone = select_outputs(needs, along, bit(found))
+        event_step, event = _descent(alone, guard, step, found_left, root, workspace)
         below = root if event_step == step else 1.0
-        event = returned(alone, event_step, guard[0], event, below, bounds, regs, jets)
+        event = return_to_zero(alone, event_step, guard[0], event, below, bounds, regs, jets)
         at = local_time(times, event_step, event)
         return CROSSING, found, event_step, event, at, local_time(times, step, sure), boxes
     return NONE, -1, 0, 0.0, 0.0, 0.0, boxes

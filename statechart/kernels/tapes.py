@@ -9,7 +9,7 @@ import numpy as np
 
 from statechart.arrays import Array, Ints32
 from statechart.kernels.jit import kernel
-from statechart.kernels.whole import whole
+from statechart.kernels.tolerant_floor import tolerant_floor
 
 ADD, SUB, MUL, DIV, MIN, MAX, ATAN2, HYPOT, POW = range(9)
 NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21)
@@ -23,7 +23,7 @@ OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *
 SKIP = -1
 """In the place of an operation that is not to be run."""
 
-_whole = kernel(whole)
+_tolerant_floor = kernel(tolerant_floor)
 
 
 class TapeCode(NamedTuple):
@@ -69,7 +69,7 @@ def _one(op: int, a: float, exponent: int) -> float:
     if op == ABS:
         return abs(a)
     if op == FLOOR:
-        return _whole(a)
+        return _tolerant_floor(a)
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)  # NaN has no sign
 
 
@@ -132,7 +132,7 @@ def run_tape(code: Ints32, first: int, last: int, base: int, regs: Array, count:
 def filled(
     code: Ints32, constants: Array, parameters: Array, n_variables: int, width: int
 ) -> tuple[int, Array]:
-    """Return the first register of the operations, and registers with what is known filled in."""
+    """Return the first register of the operations, and registers with constants and parameters."""
     base = n_variables + 1 + parameters.shape[0] + constants.shape[0]
     regs = np.empty((base + code.shape[0], width))
     fill(constants, parameters, n_variables, regs)
@@ -141,7 +141,7 @@ def filled(
 
 @kernel
 def fill(constants: Array, parameters: Array, n_variables: int, regs: Array) -> None:
-    """Write what is known to the first registers."""
+    """Write constants and parameters to their registers."""
     n_parameters = parameters.shape[0]
     for j in range(regs.shape[1]):
         for p in range(n_parameters):
@@ -205,7 +205,7 @@ def tape_table(
 
 
 @kernel
-def off_by(
+def largest_deviation(
     code: Ints32,
     constants: Array,
     outputs: Ints32,
@@ -215,7 +215,7 @@ def off_by(
     parameters: Array,
     time: float,
 ) -> float:
-    """Largest distance of an output from its target, weighted; those without a value count not."""
+    """Largest weighted distance of an output from its target; undefined outputs do not count."""
     numbers = np.empty(outputs.shape[0])
     tape_values(code, constants, outputs, state, parameters, time, numbers)
     off = 0.0

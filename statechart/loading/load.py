@@ -94,6 +94,11 @@ def find(path_or_name: str) -> Path:
             return found
     if exists:
         return path
+    meant = close_matches(path.stem, shipped())
+    if path.suffix in (".yaml", ".yml") and not meant.startswith("did"):
+        raise DeclarationError(
+            f"no such file: {path_or_name!r}", advice="`statechart new NAME` writes one"
+        )
     raise DeclarationError(
         f"no such file, and no shipped model of this name: {path_or_name!r}",
         advice=close_matches(path_or_name, shipped()),

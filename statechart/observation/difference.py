@@ -1,4 +1,4 @@
-"""Distance of two runs of one model: the error estimate behind an accuracy that was asked for."""
+"""Distance of two runs of one model: the error estimate behind a requested accuracy."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _worst(compared: Iterable[Compared]) -> Compared:
 
 
 def parted(reference: Trace, trace: Trace, *, brief: float = 0.0) -> float | None:
-    """Return when a run left another for good to the eye; None if it did not.
+    """Return when two runs visibly part for good; None if they do not.
 
     That is the first time at which a variable differs by a hundredth of its size or the modes
     differ, whichever comes first. Between the two times at which an event happened in the one run
@@ -189,8 +189,8 @@ def distance(reference: Trace, trace: Trace) -> float:
     return float((weights @ apart / (end * _scales(reference, trace))).max(initial=0.0))
 
 
-def modes_apart(reference: Trace, trace: Trace) -> float:
-    """Return for which part of the time that both last two runs are in different modes."""
+def mode_disagreement(reference: Trace, trace: Trace) -> float:
+    """Return the part of their common time in which two runs are in different modes."""
     end = min(reference.t_end, trace.t_end)
     if not end > 0.0:
         return 0.0
@@ -312,7 +312,7 @@ def _repeats(jump: Jump, end: Jump) -> bool:
 def _differences(
     one: Output, other: Output, size: Output, endless: bool
 ) -> Iterable[tuple[float, float, float]]:
-    """Yield what is compared of an output: numbers of two runs, and their size."""
+    """Yield the numbers of an output to compare: of both runs, and their size."""
     if isinstance(one, list) and isinstance(other, list):
         sizes = size if isinstance(size, list) else [0.0] * len(one)
         if not endless:

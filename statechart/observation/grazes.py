@@ -1,4 +1,4 @@
-"""Guards that touch their boundary, or pass it by less than a run is off: told, not decided.
+"""Grazing guards: they touch their boundary, or pass it by less than the error of a run.
 
 A guard that only touches fires nothing. Whether one does is open where its least value, or how far
 it would have passed before it turned back, is no more than what the guard changes by when every
@@ -37,12 +37,12 @@ _SAME = 1e-12
 
 
 class Graze(NamedTuple):
-    """Approach of a guard to its boundary, and the doubt that is left there."""
+    """Approach of a guard to its boundary, and the uncertainty of its margin there."""
 
     guard: str  # Its name.
     t: float  # When.
     least: float  # Its least value there; where it has fired, what it would have been.
-    room: float  # What it may be off by.
+    uncertainty: float  # What it may be off by.
     fired: bool  # Whether it has.
     turned: bool = False  # Whether an event of another region turned it back.
 
@@ -63,7 +63,7 @@ def _sentence(several: Sequence[Graze]) -> str:
             f"{graze.guard} comes to its boundary at t = {graze.t:.6g}, where another event turns "
             f"it back, and does not fire{again}"
         )
-    if graze.least < -graze.room:
+    if graze.least < -graze.uncertainty:
         return (
             f"{graze.guard} passes its boundary at t = {graze.t:.6g} by {-graze.least:.2g}, "
             "less than its tolerance at the start of the flow, and does not fire; start the "
@@ -73,13 +73,13 @@ def _sentence(several: Sequence[Graze]) -> str:
     would = "would have been" if graze.fired else "is"
     return (
         f"{graze.guard} {how} at t = {graze.t:.6g}, where its least value {would} "
-        f"{graze.least:.2g} and the run leaves {graze.room:.2g} open: whether it passes is not "
-        f"known{again}"
+        f"{graze.least:.2g} and the run leaves {graze.uncertainty:.2g} open: whether it passes is "
+        f"not known{again}"
     )
 
 
 def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
-    """Return where it is open whether guards of a run pass their boundary, or touch it.
+    """Return the instants where errors of a run may decide whether a guard passes its boundary.
 
     In the order of time, the closest of every flow; none of a run by steps. Least values are looked
     for between 16 places of every step.
@@ -95,7 +95,7 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     times = [jump.t for jump in trace.jumps]
     found: list[Graze] = []
     for (roles, _), arcs in groups.items():
-        look = _Look(trace, simulator.compiled(roles, trace.zeros))
+        look = _GuardScan(trace, simulator.compiled(roles, trace.zeros))
         for first in range(0, len(arcs), _ARCS):
             some = arcs[first : first + _ARCS]
             found += look.between(some)
@@ -110,8 +110,8 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
     return tuple(sorted(found, key=lambda one: one.t))
 
 
-class _Look:
-    """Looks at the guards of one mode."""
+class _GuardScan:
+    """Scans the guards of one mode."""
 
     def __init__(self, trace: Trace, compiled: CompiledMode) -> None:
         self._guards = compiled.wholes
@@ -132,7 +132,7 @@ class _Look:
             return self._guards.table(states, self._values, times)
 
     def between(self, arcs: Sequence[Arc]) -> Iterator[Graze]:
-        """Yield what is open between the ends of flows."""
+        """Yield the undecided minima of guards inside flows."""
         tau, rows, of = self._grid(arcs)
         here, edges = rows[1:-1], np.searchsorted(of, np.arange(len(arcs) + 1))
         with np.errstate(all="ignore"):
@@ -153,7 +153,7 @@ class _Look:
             at = self._least(arc, k, tau.item(i - 1), tau.item(i + 1))
             graze = self._open(arc, k, at, 0.0, fired=False)
             sides = column[edges[place] : i], column[i + 1 : edges[place + 1]]
-            if graze and min(map(np.fmax.reduce, sides)) > graze.room:
+            if graze and min(map(np.fmax.reduce, sides)) > graze.uncertainty:
                 yield graze
 
     def _grid(self, arcs: Sequence[Arc]) -> tuple[Array, Array, Ints]:
@@ -196,7 +196,7 @@ class _Look:
         return 0.5 * (left + right)
 
     def beyond(self, ends: Sequence[tuple[Arc, Jump]]) -> Iterator[Graze]:
-        """Yield what is open of guards that have fired, by the parabolas on which they fell."""
+        """Yield undecided guards that have fired, by the parabola of their fall."""
         names = [name for name, _ in self._watched]
         ends = [(arc, jump) for arc, jump in ends if jump.fired[0] in self._named]
         if not ends:
@@ -246,7 +246,7 @@ class _Look:
         return self._table(states.reshape(-1, terms.shape[1]), at).reshape(len(arcs), 3, -1)
 
     def _open(self, arc: Arc, k: int, tau: float, further: float, *, fired: bool) -> Graze | None:
-        """Return what is open of a guard that is least at a local time, but for what is added."""
+        """Return the graze of a guard whose least value at a local time is uncertain; else None."""
         state = sample_states(arc.coefficients, arc.times, np.array([tau]))[0]
         t = arc.start.high + tau
         name, kind = self._watched[k]

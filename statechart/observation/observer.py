@@ -38,10 +38,10 @@ from statechart.observation.sampling import (
     end_of,
     places_in,
     roles_at,
-    seen,
     side_of,
     start_of,
     subdivided,
+    visible_expressions,
 )
 
 
@@ -202,7 +202,9 @@ class Observer:
             ]
             if columns:
                 index = np.concatenate(parts)
-                tape = self.programs.tape(seen([expressions[i] for i in columns], mode), mode)
+                tape = self.programs.tape(
+                    visible_expressions([expressions[i] for i in columns], mode), mode
+                )
                 found = tape.table(points.states[index], values, points.times[index])
                 result[np.ix_(index, np.array(columns))] = found
         return result
@@ -212,13 +214,13 @@ class Observer:
         assert isinstance(self.simulator, Simulator)  # steps have no equations of modes
         solved, zeros = self.simulator.modes.mode, trace.zeros
 
-        def look_up(roles: Roles) -> Mode | None:
+        def mode_at(roles: Roles) -> Mode | None:
             try:
                 return solved(roles, zeros)
             except Singular:
                 return None
 
-        return look_up
+        return mode_at
 
 
 FormulaLike: TypeAlias = "str | int | float | sp.Expr"

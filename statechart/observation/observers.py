@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.time_stepper import USUAL, Impulses
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES, Impulses
 from statechart.documents.setting import Record, Setting
 from statechart.engines.engine import Allowance, Engine
 from statechart.engines.request import choose
@@ -19,7 +19,7 @@ from statechart.observation.outputs import OutputAccumulator, outputs_of
 
 
 class Observers:
-    """Simulators of an automaton, each with what observes its runs."""
+    """Simulators of an automaton, each with the observer of its runs."""
 
     def __init__(
         self, automaton: Automaton, *, allowance: Allowance | None = None, progress: bool = False
@@ -30,7 +30,7 @@ class Observers:
         self._solved = SolvedModes(automaton)
 
     def at(self, setting: Setting, *, off: bool = False) -> Observer:
-        """Return the observer of a setting's simulator, the same one whenever asked.
+        """Return the observer of a setting's simulator, made once.
 
         `off`: its runs start off by the tolerance. Raises `DeclarationError` if there is no such
         engine or method, or the engine is not installed.
@@ -62,16 +62,17 @@ class Observers:
         return self.floor(setting) if self.engine(setting).sharp else None
 
     def fresh(self, setting: Setting) -> Simulator | SteppingSimulator:
-        """Return a simulator of nobody else's, with what is known of the modes."""
+        """Return a new simulator that shares the solved modes."""
         return self._simulator(setting, off=False)
 
     def _simulator(self, setting: Setting, off: bool) -> Simulator | SteppingSimulator:
         if setting.step is not None:
             asked = Impulses(
-                setting.impulse_tolerance or USUAL.tolerance, setting.impulse_bound or USUAL.bound
+                setting.impulse_tolerance or DEFAULT_IMPULSES.tolerance,
+                setting.impulse_bound or DEFAULT_IMPULSES.bound,
             )
             return SteppingSimulator(
-                self._automaton, setting.step, asked, setting.kept, progress=self._progress
+                self._automaton, setting.step, asked, setting.recorded, progress=self._progress
             )
         automaton = nudged(self._automaton) if off else self._automaton
         engine, solved = self.engine(setting), self._solved

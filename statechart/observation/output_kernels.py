@@ -156,7 +156,7 @@ def _integrate(
 
 @kernel
 def _include(extremes: Array, value: float) -> None:
-    """Widen an interval (2,), not numbers at first, to a value; what is none does not count."""
+    """Widen an interval (2,), NaN at first, to a value; NaN does not count."""
     if not value >= extremes[0] and value == value:
         extremes[0] = value
     if not value <= extremes[1] and value == value:

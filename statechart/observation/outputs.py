@@ -43,9 +43,9 @@ from statechart.observation.sampling import (
     at_endpoints,
     end_of,
     passed,
-    seen,
     side_of,
     start_of,
+    visible_expressions,
     wanted,
 )
 from statechart.observation.scales import OutputValue, RunScales, Scales
@@ -148,7 +148,7 @@ class Outputs:
         if accumulator.motion:
             trace.require_motion()
         accumulator.take(trace, trace.arcs, trace.jumps, ended=True)
-        return accumulator.found
+        return accumulator.result
 
     def of_batch(
         self, batch: Batch, jump_of: Callable[[int, int], Jump]
@@ -196,7 +196,7 @@ class Outputs:
     def split(
         self, values: OutputValues, marks: _Marks, totals: Sequence[int]
     ) -> tuple[list[list[list[float]]], list[list[int]]]:
-        """Return values at events and counts of events, of each run its own.
+        """Return values at events and counts of events, run by run.
 
         `totals` (m,) are the numbers of events of the runs.
         """
@@ -232,7 +232,7 @@ class Outputs:
         return found
 
     def marks_of(self, jump: Jump) -> tuple[int, ...]:
-        """Return which waits a jump ends."""
+        """Return a mark for each set of events that outputs wait for: 1 if a jump is one."""
         key = jump.region, jump.cause, jump.source, jump.target, *jump.impulse
         found = self._marked.get(key)
         if found is None:
@@ -312,7 +312,7 @@ class Outputs:
                 active = programs.active(kind[0], where, expressions)
                 mode = mode_of(kind) if active.needed and not solved else None
                 if active.places and (mode is not None or solved or not active.needed):
-                    chosen = seen(active.expressions, mode)
+                    chosen = visible_expressions(active.expressions, mode)
                     made[place] = packed.tape(programs.tape(chosen, mode, known=solved))
                     columns[place, : len(active.places)] = active.places
             return made, columns
@@ -411,12 +411,12 @@ class OutputAccumulator:
     depend on the pieces. Implements `statechart.automaton.time_stepper.OutputStream`.
     """
 
-    def __init__(self, outputs: Outputs, *, begun: bool = False) -> None:
+    def __init__(self, outputs: Outputs, *, started: bool = False) -> None:
         self._outputs, self._observer = outputs, outputs.observer
         self._listed: list[list[float]] = [[] for _ in outputs.at]
         self._counted = [0] * len(outputs.counts)
         self.values = outputs.empty_values(1, 0)
-        self.begun = begun
+        self.started = started
         self._last: tuple[Arc, ...] = ()
         self._waiting: list[Jump] = []
 
@@ -452,10 +452,10 @@ class OutputAccumulator:
         """Take the end of the run, with the whole run or no arcs; return the outputs."""
         last = piece if piece.arcs else replace(piece, arcs=self._last)
         self.take(last, (), self._waiting, ended=True)
-        return self.found
+        return self.result
 
     @property
-    def found(self) -> dict[str, OutputValue]:
+    def result(self) -> dict[str, OutputValue]:
         """The outputs, in the order of the declaration."""
         found = self._outputs.values_by_run(
             self.values, [[one] for one in self._listed], [[count] for count in self._counted]
@@ -485,8 +485,8 @@ class OutputAccumulator:
         listed, _ = outputs.split(values, marks, [len(marks)])
         for place, ((new,), (_, _, moment)) in enumerate(zip(listed, outputs.at, strict=True)):
             self._listed[place] = (self._listed[place] + new)[_part(moment)]
-        self.values = values._replace(start=before.start) if self.begun else values
-        self.begun = True
+        self.values = values._replace(start=before.start) if self.started else values
+        self.started = True
 
     def _packed(
         self, trace: Trace, arcs: Sequence[Arc], jumps: Sequence[Jump], ended: bool
@@ -539,7 +539,7 @@ class OutputAccumulator:
         found.now[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
         tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
         # The last kind has no formulas: what was taken before, or is to come, adds nothing.
-        found.ends[0, loop.FIRST_MODE] = len(numbers) if self.begun else kinds[0]
+        found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else kinds[0]
         found.place[0, loop.N_MODE] = kinds[-1] if ended else len(numbers)
         resolved = np.nan_to_num(coefficients) if solved else coefficients
         return tapes, block, resolved, found
@@ -602,7 +602,7 @@ def extremes_along(
     observer: Observer, trace: Trace, arc: Arc, formulas: Sequence[FormulaLike]
 ) -> Array:
     """Return the least and the greatest values (f, 2) of formulas along an arc."""
-    accumulator = OutputAccumulator(Outputs(observer, (), formulas), begun=True)
+    accumulator = OutputAccumulator(Outputs(observer, (), formulas), started=True)
     accumulator.take(trace, [arc], (), ended=False)
     return np.asarray(accumulator.values.extremes[:, 0])
 

@@ -154,8 +154,8 @@ def places_in(regions: Sequence[Region], key: Key, where: Sequence[Where]) -> li
     ]
 
 
-def seen(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
-    """Return expressions as others see a mode: without the forces that it hides."""
+def visible_expressions(expressions: Sequence[sp.Expr], mode: Mode | None) -> tuple[sp.Expr, ...]:
+    """Return expressions without the forces that a mode hides from other regions."""
     hidden = mode.hidden if mode else {}
     return tuple([e.xreplace(hidden) for e in expressions]) if hidden else tuple(expressions)
 
@@ -182,7 +182,7 @@ def roles_at(trace: Trace, j: int, mode: Key, *, ends: bool) -> Roles:
 
 
 def _solved_rows(trace: Trace, endpoints: Sequence[Endpoint], width: int) -> Array | None:
-    """Return what steps have solved for at the ends of flows.
+    """Return the unknowns that time steps solved for at the ends of flows.
 
     None where modes have to be solved for it; not a number where nothing flowed.
     """

@@ -89,7 +89,7 @@ class RunScales:
         return max(own, _NEARLY_ZERO * (size or 0.0))
 
     def zero(self, formula: FormulaLike) -> float:
-        """Return what a formula is below where it is zero but for round-off."""
+        """Return the bound below which a formula is zero to round-off."""
         return self._zero(self._kind(self._observer.programs.expression(formula)))
 
     def _zero(self, kind: Dimension) -> float:
@@ -103,7 +103,7 @@ class RunScales:
         return ""
 
     def _size(self, node: sp.Expr) -> float | None:
-        """Return how large an expression gets, told from its terms; None where that is unknown."""
+        """Return the size of an expression from those of its terms; None where that is unknown."""
         if node.free_symbols <= self._fixed:
             found = abs(float(node.xreplace(self._leaves_fixed)))
             return found if np.isfinite(found) else None
@@ -133,7 +133,7 @@ class RunScales:
         return dict(zip(automaton.parameters, self._trace.values.tolist(), strict=True))
 
     def _unknown(self, symbol: sp.Symbol) -> float | None:
-        """Return the scale of what modes solve for: of a force that of forces."""
+        """Return the scale of an unknown: the largest force for a force."""
         if self._kind(symbol) != "force":
             return None
         if "force" not in self._kinds:

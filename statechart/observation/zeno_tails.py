@@ -1,4 +1,4 @@
-"""Sequences of jumps that runs summed up where they accumulate: where their runs are alike."""
+"""Alignment of the ends of Zeno sequences that two runs summed up at different jumps."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Key, Trace
 from statechart.diagram.build import active_states
-from statechart.diagram.layout.ring import MAX_STEPS, course
+from statechart.diagram.layout.ring import MAX_STEPS, find_rounds
 from statechart.diagram.model import Chart, Diagram, identifiers
 from statechart.diagram.write import write as write_diagram
 from statechart.documents.declaration import TIME
 from statechart.documents.files import write_atomic
-from statechart.documents.quantities import beside, unit_of
+from statechart.documents.quantities import unit_of, unit_suffix
 from statechart.errors import DeclarationError, StatechartError
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
@@ -84,7 +84,7 @@ def content(
         "outcome": f"{report['outcome']}: {report['message']}",
         "computed": computed(report),
         "lines": list(LINES),
-        "unit": beside(automaton.declaration.unit(TIME)),
+        "unit": unit_suffix(automaton.declaration.unit(TIME)),
         "cut": end < trace.t_end,
         "end": trace.t_end,
         "times": _packed(times, np.float64),
@@ -136,7 +136,7 @@ def _film(film: Film, units: Mapping[str, str]) -> dict[str, Any]:
         "half": [part * film.half[0], part * film.half[1]],
         "unit": _PICTURE,
         "length": film.unit,
-        "of": beside(unit_of("length", units)),
+        "of": unit_suffix(unit_of("length", units)),
         "arrow": part * film.arrow,
         "usual": film.force,
         "longest": LONGEST * film.force,
@@ -293,7 +293,7 @@ def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[
 
     A path is drawn as a chain, or as rounds of a cycle, in which a mode may stand more than once.
     """
-    found = course(path)
+    found = find_rounds(path)
     if found is None or len(found.order) > MAX_STEPS:
         return np.zeros(len(entered) + 1, dtype=np.intp)
     order, begin, step, places = found.order, found.back or 0, 0, [0]
@@ -340,7 +340,7 @@ def _measured(values: Mapping[str, object], units: Mapping[str, str]) -> dict[st
     """Return values as text with their units; of a long list the numbers, for a sparkline."""
 
     def shown(name: str, value: object) -> dict[str, Any]:
-        unit = "" if value is None else beside(units.get(name, ""))
+        unit = "" if value is None else unit_suffix(units.get(name, ""))
         many = value if isinstance(value, list) and len(value) > MAX_LISTED else []
         return {"text": f"{number(value)} {unit}".rstrip(), "values": many}
 

@@ -12,7 +12,7 @@ from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import beside, entitled, unit_of
+from statechart.documents.quantities import entitled, unit_of, unit_suffix
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
 
@@ -132,7 +132,7 @@ def impulses_of(trace: Trace, region: str) -> tuple[Array, Array]:
 
 def impulse_label(panel: Panel, impulses: Array) -> str:
     """Return the label of impulses on an axis of forces, which does not show their size."""
-    return f"impulse, up to {largest(impulses):.3g} {beside(panel.impulse_unit)}".rstrip()
+    return f"impulse, up to {largest(impulses):.3g} {unit_suffix(panel.impulse_unit)}".rstrip()
 
 
 def _per_step(trace: Trace) -> int:

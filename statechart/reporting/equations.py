@@ -173,7 +173,7 @@ def blocks(automaton: Automaton, key: Key, zeros: frozenset[sp.Symbol]) -> list[
     return [*found, EquationBlock("forces", forces)] if forces else found
 
 
-class _Rows(NamedTuple):
+class _Equations(NamedTuple):
     """Equations of a mode, each = 0: motion of the coordinates left, holds, and forces."""
 
     elimination: Elimination | None
@@ -184,7 +184,7 @@ class _Rows(NamedTuple):
 
 def _equation_rows(
     automaton: Automaton, coordinates: Coordinates, key: Key, zeros: frozenset[sp.Symbol]
-) -> _Rows:
+) -> _Equations:
     states = [r.build(role) for r, role in zip(automaton.regions, roles_in(key), strict=True)]
     written = dict(coordinates.written)
     written |= {zero: sp.S.Zero for zero in zeros if zero not in written}
@@ -209,7 +209,7 @@ def _equation_rows(
         known = {**found.known, **found.accelerations}
         rest = [e.xreplace(known) for e in rest]
     zero = dict.fromkeys(absent, sp.S.Zero)
-    return _Rows(
+    return _Equations(
         found,
         [row.xreplace(zero).xreplace(written) for row in motion],
         [place.xreplace(written) for hold in kept for place in hold.places],
@@ -238,7 +238,7 @@ def _moving(row: sp.Expr, coordinates: Coordinates) -> Equation:
     return sp.Add(*left), _short(-sp.expand_mul(rest - centripetal))
 
 
-def _force_equations(rows: _Rows, automaton: Automaton) -> tuple[Equation, ...]:
+def _force_equations(rows: _Equations, automaton: Automaton) -> tuple[Equation, ...]:
     """Return the forces that follow from the motion, or from each other."""
     assert automaton.coordinates is not None
     left = [row for row in rows.forces if row != 0]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.trace import Trace
 from statechart.documents.declaration import TIME
-from statechart.documents.quantities import beside
+from statechart.documents.quantities import unit_suffix
 from statechart.errors import StatechartError
 from statechart.loading.kind import kind
 from statechart.observation.observer import Observer
@@ -54,7 +54,7 @@ def filmed(stage: Stage, observer: Observer, trace: Trace, times: ArrayLike) -> 
             trace.parameters,
         )
     )
-    return replace(film, unit_of_time=beside(automaton.declaration.unit(TIME)))
+    return replace(film, unit_of_time=unit_suffix(automaton.declaration.unit(TIME)))
 
 
 def until_rest(stage: Stage, observer: Observer, trace: Trace) -> float:

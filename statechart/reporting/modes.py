@@ -10,7 +10,17 @@ from statechart.automaton.laws import MAX_MODES, Feasibility
 from statechart.automaton.product import explored
 from statechart.automaton.regions import HierarchicalEdge, Region, hierarchical_edges
 from statechart.errors import DeclarationError, close_matches
-from statechart.tabular import DIGITS, Block, Table, apart, ends, number, plain, several, whole
+from statechart.tabular import (
+    DIGITS,
+    Block,
+    Table,
+    ends,
+    grouped,
+    join_blocks,
+    number,
+    plain,
+    several,
+)
 
 
 def listing(
@@ -74,13 +84,13 @@ def format_listing(listed: Mapping[str, Any], digits: int = DIGITS) -> list[Bloc
         [f"... {region} more: --json has all\n"] if isinstance(region, int) else _edges(region)
         for region in ends(listed["regions"])
     ]
-    return apart(parts)
+    return join_blocks(parts)
 
 
 def format_count(declared: int, total: int) -> str:
     """Return numbers of modes in words, without and with directions of sliding."""
     words = several(declared, "mode")
-    return words if declared == total else f"{words} ({whole(total)} with directions of sliding)"
+    return words if declared == total else f"{words} ({grouped(total)} with directions of sliding)"
 
 
 def _region(region: Region) -> dict[str, Any]:

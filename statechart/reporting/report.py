@@ -20,8 +20,8 @@ from statechart.execution.simulator import Simulator
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import extremes, outputs
-from statechart.reporting.pieces import Pieces
-from statechart.tabular import several, whole
+from statechart.reporting.partial_report import PartialReport
+from statechart.tabular import grouped, several
 
 
 class Computation(NamedTuple):
@@ -30,7 +30,7 @@ class Computation(NamedTuple):
     error_estimate: float | None = None  # Where an accuracy was asked for.
     timings: Mapping[str, float] = MappingProxyType({})  # Seconds that parts of the work took.
     # The accuracy or budget that was asked for, and its cost.
-    asked: Mapping[str, Any] | None = None
+    request: Mapping[str, Any] | None = None
     # Of every event, from `statechart.observation.condition.conditions`; shown where given.
     conditions: Sequence[float | None] = ()
 
@@ -42,7 +42,7 @@ def report(
     *,
     explain: bool = False,
     most: int | None = None,
-    pieces: Pieces | None = None,
+    pieces: PartialReport | None = None,
 ) -> dict[str, Any]:
     """Return a run as an object of dicts, lists, strings and numbers.
 
@@ -65,7 +65,7 @@ def report(
         `units` (of outputs, variables and parameters, where they are known).
     """
     automaton, conditions = observer.automaton, computation.conditions
-    done = Pieces(strict=True) if pieces is None else pieces
+    done = PartialReport(strict=True) if pieces is None else pieces
     found_outputs: dict[str, Any] = done.attempt("outputs", lambda: outputs(observer, trace), {})
     found_margins: dict[str, float] = {}
     # Margins of many events take long.
@@ -84,7 +84,7 @@ def report(
     without += [{"what": what, "why": why} for what, why in done.failed.items()]
     result = _ended(trace) | {
         "error_estimate": computation.error_estimate,
-        "asked": computation.asked,
+        "asked": computation.request,
         "condition": max((c for c in conditions if c is not None), default=None),
         "modes_total": automaton.modes_total,
         "modes_declared": automaton.modes_declared,
@@ -138,7 +138,7 @@ def _events(
     trace: Trace,
     jumps: Sequence[Jump],
     conditions: Sequence[float | None],
-    pieces: Pieces,
+    pieces: PartialReport,
     *,
     explain: bool,
 ) -> list[dict[str, Any]]:
@@ -147,7 +147,7 @@ def _events(
     if explain and not pieces.hurried:
         explained = pieces.attempt("margins of events", lambda: observer.margins(trace, jumps), [])
 
-    def made(short: bool) -> list[dict[str, Any]]:
+    def make_events(short: bool) -> list[dict[str, Any]]:
         found: Sequence[tuple[Any, Any, Any]]
         found = list(zip_longest(jumps, conditions, explained))
         if short:
@@ -155,7 +155,7 @@ def _events(
             found = pieces.some("events", found, len(trace.variables))
         return [_event(trace, *of, hurried=short) for of in found]
 
-    kept: list[dict[str, Any]] = pieces.keep("events", made, [])
+    kept: list[dict[str, Any]] = pieces.keep("events", make_events, [])
     return kept
 
 
@@ -360,7 +360,7 @@ def left_out(automaton: Automaton, trace: Trace) -> list[dict[str, str]]:
     elif made < total:
         found.append(
             {
-                "what": f"the equations of {whole(total - made)} of {several(total, 'mode')}",
+                "what": f"the equations of {grouped(total - made)} of {several(total, 'mode')}",
                 "why": "the run did not enter them",
             }
         )

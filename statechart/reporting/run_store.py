@@ -61,7 +61,7 @@ def write_store(
     rest = {key: value for key, value in report.items() if key not in ("events", "final")}
     attributes = {"model": trace.name, "report": json.dumps(rest)}
     jumps = trace.jumps
-    pieces = _pieces(trace, rows)
+    pieces = _chunks(trace, rows)
     texts = {"region": [jump.region for jump in jumps], "cause": [jump.cause for jump in jumps]}
     first = data(*next(pieces)).assign(
         {"event_t": ("event", np.array([jump.t for jump in jumps]))}
@@ -102,7 +102,7 @@ def _arrays(names: tuple[str, ...]) -> tuple[list[str], dict[str, list[int]], di
     return bodies if shared else [], shared, own
 
 
-def _pieces(trace: Trace, rows: int) -> Iterator[tuple[Array, Array]]:
+def _chunks(trace: Trace, rows: int) -> Iterator[tuple[Array, Array]]:
     """Yield times and states where steps begin, and at the end, about `rows` of them at once."""
     times: list[Array] = []
     states: list[Array] = []

@@ -22,7 +22,7 @@ from statechart.documents.setting import Record
 from statechart.errors import StatechartError
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import Samples
-from statechart.reporting.pieces import Pieces, rows
+from statechart.reporting.partial_report import PartialReport, short_length
 from statechart.reporting.report import dumps
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def write_run(
     observer: Observer,
     trace: Trace,
     report: Callable[[], Mapping[str, Any]],
-    pieces: Pieces | None = None,
+    pieces: PartialReport | None = None,
     samples: bool = True,
 ) -> tuple[str, ...]:
     """Write a run to a folder: trace.nc, run.json, events.csv, samples.csv and its figure.
@@ -184,18 +184,18 @@ def write_run(
     from statechart.reporting.figure import figure, render
 
     folder = Path(folder).resolve()
-    done = pieces or Pieces()
+    done = pieces or PartialReport()
 
     @cache
-    def seen(short: bool) -> tuple[Trace, Samples]:
+    def recorded(short: bool) -> tuple[Trace, Samples]:
         run, per_step = _shape(trace, done, short)
         return run, observer.sample(run, per_step=per_step)
 
     def data(short: bool) -> bytes:
-        return netcdf(_data_set(observer, *seen(short)))
+        return netcdf(_data_set(observer, *recorded(short)))
 
     def sampled(short: bool) -> bytes:
-        return _csv(_table(observer, seen(short)[1]))
+        return _csv(_table(observer, recorded(short)[1]))
 
     def events(short: bool) -> bytes:
         return _csv(events_table(observer, _shape(trace, done, short)[0]))
@@ -245,7 +245,7 @@ def _csv(table: pd.DataFrame) -> bytes:
     return bytes(table.to_csv(index=False, lineterminator="\n").encode())
 
 
-def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
+def _shape(trace: Trace, pieces: PartialReport, short: bool) -> tuple[Trace, float]:
     """Return a run and the rows of a step; in short, some of its flows and events."""
     if not short:
         return trace, _rows_of(trace)
@@ -255,7 +255,7 @@ def _shape(trace: Trace, pieces: Pieces, short: bool) -> tuple[Trace, float]:
         pieces.some("events", trace.jumps, width),
     )
     steps = sum(len(arc.times) - 1 for arc in arcs)
-    per_step = min(_rows_of(trace), rows(width) / max(steps, 1))
+    per_step = min(_rows_of(trace), short_length(width) / max(steps, 1))
     if per_step < 1.0:
         pieces.leave(f"all states but one of {math.ceil(1.0 / per_step)}")
     return replace(trace, arcs=arcs, jumps=jumps), per_step

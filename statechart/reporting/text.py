@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from statechart.automaton.trace import Outcome
-from statechart.documents.quantities import beside
+from statechart.documents.quantities import unit_suffix
 from statechart.tabular import (
     DIGITS,
     FEW,
     Block,
     Table,
     aligned,
-    apart,
     ends,
+    join_blocks,
     number,
     plain,
     several,
@@ -59,7 +59,7 @@ def describe_run(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]
     ]
     if "alternatives" in report:
         parts.append(_alternatives(report["alternatives"], digits))
-    return apart(parts)
+    return join_blocks(parts)
 
 
 def _head(report: Mapping[str, Any]) -> str:
@@ -73,9 +73,11 @@ def computed(report: Mapping[str, Any]) -> list[str]:
     certified = _CERTIFIED[report["certified"]]
     lines = [
         f"engine {report['engine']}, {_how(report)}; {certified}",
-        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}, "
-        f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built",
+        f"{several(counts['steps'], 'step')}, {several(counts['jumps'], 'jump')}",
     ]
+    if report["step"] is None:  # time steps build no modes
+        built = f"{report['modes_built']} of {several(report['modes_total'], 'mode')} built"
+        lines[-1] = f"{lines[-1]}, {built}"
     if report["error_estimate"] is not None:
         decides = report["asked"] and report["asked"]["decides"]
         words = f", in {decides}" if decides else ""
@@ -99,8 +101,12 @@ def computed(report: Mapping[str, Any]) -> list[str]:
         alike: dict[str, list[str]] = {}
         for name, how in report["evidence"].items():
             alike.setdefault(how, []).append(name)
-        lines += [f"evidence of {_cut(names)}: {how}" for how, names in alike.items()]
+        lines += [f"{_evident(names)}: {how}" for how, names in alike.items()]
     return lines
+
+
+def _evident(names: Sequence[str]) -> str:
+    return "motion" if names == ["motion"] else f"events of {_cut(names)}"
 
 
 def _cut(names: Sequence[str], most: int | None = _NAMES) -> str:
@@ -209,7 +215,7 @@ def _values(
     rows = [
         (f"  ... {text} more: {_ALL}", "")
         if isinstance(text, int)
-        else (f"  {name}", f"{text.ljust(width)}  {beside(units.get(name, ''))}".rstrip())
+        else (f"  {name}", f"{text.ljust(width)}  {unit_suffix(units.get(name, ''))}".rstrip())
         for name, text in lines
     ]
     return [f"{title}\n", Table(rows)]
@@ -222,7 +228,7 @@ def explanation(report: Mapping[str, Any], digits: int = DIGITS) -> str:
 
 def explain_events(report: Mapping[str, Any], digits: int = DIGITS) -> list[Block]:
     """Return the blocks of `explanation`: titles and tables."""
-    return apart(
+    return join_blocks(
         [f"... {event} more: --json --explain or --output has all\n"]
         if isinstance(event, int)
         else _event(event, digits, _IMMEDIATE if report["step"] is None else _STEPPED)

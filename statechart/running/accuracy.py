@@ -25,7 +25,13 @@ from statechart.engines.request import TIGHTER, Chosen, Plan, choose
 from statechart.errors import DeclarationError
 from statechart.execution.flow import STIFF
 from statechart.execution.time_stepping import SteppingSimulator
-from statechart.observation.difference import Difference, compare, distance, modes_apart, paired
+from statechart.observation.difference import (
+    Difference,
+    compare,
+    distance,
+    mode_disagreement,
+    paired,
+)
 from statechart.observation.observer import Observer
 from statechart.observation.observers import Observers
 from statechart.observation.outputs import outputs_of
@@ -541,7 +547,7 @@ class _Refined(_Series):
             # How many bounces are resolved before rest follows from the step: what converges then
             # is the path, and for how long modes are others (Moreau 1999).
             runs = coarse.trace, fine.trace
-            parts |= {"the modes": modes_apart(*runs), "the path": distance(*runs)}
+            parts |= {"the modes": mode_disagreement(*runs), "the path": distance(*runs)}
         quantity = max(parts, key=parts.__getitem__)
         return parts[quantity], quantity, found.diverged
 
@@ -665,13 +671,13 @@ class RunPlanner:
         def once(tolerance: float, off: bool) -> tuple[Observer, Trace]:
             return self._once(replace(setting, tolerance=tolerance), overrides, end, off=off)
 
-        def stepped(step: float) -> tuple[Observer, Trace]:
+        def run_step(step: float) -> tuple[Observer, Trace]:
             return self._once(replace(setting, accuracy=None, step=step), overrides, end)
 
         if setting.stepped:
             assert setting.accuracy is not None
             longest = setting.step or FIRST_SHARE * end or 1.0
-            return refine(stepped, setting.accuracy, first=longest, end=end), basis
+            return refine(run_step, setting.accuracy, first=longest, end=end), basis
         floor = self._observers.floor(setting)
         first = self._observers.first(setting) if plan.first is None else plan.first
         if self._allowance is not None:

@@ -20,7 +20,7 @@ from statechart.errors import StatechartError
 from statechart.observation.grazes import graze_warnings, grazes
 from statechart.observation.observer import Observer
 from statechart.observation.outputs import Outputs
-from statechart.reporting.pieces import Pieces
+from statechart.reporting.partial_report import PartialReport
 from statechart.running.accuracy import AccuracyRequest
 
 if TYPE_CHECKING:  # what only some results are asked for takes long to import
@@ -328,7 +328,7 @@ class Result:
         return self.source.runner  # type: ignore[attr-defined]
 
     def to_dict(
-        self, *, explain: bool = False, most: int | None = None, pieces: Pieces | None = None
+        self, *, explain: bool = False, most: int | None = None, pieces: PartialReport | None = None
     ) -> dict[str, Any]:
         """Return the run as one plain object, as ``statechart run --json`` prints it."""
         from statechart.reporting.report import Computation, report

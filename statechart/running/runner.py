@@ -103,7 +103,7 @@ class Runner:
                 raise
         self._timings = {"read": read_at - began, "compose": working_time() - read_at}
         self._asked = Setting(**setting)
-        self.study, self._alone, self._progress = study, once, progress
+        self.study, self._once, self._progress = study, once, progress
         self._turn = threading.RLock()  # the memory of what is compiled serves one run at a time
         # The last one with another number of copies of bodies: composing takes its time.
         self._varied: Runner | None = None
@@ -204,7 +204,7 @@ class Runner:
         source = _Source(self, setting, found.observer)
         return Result(trace, found.observer, found.error, timings, source, asked, self.study)
 
-    def rows(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
+    def batch(self, names: Sequence[str]) -> tuple[Observer, BatchRunner] | None:
         """Return what runs rows of values of some parameters, and what observes such runs.
 
         None where each run is made alone: an accuracy is searched for, time is stepped.
@@ -271,11 +271,11 @@ class Runner:
                 overrides, sampling, until=end, max_jumps=self.model.settings.max_jumps
             )
 
-        def located_pieces() -> Iterator[Arc | Jump]:
+        def located_items() -> Iterator[Arc | Jump]:
             with located(self.document, overrides):  # errors of a control come later
                 yield from pieces
 
-        return located_pieces()
+        return located_items()
 
     def alternatives(self) -> dict[str, Runner]:
         """Return runners of the model under the other choices that its laws leave open, by name."""
@@ -345,13 +345,13 @@ class Runner:
 
     def with_modes(self) -> Runner:
         """Return a runner of the same that records modes: this one where it does."""
-        if self.setting.kept is Record.MODES:
+        if self.setting.recorded is Record.MODES:
             return self
         return self._other(self.model, None, record=Record.MODES.value)
 
     def _arguments(self, study: Measured | None, **changed: str) -> dict[str, Any]:
         asked = {**asdict(self._asked), **changed}
-        return {**asked, "study": study, "once": self._alone, "progress": self._progress}
+        return {**asked, "study": study, "once": self._once, "progress": self._progress}
 
     def _other(self, model: Declaration, study: Measured | None, **changed: str) -> Runner:
         """Return a runner of another model, or with another setting, in the place of this one."""

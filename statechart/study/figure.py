@@ -54,7 +54,7 @@ def figure(study: Measurements) -> Figure:
         axes = drawing.subplots(2, 2)
         (times, works), (promises, steps) = axes
         for place, family in enumerate(dict.fromkeys(p.setting.family for p in study.points)):
-            look = _Look(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
+            look = _LineStyle(LINES[place % len(LINES)], _MARKERS[place % len(_MARKERS)])
             points = [p for p in study.points if p.setting.family == family]
             heights = [_height(study, p) for p in points]
             fineness = [p.setting.fineness for p in points]
@@ -151,12 +151,12 @@ def _csv(study: Measurements) -> str:
             [s.engine, s.method, s.tolerance, s.accuracy, s.step, s.impulse_tolerance, p.outcome,
              p.same_modes, p.diverged, p.parted, study.error(p), e.state, e.times, e.outputs,
              e.path, e.energy, *(e.violations.get(name) for name in kinds), p.seconds, p.repeats,
-             p.cold, p.steps, p.evaluations, p.flows, study.kept(p)]
+             p.cold, p.steps, p.evaluations, p.flows, study.meets_tolerance(p)]
         )  # fmt: skip
     return stream.getvalue()
 
 
-class _Look(NamedTuple):
+class _LineStyle(NamedTuple):
     """Colour and marker of a family."""
 
     colour: str
@@ -194,7 +194,7 @@ def _draw(
     points: Sequence[Point],
     places: Sequence[float],
     heights: Sequence[float],
-    look: _Look,
+    look: _LineStyle,
     family: str = "",
 ) -> None:
     ax.plot(places, heights, color=look.colour, linewidth=0.8, alpha=0.6)

@@ -209,7 +209,7 @@ class Measurements(Record):
                 found.append(point)
         return tuple(found)
 
-    def kept(self, point: Point) -> bool | None:
+    def meets_tolerance(self, point: Point) -> bool | None:
         """Return whether the error of a run is below its tolerance; None where that is unknown.
 
         Users take a tolerance for a promise of the result. A run that warns that it failed
@@ -230,7 +230,7 @@ class Measurements(Record):
         missed: Counter[str] = Counter()
         known: Counter[str] = Counter()
         for point in self.points:
-            kept = self.kept(point)
+            kept = self.meets_tolerance(point)
             if kept is not None:
                 known[point.setting.family] += 1
                 missed[point.setting.family] += not kept

@@ -86,7 +86,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class _Apart:
+class _Separation:
     """Distance of two runs: when one left the other for good, and its errors."""
 
     parted: float | None
@@ -97,10 +97,10 @@ class _Apart:
         """The largest error; inf where they parted."""
         return math.inf if self.parted is not None else self.errors.largest or 0.0
 
-    def worse(self, other: _Apart) -> _Apart:
+    def worse(self, other: _Separation) -> _Separation:
         """Return the larger of two: the one that parts, the earlier one where both do."""
         if self.parted is None and other.parted is None:
-            return _Apart(None, self.errors.worse(other.errors))
+            return _Separation(None, self.errors.worse(other.errors))
         return min(self, other, key=lambda one: math.inf if one.parted is None else one.parted)
 
 
@@ -108,12 +108,12 @@ class _Apart:
 class _Pair:
     reference: Run
     check: Run
-    apart: _Apart
+    separation: _Separation
 
     @property
     def closeness(self) -> tuple[float, float]:
         """Sort key of a pair of references: longer agreement first, then smaller distance."""
-        apart = self.apart
+        apart = self.separation
         if apart.parted is not None:
             return -apart.parted, 0.0
         return -math.inf, apart.size
@@ -141,23 +141,23 @@ class References:
                 "no reference: two engines must reach the end of the run:" + "\n  ".join(failures)
             )
         found, third = self._pair(*first), None
-        made = (*first, *islice(some, int(found.apart.size > _GROSS)))
+        made = (*first, *islice(some, int(found.separation.size > _GROSS)))
         if len(made) > 2:
             found, third = self._judged(made)
         reference, check = found.reference, found.check
         setting, shift = reference.setting, Errors()
         if setting.step is None:
             late = self._ended(setting, Observers(widened(self.automaton)).at(setting))
-            shift = self._pair(reference, late).apart.errors
+            shift = self._pair(reference, late).separation.errors
         study = Study(
             model=self.model.name,
             fingerprint=mark,
             until=self.until,
             reference=setting.label,
             check=check.setting.label,
-            resolution=found.apart.errors,
+            resolution=found.separation.errors,
             shift=shift,
-            parted=found.apart.parted,
+            parted=found.separation.parted,
             third=third,
             step=check.setting.step or 0.0,
             planned=0,
@@ -204,7 +204,7 @@ class References:
 
     def _pair(self, reference: Run, check: Run) -> _Pair:
         errors, _ = errors_of(self.model, reference, check)
-        return _Pair(reference, check, _Apart(reference.left(check), errors))
+        return _Pair(reference, check, _Separation(reference.left(check), errors))
 
     def _judged(self, runs: Sequence[Run]) -> tuple[_Pair, Third]:
         """Return the two of three runs that agree best, and the verdict on the third.
@@ -220,9 +220,9 @@ class References:
         off = min(
             (pair for pair in pairs if third in (pair.reference, pair.check)),
             key=lambda pair: pair.closeness,
-        ).apart
+        ).separation
         part, edge = _REACH * max(map(_tolerance, runs)), None
-        odd = off.size > RESOLVED * best.apart.size
+        odd = off.size > RESOLVED * best.separation.size
         if odd:
             shaken = self._shaken(best.reference, part)
             odd, edge = off.size > RESOLVED * shaken.size, shaken.parted
@@ -234,18 +234,18 @@ class References:
             shift=part,
             edge=edge,
         )
-        if not odd and best.apart.parted is None:
-            best = _Pair(best.reference, best.check, best.apart.worse(off))
+        if not odd and best.separation.parted is None:
+            best = _Pair(best.reference, best.check, best.separation.worse(off))
         return best, verdict
 
-    def _shaken(self, run: Run, part: float) -> _Apart:
+    def _shaken(self, run: Run, part: float) -> _Separation:
         """Return how far a run is at most from itself with its start off by a part.
 
         Up, down, and every other variable the one or the other way: where two things happen at
         once, what moves them alike would leave them so.
         """
         alternating = (-1.0) ** np.arange(len(run.trace.initial))
-        found = _Apart(None, Errors(state=0.0))
+        found = _Separation(None, Errors(state=0.0))
         for signs in (np.ones(len(alternating)), alternating):
             for way in (part, -part):
                 off = shifted(self.automaton, part, np.sign(way) * signs)
@@ -254,7 +254,7 @@ class References:
                 except DeclarationError:
                     # Off by so much, the start is no start.
                     continue
-                found = found.worse(self._pair(run, other).apart)
+                found = found.worse(self._pair(run, other).separation)
                 if found.parted is not None:
                     return found
         return found

@@ -291,7 +291,7 @@ def to_dict(study: Measurements) -> dict[str, Any]:
     for point, one in zip(study.points, shown["points"], strict=True):
         one["label"] = point.setting.label
         one["error"] = study.error(point)
-        one["kept"] = study.kept(point)
+        one["kept"] = study.meets_tolerance(point)
         one["on_front"] = point in front
         one["on_cold_front"] = point in cold
     shown["complete"] = study.complete

@@ -246,7 +246,7 @@ def trade(
                 made.leave(setting, str(error))
             else:
                 made.take(point)
-    return made.kept()
+    return made.stored_study()
 
 
 def _check(settings: object) -> None:
@@ -295,12 +295,12 @@ class _Trade:
     def leave(self, setting: Setting, why: str) -> None:
         self._left_out[setting.label] = why
         self._say(setting, f"left out, {why}")
-        self.kept()
+        self.stored_study()
 
     def take(self, point: Point) -> None:
         self._points[point.setting] = point
         self._time(point)
-        self.kept()
+        self.stored_study()
         found = self._study.error(point)
         self._say(
             point.setting,
@@ -309,7 +309,7 @@ class _Trade:
             + f", {point.seconds:.3g} s",
         )
 
-    def kept(self) -> Study:
+    def stored_study(self) -> Study:
         """Return the study as far as it has come, written to its folder."""
         done = tuple(self._points[s] for s in self._settings if s in self._points)
         found = self._study.model_copy(update={"points": done, "left_out": dict(self._left_out)})

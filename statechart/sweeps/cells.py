@@ -53,7 +53,7 @@ _MAX_STRUCTURES, _MAX_TEXTS = 8, 4096
 _MAX_BATCH = 256
 # Once so many have been tried together, they go on so if one in so many went through: a cell that
 # does saves four fifths of its time, and one that does not has cost less than one fifth.
-_TRIED, _WORTH = 64, 4
+_MIN_TRIALS, _WORTH = 64, 4
 # A runner makes one run at a time, whatever threads a worker has.
 _ONE_AT_A_TIME = threading.Lock()
 
@@ -271,7 +271,7 @@ class _Structure:
 
     def __init__(self, runner: Runner, task: Task) -> None:
         self.runner, self._task = runner, task
-        self._tried, self.through = 0, 0
+        self._trials, self.through = 0, 0
         self._outputs: dict[Observer, Outputs] = {}
         self._texts: dict[tuple[Key, ...], str] = {}
 
@@ -284,23 +284,23 @@ class _Structure:
 
     @cached_property
     def _batches(self) -> tuple[Observer, BatchRunner] | None:
-        return self.runner.rows(self._task.names)
+        return self.runner.batch(self._task.names)
 
     @property
     def batch_size(self) -> int:
         """Number of cells to take next; 1 where each is to be run alone."""
-        lost = self._tried >= _TRIED and self.through * _WORTH < self._tried
+        lost = self._trials >= _MIN_TRIALS and self.through * _WORTH < self._trials
         if lost or self._batches is None or not self._batches[1].ready(1):
             return 1
         # The first of them enter modes that are not known yet.
-        return min(2 + self._tried, _MAX_BATCH)
+        return min(2 + self._trials, _MAX_BATCH)
 
     def run_batch(self, table: Array) -> Iterator[tuple[Batch, dict[str, list[OutputValue]]]]:
         """Run rows (m, p) of values; yield those that go through, with their outputs."""
         assert self._batches is not None
         observer, rows = self._batches
         outputs, until = self.outputs(observer), self._ends(table)
-        self._tried += len(table)
+        self._trials += len(table)
         for batch in rows.run(table, until, self.runner.model.settings.max_jumps):
             self.through += len(batch.rows)
             yield batch, outputs.of_batch(batch, partial(rows.jump, batch, table[batch.rows]))

@@ -121,7 +121,7 @@ class _Cells:
         shown = order if len(order) <= _MAX_COLOURS else order[: _MAX_COLOURS - 1]
         places = np.full(len(texts) + 1, len(shown), dtype=np.int64)
         places[shown] = np.arange(len(shown))
-        labels = told_apart([str(texts[code]) for code in shown])
+        labels = shorten_alike([str(texts[code]) for code in shown])
         colours = list(_COLOURS[: len(shown)])
         if len(order) > len(shown):
             labels.append(f"others ({len(order) - len(shown)})")
@@ -148,7 +148,7 @@ class _Cells:
         return found
 
 
-def told_apart(texts: Sequence[str]) -> list[str]:
+def shorten_alike(texts: Sequence[str]) -> list[str]:
     """Return sequences of modes for a legend: of long ones what tells them from each other."""
     if max(map(len, texts), default=0) <= _MAX_LETTERS:
         return list(texts)

@@ -246,7 +246,7 @@ class Plan:
             pairs = list(zip(begins, ends, strict=True))
             yield Tile(tuple(slice(b, e) for b, e in pairs), tuple(e - b for b, e in pairs))
 
-    def rows(self, tile: Tile, places: NDArray[np.intp]) -> Array:
+    def parameter_values(self, tile: Tile, places: NDArray[np.intp]) -> Array:
         """Return the parameters (m, p) of the cells at `places` of a chunk."""
         where = np.unravel_index(places, tile.shape)
         along = [part.start + place for part, place in zip(tile.slices, where, strict=True)]

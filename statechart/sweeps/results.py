@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from statechart.automaton.trace import Outcome
-from statechart.documents.quantities import beside
+from statechart.documents.quantities import unit_suffix
 from statechart.sweeps.plan import Plan
-from statechart.tabular import DIGITS, Block, Table, aligned, apart, number, several
+from statechart.tabular import DIGITS, Block, Table, aligned, join_blocks, number, several
 
 if TYPE_CHECKING:  # imported where a sweep is made: it takes half a second
     import xarray as xr
@@ -91,7 +91,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
     units = report["units"]
 
     def with_unit(value: float | str, name: str) -> str:
-        return f"{number(value, digits)} {beside(units.get(name, ''))}".rstrip()
+        return f"{number(value, digits)} {unit_suffix(units.get(name, ''))}".rstrip()
 
     over = ", ".join(
         f"{name} ({one['values']} from {with_unit(one['least'], name)} to "
@@ -115,7 +115,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
             "" if one["of"] == "values" else "lengths",
             number(one["least"], digits),
             number(one["greatest"], digits),
-            beside(units.get(name, "")) if one["of"] == "values" else "",
+            unit_suffix(units.get(name, "")) if one["of"] == "values" else "",
             str(one["none"] or ""),
         )
         for name, one in report["outputs"].items()
@@ -124,7 +124,7 @@ def format_text(report: dict[str, Any], digits: int = DIGITS) -> list[Block]:
     rest = report["sequences"][_LISTED:]
     if rest:
         sequences.append((str(sum(one["cells"] for one in rest)), f"others ({len(rest)})"))
-    return apart(
+    return join_blocks(
         [
             [head],
             _listed(("outcome", "cells", "such as"), outcomes),

@@ -46,7 +46,7 @@ _WRITTEN = 4.0
 # Blocks handed out at first, and at most; each that returns makes room for one more.
 _FIRST_BLOCKS, _MAX_BLOCKS = 64, 2048
 # Seconds between looks for a signal while workers work.
-_LOOK = 0.1
+_POLL_INTERVAL = 0.1
 # Seconds between lines of progress, where stderr is no terminal.
 _LINES = 10.0
 INTERRUPTED = "interrupted"
@@ -279,7 +279,7 @@ class _Job(NamedTuple):
 
     chunk: _Chunk
     places: NDArray[np.intp]
-    rows: Array
+    parameters: Array
 
 
 class _Work:
@@ -318,7 +318,7 @@ class _Work:
             self._open.append(chunk)
             while places.size:
                 part, places = places[:size], places[size:]
-                size = yield _Job(chunk, part, self._plan.rows(tile, part))
+                size = yield _Job(chunk, part, self._plan.parameter_values(tile, part))
 
     def take(self, job: _Job, block: CellBlock) -> None:
         """Take the results of cells; write them, if that is due."""
@@ -347,7 +347,7 @@ class _Work:
 def _run_here(work: _Work) -> None:
     while (job := work.next()) is not None:
         interrupts.check()
-        work.take(job, run_block(work.task, job.rows))
+        work.take(job, run_block(work.task, job.parameters))
 
 
 def _hand_out(work: _Work, executor: Executor) -> None:
@@ -357,16 +357,16 @@ def _hand_out(work: _Work, executor: Executor) -> None:
     try:
         while True:
             while len(pending) < room and (job := work.next()) is not None:
-                pending[executor.submit(run_block, work.task, job.rows)] = job
+                pending[executor.submit(run_block, work.task, job.parameters)] = job
             if not pending:
                 return
-            returned, _ = wait_for(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
+            returned, _ = wait_for(pending, timeout=_POLL_INTERVAL, return_when=FIRST_COMPLETED)
             interrupts.check()
-            watch.look(bool(returned))
+            watch.check(bool(returned))
             for future in returned:
                 job = pending.pop(future)
                 if watch.lost(future):
-                    pending[executor.submit(run_block, work.task, job.rows)] = job
+                    pending[executor.submit(run_block, work.task, job.parameters)] = job
                     continue
                 work.take(job, future.result())
                 room = min(room + 1, _MAX_BLOCKS)

@@ -31,7 +31,7 @@ _ANSWER = 10.0
 _EACH = 16
 # Seconds between looks whether a cluster has workers while nothing returns, and without any until
 # it is given up: one that died is started again in a few.
-_LOOK, _PATIENCE = 5.0, 60.0
+_POLL_INTERVAL, _PATIENCE = 5.0, 60.0
 _NAME = "contact-statecharts"
 
 
@@ -121,15 +121,15 @@ class ClusterWatch:
 
     def __init__(self, executor: Executor) -> None:
         self._client: Any = getattr(executor, "_client", None)
-        self._looked, self._seen = -math.inf, math.inf
+        self._last_check, self._last_seen = -math.inf, math.inf
 
-    def look(self, returned: bool) -> None:
+    def check(self, returned: bool) -> None:
         """Raise `BrokenExecutor` if for a minute nothing `returned` and no worker was there."""
         now = time.monotonic()
         if returned:
-            self._seen = now
-        elif "distributed" in sys.modules and now - self._looked > _LOOK:
-            self._looked = now
+            self._last_seen = now
+        elif "distributed" in sys.modules and now - self._last_check > _POLL_INTERVAL:
+            self._last_check = now
             self._ask()
 
     def lost(self, future: Future[Any]) -> bool:
@@ -148,8 +148,8 @@ class ClusterWatch:
             return
         with suppress(OSError):  # its scheduler does not answer
             if self._client.sync(self._client.scheduler.ncores, callback_timeout=_ANSWER):
-                self._seen = self._looked
-        if self._looked - self._seen > _PATIENCE:
+                self._last_seen = self._last_check
+        if self._last_check - self._last_seen > _PATIENCE:
             raise BrokenExecutor(f"the cluster has had none for {_PATIENCE:g} s")
 
 

@@ -14,7 +14,7 @@ from statechart.documents.yaml_writer import dump
 from statechart.errors import DeclarationError, DeclarationProblem, StatechartError
 from statechart.loading.kind import offered
 from statechart.loading.load import resolved
-from statechart.tabular import Block, Table, apart, plain
+from statechart.tabular import Block, Table, join_blocks, plain
 from statechart.testing.agreement import Undecidable
 from statechart.testing.properties import Property, generic
 from statechart.testing.subject import Case, Subject, parameters, ranges
@@ -131,7 +131,7 @@ class CheckReport:
             with_ = f"  with {values or 'the declared parameters'}:\n"
             parts.append([f"{name}: FAILED\n{with_}  {failure.message}\n"])
         last = f"{len(failed)} of {len(self.properties)} failed" if failed else "passed"
-        return apart([*parts, [f"{last}\n"]])
+        return join_blocks([*parts, [f"{last}\n"]])
 
 
 def _verdict(result: PropertyReport) -> str:

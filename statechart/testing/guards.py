@@ -147,7 +147,9 @@ def _assert_at(
         moved = replace(jump, before=changed, after=changed)
         allowed += abs(observer.at(trace, (expression,), [moved], before=before).item() - value)
     if value < -allowed:
-        raise AssertionError(f"{margin.name} is {value:.6g} at t = {jump.t:.6g} in {mode}")
+        raise AssertionError(
+            f"the margin of {margin.name!r} is {value:.6g} at t = {jump.t:.6g} in {mode}"
+        )
 
 
 def _assert_margins(
@@ -180,7 +182,7 @@ def _assert_margins(
         short = np.where(holds, np.inf, values + allowed)
         m, k = np.unravel_index(int(np.argmin(short)), values.shape)
         raise AssertionError(
-            f"{margins[int(k)].name} is {values[m, k]:.6g} at "
+            f"the margin of {margins[int(k)].name!r} is {values[m, k]:.6g} at "
             f"t = {arc.start.high + (arc.start.low + tau[m]):.6g} in "
             f"{subject.automaton.label(arc.mode)}"
         )

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
 from statechart.automaton.regions import Mode
-from statechart.automaton.time_stepper import USUAL
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 from statechart.automaton.trace import Arc, Outcome, Trace
 from statechart.documents.declaration import Declaration
 from statechart.documents.setting import Setting
@@ -113,7 +113,10 @@ class Subject:
     def finer(self) -> Subject | None:
         """The same with impulses that miss less than `NUDGE` shows, if its own may miss more."""
         settings = self.model.settings
-        if self.step is None or (settings.impulse_tolerance or USUAL.tolerance) <= _FINER_TOLERANCE:
+        if (
+            self.step is None
+            or (settings.impulse_tolerance or DEFAULT_IMPULSES.tolerance) <= _FINER_TOLERANCE
+        ):
             return None
         chosen = settings.model_copy(update={"impulse_tolerance": _FINER_TOLERANCE})
         return Subject(self.model.model_copy(update={"settings": chosen}))

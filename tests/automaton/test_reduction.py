@@ -101,7 +101,7 @@ def test_a_pinned_point_stays_where_it_was_when_it_was_pinned() -> None:
     mode = mode_of(model, PIN)
     setup = model.setup({}, 1e-12)
     begun = np.array([3.0, math.cos(0.2), -0.2, 0.0, 0.0, 0.7])
-    reconstruction = mode_reconstruction(model, mode).begun(begun, setup.values, 0.0)
+    reconstruction = mode_reconstruction(model, mode).start(begun, setup.values, 0.0)
     point = 3.0 - math.sin(0.2)
     found = reconstruction.onto(np.array([0.0, 0.0, -0.9, 0.0, 0.0, 0.7]), 1.0)
     expected = [point + math.sin(0.9), math.cos(0.9), -0.9, -math.cos(0.9) * 0.7]
@@ -176,7 +176,7 @@ def test_random_linkages_accelerate_as_in_all_coordinates(seed: int) -> None:
     size = len(model.variables) // 2
     assert len(mode.eliminated) == 2 * (size - size // 3)
     setup = model.setup({}, 1e-12)
-    reconstruction = mode_reconstruction(model, mode).begun(setup.initial, setup.values, 0.0)
+    reconstruction = mode_reconstruction(model, mode).start(setup.initial, setup.values, 0.0)
     full = mode_of(whole(model), zeros=zeros)
     for _ in range(5):
         state = reconstruction.onto(random.uniform(-2, 2, 2 * size), 0.0)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from runs import run_chart
 
-from statechart.charts.wrapping import calls
+from statechart.charts.wrapping import wraps
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, NoConsistentMode
 from statechart.loading.load import interpret
@@ -139,8 +139,8 @@ def test_names_of_regions_are_apart_from_those_of_the_model(tmp_path: Path) -> N
 
 
 def test_calls_are_found_with_their_arguments() -> None:
-    found = list(calls("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)"))
-    assert [call.key for call in found] == [
+    found = list(wraps("a.mod + 2*mod( (time + min(p, q)) , T/2) - mod(p, q) + floor(w*time)"))
+    assert [wrap.key for wrap in found] == [
         ("mod", "(time + min(p, q))", "T/2"),
         ("floor", "w*time", "1"),
     ]

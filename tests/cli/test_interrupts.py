@@ -20,7 +20,7 @@ from statechart import interrupts
 from statechart.cli.main import main
 from statechart.errors import StatechartError
 from statechart.kernels.jit import kernel
-from statechart.reporting.pieces import SOME, Pieces, rows
+from statechart.reporting.partial_report import SOME, PartialReport, short_length
 from statechart.reporting.tables import write_run
 from statechart.running.runner import Runner, run
 
@@ -119,7 +119,7 @@ def test_after_a_signal_time_is_limited() -> None:
 
 
 def test_after_a_signal_only_required_files_are_written() -> None:
-    pieces = Pieces()
+    pieces = PartialReport()
     with interrupts.held():
         assert pieces.attempt("a", lambda: 1, 0) == 1
         assert pieces.attempt("b", lambda: strike() or 1, 0) == 0
@@ -132,7 +132,7 @@ def test_after_a_signal_only_required_files_are_written() -> None:
 
 
 def test_signals_shorten_kept_pieces_without_ending_them() -> None:
-    pieces = Pieces()
+    pieces = PartialReport()
     with interrupts.held():
         assert pieces.keep("a", lambda short: short or strike(), False) is True
         assert pieces.keep("b", lambda short: strike() or short, False) is True
@@ -141,9 +141,9 @@ def test_signals_shorten_kept_pieces_without_ending_them() -> None:
             interrupts.check()
     assert pieces.some("names", ["a", "b"]) == ("a", "b")
     # Of many variables fewer rows are as many numbers.
-    assert rows(1) == rows(30) == SOME
-    assert [rows(width) * width <= 2**17 for width in (33, 400, 2**17)] == [True] * 3
-    assert rows(2**20) == 1
+    assert short_length(1) == short_length(30) == SOME
+    assert [short_length(width) * width <= 2**17 for width in (33, 400, 2**17)] == [True] * 3
+    assert short_length(2**20) == 1
     left = 2 * SOME + 1 - len(range(0, 2 * SOME + 1, 3))
     assert pieces.text() == f"{left} of {2 * SOME + 1} numbers (interrupted)"
 
@@ -154,12 +154,12 @@ def test_a_run_of_many_flows_is_saved_in_short_after_a_signal(
     result = run("bouncing_ball_chart")
     jumps = result.trace.jumps
     assert len(jumps) > 10
-    monkeypatch.setattr("statechart.reporting.pieces.SOME", 10)
+    monkeypatch.setattr("statechart.reporting.partial_report.SOME", 10)
     with interrupts.held():
         strike()
         with pytest.raises(KeyboardInterrupt):
             interrupts.check()
-        pieces = Pieces()
+        pieces = PartialReport()
         write_run(
             tmp_path, result.observer, result.trace, lambda: result.to_dict(pieces=pieces), pieces
         )

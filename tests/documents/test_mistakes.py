@@ -34,8 +34,8 @@ MISTAKES = {
     "decimal comma": ("gravity: g", "gravity: 9,81", "5:11: gravity: formula '9,81': unexpected "
                       "','; decimals have a point: 9.81"),
     "decimal comma in braces": ("mu: 0.5", "mu: 0,5", "'5' is not a name; decimals have a point"),
-    "a unit": ("gravity: g", "gravity: 9.81 m/s2", "unexpected 'm'; write a product as a*b; units "
-               "are not written"),
+    "a unit": ("gravity: g", "gravity: 9.81 m/s2", "unexpected 'm'; write a product as a*b; "
+               "numbers have no unit here"),
     "a unit without a blank": ("mass: m", "mass: 1kg", "'1' runs into 'k'; write a product as 2*x"),
     "three components": ("gravity: g", "gravity: [0, -g, 0]", "must have 2 items, not 3"),
     "misspelt key": ("mass: m", "mas: m", "7:9: unknown key 'mas'; did you mean 'mass'?"),
@@ -46,7 +46,7 @@ MISTAKES = {
     "unknown name": ("m*L**2", "M*L**2", "unknown name 'M'; known: L, e, g, h, m, mu"),
     "angle of a particle": ("inertia: m*L**2/3, ", "", "a particle has no angle; remove it, or"),
     "other word for angle": ("angle: 0.3", "theta: 0.3", "must be 'x', 'y', 'angle', 'dx', 'dy'"),
-    "degrees by name": ("angle: 0.3", "angle: 30deg", "radians: 30*pi/180; units are not written"),
+    "degrees by name": ("angle: 0.3", "angle: 30deg", "radians: 30*pi/180; numbers have no unit"),
     "a date": ("angle: 0.3", "angle: 2026-01-01", "a difference is meant, write 2026 - 01 - 01"),
     "a date with a time": ("angle: 0.3", "angle: 2026-12-31T10", "this is a date, and times are"),
     "degrees of an incline": ("height: 0", "incline: 30", "angles are in radians: 30*pi/180"),

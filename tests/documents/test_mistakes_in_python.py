@@ -98,16 +98,16 @@ def scene(**changes: object) -> Scene:
         ),
         (
             lambda: run(scene(), mu=0.3),
-            "unknown argument 'mu'; a parameter of the model is given by parameters={'mu': 0.3}",
+            "unknown argument 'mu'; for a parameter of the model, write parameters={'mu': 0.3}",
         ),
         (
             lambda: run(scene(), 0.3),
-            "run: of what is given, model can stand without a name; give the others by name: param",
+            "run: too many positional arguments; these may be positional: model; pass the",
         ),
         (run, "run: 'model' is missing; it takes model, parameters, until, study, "),
         (
             lambda: Runner(scene()).run(step=1e-3),
-            "Runner.run: unknown argument 'step'; say it of a runner, Runner(model, step=...), or",
+            "Runner.run: unknown argument 'step'; pass it to a runner, Runner(model, step=...), or",
         ),
         (lambda: sweep(scene(), {}, tol=1), "sweep: unknown argument 'tol'; write tolerance=..."),
         (

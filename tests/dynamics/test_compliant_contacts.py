@@ -201,3 +201,36 @@ def test_a_mistake_in_a_compliant_contact_is_reported(old: str, new: str, told: 
     assert old in _BALL
     with pytest.raises(DeclarationError, match=told):
         interpret(read_text(_BALL.replace(old, new), "soft.yaml"))
+
+
+_PUSHED = """
+kind: scene
+name: pushed
+gravity: 0
+parameters: {w: 0.8, k: 40, d: 6, L: 3}
+%sbodies: {b: {mass: 1, inertia: 1, start: {y: 0.08}}}
+joints: {guide: {point: {body: b}, to: {x: 0}}}
+couplings: {brake: {joint: guide, limit: L}}
+surfaces: {plate: {height: 0, displacement: [0, %s]}}
+contacts: {c: {point: {body: b}, surface: plate, friction: 0, stiffness: k, damping: d}}
+stop: {time: 0.2}
+outputs: {gap: {value: c.gap}, slips: {value: time, at: first brake.slip}}
+"""
+
+
+@pytest.mark.parametrize(("engine", "step"), [("taylor", None), ("impulse", 1e-4)])
+@pytest.mark.parametrize("led", [False, True])
+def test_a_damper_that_lands_moves_what_a_brake_holds(
+    engine: str, step: float | None, led: bool
+) -> None:
+    # The damper's force at the touch, d w, exceeds the limit: the brake slips at once, and the gap
+    # obeys g'' + d g' + k g = -L.
+    region = "regions: {r: {initial: on, variables: {s: 0}, states: {on: {flows: {s: w}}}}}\n"
+    text = _PUSHED % ((region, "s") if led else ("", "w*time"))
+    result = statechart.Runner(read_text(text, "pushed.yaml"), engine=engine, step=step).run()
+    settled, turns = -3.0 / 40.0, math.sqrt(40.0 - 9.0)
+    cosine, sine = math.cos(turns * 0.1), math.sin(turns * 0.1)
+    wave = -settled * cosine + (-0.8 - 3.0 * settled) / turns * sine
+    gap = settled + math.exp(-0.3) * wave
+    assert result.trace.jumps[0].t == pytest.approx(0.1, abs=1e-9 if step is None else step)
+    assert result.outputs["gap"] == pytest.approx(gap, abs=1e-11 if step is None else 5 * step)

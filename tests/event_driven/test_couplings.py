@@ -705,3 +705,38 @@ def test_static_friction_holds_on_while_a_clutch_begins_to_slip(engine: str, sta
     assert (name, t) == ("other slip", pytest.approx(1.0, abs=within))
     assert found.trace.arcs[-1].mode == ("locked", "slip+")
     assert found.outputs["speed"] == pytest.approx(2.0, abs=within)
+
+
+HUB = """
+kind: scene
+name: hub
+coordinates: {phi: {start: 1}, psi: {}}
+bodies:
+  wheel: {mass: 1, inertia: 1, position: [0, 0], angle: phi}
+  hub: {mass: 1, inertia: 1, position: [0, 0], angle: psi}
+couplings:
+  clutch: {bodies: [wheel, hub], limit: {static: 1, kinetic: 0.5}}
+  brake: {bodies: [hub], limit: {static: 1.8, kinetic: 1.2}}
+forces:
+  spring: {body: wheel, moment: -10*phi}
+  load: {body: hub, moment: 1}
+stop: {time: 2.5}
+outputs: {wheel: {value: phi}, hub: {value: psi}}
+"""
+
+
+@ALL_ENGINES
+def test_brake_holds_where_static_friction_of_a_clutch_would_move_it_at_a_reversal(
+    engine: str,
+) -> None:
+    # The wheel loses 2*0.5/10 of its amplitude in every half swing, and the hub is at rest.
+    found = steps(HUB, 1e-3) if engine == "impulse" else run(HUB, engine)
+    within = 1e-3 if engine == "impulse" else EXACT
+    half = math.pi / math.sqrt(10)
+    expected = [("clutch reverse", half), ("clutch reverse", 2 * half)]
+    assert [name for name, _ in events(found.trace)] == [name for name, _ in expected]
+    times = [t for _, t in events(found.trace)]
+    assert times == pytest.approx([t for _, t in expected], abs=within)
+    last = 0.05 + (0.8 - 0.05) * math.cos(math.sqrt(10) * (2.5 - 2 * half))
+    assert found.outputs["wheel"] == pytest.approx(last, abs=2 * within)
+    assert found.outputs["hub"] == pytest.approx(0, abs=1e-12)

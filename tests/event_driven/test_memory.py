@@ -132,3 +132,29 @@ def test_mistakes_in_variables_of_controllers_are_reported_with_their_place(
     line, column = text.count("\n", 0, at) + 1, at - text.rfind("\n", 0, at)
     assert words in str(caught.value)
     assert str(caught.value).startswith(f"f.yaml:{line}:{column}: "), str(caught.value)
+
+
+MOVING_BOWL = """\
+kind: scene
+name: bowl
+parameters: {k: 0.8, g: 2, a: 1.5}
+gravity: g
+regions: {counter: {initial: on, variables: {n: 5}, states: {on: {}}}}
+bodies: {ball: {mass: 1, start: {x: 0.5, y: k/4}}}
+surfaces: {bowl: {height: k*x**2, displacement: [0, a*time**2/2]}}
+contacts: {c: {point: {body: ball}, surface: bowl, friction: 0, restitution: 0}}
+stop: {time: 2}
+outputs:
+  energy: {value: (ball.dx**2 + (ball.dy - a*time)**2)/2 + (g + a)*(ball.y - a*time**2/2)}
+  gap: {maximum: abs(c.gap)}
+"""
+
+
+@ENGINES
+def test_a_ball_keeps_its_energy_in_a_bowl_that_rises_beside_a_variable(engine: str) -> None:
+    # In the frame of the bowl gravity is g + a.
+    ran = run(MOVING_BOWL, engine)
+    assert ran.trace.outcome.name == "HORIZON"
+    assert ran.outputs["energy"] == pytest.approx(3.5 * 0.2, rel=1e-11)
+    assert ran.outputs["gap"] <= 1e-11
+    assert len(ran.trace.jumps) == 0

@@ -46,7 +46,7 @@ def test_check_tells_which_invariant_fails(tmp_path: Path) -> None:
     assert statechart.check(load(kept), examples=3, seed=1).passed
     broken = statechart.check(load(ball(tmp_path, "  low: height <= 0.05\n")), examples=3, seed=1)
     assert not broken.passed
-    assert "low is -" in broken.text()
+    assert "the margin of 'low' is -" in broken.text()
 
 
 def test_an_invariant_of_what_there_is_not_is_refused_with_its_place(tmp_path: Path) -> None:

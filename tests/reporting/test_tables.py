@@ -29,7 +29,7 @@ from statechart.loading.load import load
 from statechart.observation.observer import Observer
 from statechart.observation.sampling import subdivided
 from statechart.reporting import tables
-from statechart.reporting.pieces import Pieces
+from statechart.reporting.partial_report import PartialReport
 from statechart.reporting.report import dumps, report
 from statechart.reporting.tables import events_table, netcdf, samples_table, to_xarray, write_run
 from statechart.study import study as study_file
@@ -173,7 +173,7 @@ def test_on_a_full_disk_what_fits_is_written_and_the_rest_is_named(
 def test_an_unwritable_place_leaves_no_folders_behind(
     observer: Observer, trace: Trace, tmp_path: Path
 ) -> None:
-    pieces = Pieces()
+    pieces = PartialReport()
     with disk_full_after(10), pytest.raises(StatechartError, match=r"deep/run: .*nothing was wri"):
         write_run(
             tmp_path / "new" / "deep" / "run", observer, trace, lambda: {"model": "m"}, pieces
@@ -229,7 +229,7 @@ def test_one_failing_file_does_not_stop_the_others(
     monkeypatch.setattr("statechart.reporting.tables._data_set", failing(ValueError("a bug")))
     # The user is told by the signal's own words, and everything after it is left out, too.
     monkeypatch.setattr("statechart.reporting.figure.figure", failing(KeyboardInterrupt()))
-    pieces = Pieces()
+    pieces = PartialReport()
     names = write_run(
         tmp_path / "run", observer, trace, lambda: report(observer, trace, pieces=pieces), pieces
     )

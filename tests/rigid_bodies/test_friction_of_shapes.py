@@ -136,3 +136,51 @@ def test_the_kinetic_coefficient_is_no_formula_of_the_slip():
 def test_the_kinetic_coefficient_is_not_above_the_static_one():
     with pytest.raises(DeclarationError, match=r"static coefficient 0\.1 is below the kinetic"):
         run(DRAGGED, {"s": 0.1})
+
+
+STACK = """
+kind: scene
+name: stack
+parameters: {k: 40, a: 0.4, f: 2.4}
+gravity: 10
+bodies:
+  low:
+    mass: 1
+    inertia: 1
+    shape: {polygon: [[-2, -0.1], [2, -0.1], [2, 0.1], [-2, 0.1]]}
+    start: {y: 0.1}
+  top:
+    mass: 1
+    inertia: 1
+    shape: {polygon: [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]}
+    start: {x: a, y: 0.3}
+surfaces: {floor: {height: 0}}
+collisions:
+  below:
+    {bodies: [low], surfaces: [floor], friction: {static: 0.25, kinetic: 0.1}, restitution: 0}
+  between: {bodies: [low, top], friction: {static: 0.3, kinetic: 0.1}, restitution: 0}
+forces:
+  spring: {body: top, force: [-k*top.x, 0], at: [0, -0.1]}
+  load: {body: low, force: [f, 0]}
+stop: {time: 1.2}
+settings: {engine: impulse, step: 1e-3}
+outputs: {low: {value: low.x}, top: {value: top.x}, sticks: {count: top.stick}}
+"""
+
+
+@pytest.mark.parametrize("load", [2.4, -2.4, 0.0])
+def test_what_rests_stays_while_static_friction_fails_to_stop_another_slip(load: float) -> None:
+    """The load and static friction from above would move it, and kinetic friction does not.
+
+    The box above swings about the places where spring and friction balance, 1/40 from 0.
+    """
+    w, c = math.sqrt(40), 1 / 40
+    third = c + (0.4 - 4 * c - c) * math.cos(w * (1.2 - 2 * math.pi / w))
+    errors = []
+    for h in (1e-3, 1e-4):
+        outputs = run(STACK, {"f": load}, step=h).outputs
+        assert outputs["low"] == pytest.approx(0, abs=1e-12)
+        assert outputs["sticks"] == 0
+        errors.append(abs(outputs["top"] - third))
+    assert errors[0] < 1e-3
+    assert errors[1] < errors[0] / 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from heaps import heap
+from random_bodies import heap
 
 from contacts.rigid_bodies import rigid_body_run
 from contacts.rigid_bodies.body_step import step_bodies

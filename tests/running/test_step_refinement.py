@@ -14,7 +14,7 @@ from statechart.automaton.trace import Outcome, Trace
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
 from statechart.errors import DeclarationError, SimulationError
-from statechart.observation.difference import modes_apart
+from statechart.observation.difference import mode_disagreement
 from statechart.observation.observer import Observer
 from statechart.running.accuracy import SHORTER, refine
 from statechart.running.result import Result
@@ -259,8 +259,8 @@ def test_a_run_that_cannot_start_raises() -> None:
 def test_modes_are_apart_for_as_long_as_they_differ() -> None:
     runs = [run(read_text(BLOCK), engine="impulse", step=step).trace for step in (0.1, 0.01)]
     times = [trace.jumps[0].t for trace in runs]
-    assert modes_apart(*runs) == pytest.approx(abs(times[0] - times[1]) / 2.0, rel=1e-12)
-    assert modes_apart(runs[0], runs[0]) == 0.0
+    assert mode_disagreement(*runs) == pytest.approx(abs(times[0] - times[1]) / 2.0, rel=1e-12)
+    assert mode_disagreement(runs[0], runs[0]) == 0.0
 
 
 def test_a_block_that_never_moves_is_as_accurate_as_can_be() -> None:

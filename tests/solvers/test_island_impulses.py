@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from rows import contact_rows
+from batches import contact_rows
 
 from contacts.solvers.island_impulses import island_impulses
 from statechart.kernels.jit import kernel

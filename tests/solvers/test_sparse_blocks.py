@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rows import contact_rows
+from batches import contact_rows
 
 from contacts.solvers.contact_rows import ContactRows
 from contacts.solvers.proximal_points import OPEN, SLIDES, STICKS, eliminated, step

@@ -157,7 +157,7 @@ def test_a_promise_missed_is_counted_and_other_modes_are_a_miss() -> None:
     unresolved = point(1e-14, 1e-15, 1.0)
     refused = point(1e-8, 1.0, 1.0, refused="the accuracy was not reached")
     found = study(kept, missed, other, unresolved, refused)
-    assert [found.kept(p) for p in found.points] == [True, False, False, None, None]
+    assert [found.meets_tolerance(p) for p in found.points] == [True, False, False, None, None]
     assert found.missed() == {"RK45": (2, 3)}
     # What the reference cannot resolve is no digit of a run.
     assert found.error(unresolved) == 1e-13
@@ -201,7 +201,7 @@ def test_a_chaotic_motion_has_no_errors_but_a_time_at_which_runs_part(tmp_path: 
     assert 1.0 < found.parted < 40.0
     for p in found.points:
         assert found.error(p) is None
-        assert found.kept(p) is None
+        assert found.meets_tolerance(p) is None
     coarse, fine, refused = found.points
     # Flights in straight lines are right to the last digit at every tolerance; their rounding is
     # magnified all the same.

@@ -195,9 +195,9 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
 
 
 def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:
-    assert Runner("toppling_stick", accuracy=1e-9).rows(("mu",)) is None
-    assert Runner("toppling_stick", engine="impulse", step=1e-2).rows(("mu",)) is None
-    assert Runner("toppling_stick").rows(("mu",)) is not None
+    assert Runner("toppling_stick", accuracy=1e-9).batch(("mu",)) is None
+    assert Runner("toppling_stick", engine="impulse", step=1e-2).batch(("mu",)) is None
+    assert Runner("toppling_stick").batch(("mu",)) is not None
 
 
 def test_sweeps_by_scipy_give_what_its_runs_give() -> None:

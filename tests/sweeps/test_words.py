@@ -16,7 +16,7 @@ from statechart.documents.setting import Setting
 from statechart.errors import DeclarationError
 from statechart.running.runner import Runner
 from statechart.sweeps.cells import repeats
-from statechart.sweeps.figure import check_drawable, figure, told_apart
+from statechart.sweeps.figure import check_drawable, figure, shorten_alike
 from statechart.sweeps.plan import Plan
 
 STICK = "toppling_stick"
@@ -136,14 +136,14 @@ def test_the_page_has_the_pictures_that_it_names() -> None:
 
 
 def test_legends_tell_long_sequences_of_modes_apart() -> None:
-    assert told_apart(["pin > slide+", "pin"]) == ["pin > slide+", "pin"]
+    assert shorten_alike(["pin > slide+", "pin"]) == ["pin > slide+", "pin"]
     rest = " ".join(f"s{k}:free" for k in range(2, 20))
     long = [
         f"s0:pin s1:free {rest} > s0:free s1:pin {rest} > ... (22 modes, 0123abcd)",
         f"s0:pin s1:free {rest} > s0:free s1:pin {rest} > ... (23 modes, 4567cdef)",
         f"s0:pin s1:free {rest} > s0:slide s1:free {rest}",
     ]
-    found = told_apart(long)
+    found = shorten_alike(long)
     assert len(set(found)) == 3
     assert max(map(len, found)) < 60
     assert "22 modes" in found[0]

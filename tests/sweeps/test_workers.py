@@ -77,7 +77,7 @@ def test_a_cluster_without_workers_is_reported_and_the_sweep_goes_on(
 ) -> None:
     monkeypatch.setattr(sweeps, "_FIRST_BLOCKS", 2)
     monkeypatch.setattr(sweeps, "_BLOCK", 0.0)
-    monkeypatch.setattr(workers, "_LOOK", 0.1)
+    monkeypatch.setattr(workers, "_POLL_INTERVAL", 0.1)
     monkeypatch.setattr(workers, "_PATIENCE", 1.0)
     store = tmp_path / "a.zarr"
     with (

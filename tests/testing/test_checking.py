@@ -262,7 +262,7 @@ stop: {time: 3, conditions: {far: x >= 19.5}}
         "declared invariants hold",
         examples=1,
     )
-    assert "it is -" in found.message
+    assert "the margin of 'it' is -" in found.message
 
 
 def test_a_failure_in_a_corner_of_the_ranges_is_found():

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+import statechart
+from contacts.dynamics.mechanics import Mechanics
 from contacts.rigid_bodies.declared_numbers import body_numbers
 from contacts.testing.assertions import assert_in_cone
 from contacts.testing.body_properties import (
@@ -15,7 +17,7 @@ from contacts.testing.body_properties import (
     assert_free_fall,
     assert_impulses_of_bodies,
 )
-from contacts.testing.scene_properties import assert_cone
+from contacts.testing.scene_properties import assert_cone, assert_energy
 from contacts.testing.symmetry import image_property, mirrored
 from statechart.cli.main import main
 from statechart.documents.yaml_reader import read_text
@@ -102,7 +104,7 @@ def test_invariants_of_steps_are_judged_by_what_a_step_moves():
     assert of_sound.examples == 4
     for broken in ("ball.y >= 0.12", "ball.dy >= -1", "ball.dx <= -1.1"):
         found = check(model(f"{text}invariants: {{broken: {broken}}}\n"), examples=4, seed=2)
-        assert "broken is" in found.properties[6].failure.message
+        assert "the margin of 'broken' is" in found.properties[6].failure.message
 
 
 def test_a_run_that_does_not_end_is_shrunk_to_a_model_that_shows_it(tmp_path, monkeypatch, capsys):
@@ -321,3 +323,34 @@ def test_modes_of_steps_that_all_hold_impulses_have_no_force_to_judge():
     assert_cone(subject.model, subject, trace)
     with pytest.raises(AssertionError, match="is nan"):
         assert_cone(subject.model, subject, dataclasses.replace(trace, step=None))
+
+
+# A slow landing is caught by forces, without a jump that lists an impulse.
+RISING = """
+kind: scene
+name: plate
+gravity: 9.81
+parameters: {u: 0.5, w: 0.2}
+bodies: {ball: {mass: 1, start: {x: -0.1, y: 0.3}}}
+surfaces: {plate: {line: [[0, 0], [1, 0.1]], displacement: ["w*time", "u*time"]}}
+contacts: {c: {point: {body: ball}, surface: plate, friction: 0.3, restitution: 0.5}}
+stop: {time: 1}
+settings: {engine: impulse, step: 1e-3}
+"""
+
+
+@pytest.mark.parametrize("u", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("step", [4e-3, 1e-3, 3e-4])
+def test_energy_counts_the_work_of_a_plate_that_catches_a_ball_slowly(u, step):
+    scene = interpret(read_text(RISING))
+    subject = Subject(scene)
+    trace = statechart.run(scene, parameters={"u": u}, engine="impulse", step=step).trace
+    mechanics = Mechanics(scene)
+    assert_energy(mechanics, subject, trace)
+    # Whatever is faster than the plate after the catch has no work to come from.
+    last = trace.arcs[-1]
+    faster = last.coefficients.copy()
+    faster[len(faster) // 2 :, 3] *= 1.1
+    arcs = [*trace.arcs[:-1], dataclasses.replace(last, coefficients=faster)]
+    with pytest.raises(AssertionError, match="energy grows"):
+        assert_energy(mechanics, subject, dataclasses.replace(trace, arcs=arcs))

@@ -233,3 +233,54 @@ stop: {{time: 0.2}}
     assert rates(result)[1] > 0.0
     assert not any(ORDER in w for w in result.warnings)
     assert np.isfinite(result.trace.final).all()
+
+
+ROLLING = f"""
+kind: scene
+name: disc
+gravity: {G}
+simultaneous: plastic
+bodies: {{disc: {{mass: 1, inertia: 0.005, start: {{y: 0.6}}}}}}
+surfaces: {{floor: {{height: 0}}}}
+contacts:
+  rim:
+    {{point: {{body: disc}}, radius: 0.1, surface: floor, friction: 0.3, restitution: 0.5,
+     impact: moreau, rolling_resistance: 0.01}}
+couplings: {{brake: {{bodies: [disc], limit: 0.1}}}}
+stop: {{time: 0.4}}
+outputs: {{up: {{maximum: disc.dy}}}}
+"""
+
+
+def test_couples_do_not_make_an_impact_simultaneous() -> None:
+    # Alone a contact rebounds by its restitution, whatever the scene says of several.
+    speed = 0.5 * math.sqrt(2.0 * G * 0.5)
+    assert run(ROLLING).outputs["up"] == pytest.approx(speed, rel=1e-9)
+    assert run(ROLLING, 1e-4).outputs["up"] == pytest.approx(speed, rel=1e-3)
+
+
+# A block without gravity falls on a corner. Its inertia pushes the corner back along the floor.
+CORNER = """
+kind: scene
+name: corner
+gravity: 0
+bodies: {b: {mass: 1, inertia: 0.05, start: {y: 0.2, dx: 0.1, dy: -1}}}
+surfaces: {floor: {height: 0}}
+contacts:
+  c:
+    {point: {body: b, at: [-0.2, -0.1]}, surface: floor, friction: {static: 0.5, kinetic: 0.1},
+     restitution: 0.4, impact: moreau}
+stop: {time: 0.15}
+outputs: {dx: {value: b.dx}, spin: {value: b.dangle}}
+"""
+
+
+@pytest.mark.parametrize("step", [None, 1e-3])
+def test_an_impact_that_turns_a_slip_has_the_kinetic_friction(step) -> None:
+    # Static friction would hold the corner: its impulse would be a third of the normal one. The
+    # responses of the corner to V and H = 0.1 V, against the slip that it has afterwards.
+    normal = 1.4 / (1.8 - 0.1 * 0.4)
+    found = run(CORNER, step).outputs
+    assert 0.1 + (0.1 * 1.2 - 0.4) * normal < 0.0
+    assert found["dx"] == pytest.approx(0.1 + 0.1 * normal, rel=1e-11)
+    assert found["spin"] == pytest.approx((0.1 * 0.1 - 0.2) / 0.05 * normal, rel=1e-11)

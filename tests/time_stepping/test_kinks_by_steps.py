@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -137,3 +139,62 @@ stop: {{time: 1.2}}
     # It lies as deep as its way in two steps.
     assert np.abs(final[:2]).max() < 8 * h
     assert final[2:] == pytest.approx([0, 0], abs=1e-9)
+
+
+# A corner away from the origin, where a start at rest is round-off beyond the ends of both edges.
+CORNER = """
+kind: scene
+name: corner
+gravity: 9.81
+parameters: {X: 0, Y: 0}
+bodies: {b: {mass: 1, start: {x: X, y: Y, dx: DX, dy: DY}}}
+surfaces:
+  f: {edge: [[X - LEFT_X, Y + LEFT_Y], [X, Y]]}
+  g: {edge: [[X, Y], [X + RIGHT_X, Y + RIGHT_Y]]}
+contacts:
+  c: {point: {body: b}, surface: f, friction: MU, restitution: E1}
+  d: {point: {body: b}, surface: g, friction: MU, restitution: E2}
+stop: {time: 0.7}
+"""
+
+
+def in_corner(left, right, *, v=(0.0, 0.0), at=(0.0, 0.0), mu=0.0, e=(0.0, 0.0)):
+    numbers = {
+        "LEFT_X": 2 * math.cos(left), "LEFT_Y": 2 * math.sin(left),
+        "RIGHT_X": 2 * math.cos(right), "RIGHT_Y": 2 * math.sin(right),
+        "DX": v[0], "DY": v[1], "MU": mu, "E1": e[0], "E2": e[1],
+    }  # fmt: skip
+    text = CORNER.replace("{X: 0, Y: 0}", f"{{X: {at[0]!r}, Y: {at[1]!r}}}")
+    for word, value in numbers.items():
+        text = text.replace(word, repr(value))
+    return interpret(read_text(text, "f.yaml"))
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-2.343068, 0.748813), (3e3, -4e3)])
+@pytest.mark.parametrize("angles", [(1.15, 0.7), (0.37, 1.13), (0.53, 0.86), (1.2, 1.2)])
+@pytest.mark.parametrize("e", [(0.9, 0.8), (0.5, 0.0), (0.0, 0.0)])
+def test_a_point_at_rest_in_a_corner_stays_there(at, angles, e):
+    model = in_corner(*angles, at=at, e=e)
+    trace = statechart.run(model, engine="impulse", step=1e-3).trace
+    assert trace.final == pytest.approx([*at, 0, 0], abs=1e-9)
+    assert trace.final_mode == ("slide", "slide")
+    assert not any(jump.cause in ("enable", "disable") for jump in trace.jumps)
+
+
+# One side takes what the other gives back: the point slides on the plastic one, and comes back.
+@pytest.mark.parametrize("h", [1e-3, 1e-4])
+@pytest.mark.parametrize("at", [(0.0, 0.0), (0.604994, 0.101475)])
+@pytest.mark.parametrize(
+    ("left", "right", "v", "e", "mu"),
+    [
+        (0.79, 0.89, (-1.043, -1.586), (0.0, 0.5), 0.0),
+        (0.90, 0.99, (-0.0187, -0.2055), (0.0, 0.8), 0.0),
+        (0.37, 1.13, (0.2013, -0.0859), (0.5, 0.0), 0.3),
+        (0.79, 1.15, (1.1525, -1.3069), (1.0, 0.0), 0.3),
+    ],
+)
+def test_a_point_between_a_plastic_and_an_elastic_edge_comes_to_rest(left, right, v, e, mu, at, h):
+    model = in_corner(left, right, v=v, at=at, e=e, mu=mu)
+    trace = statechart.run(model, engine="impulse", step=h).trace
+    assert trace.final[:2] == pytest.approx(at, abs=8 * h)
+    assert trace.final[2:] == pytest.approx([0, 0], abs=1e-9)

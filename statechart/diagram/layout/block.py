@@ -14,8 +14,8 @@ from statechart.arrays import Array
 from statechart.diagram.layout.graphviz_program import measured
 from statechart.diagram.layout.markup import START, arrow
 
-Look = Mapping[str, str]
-"""Attributes of DOT that say how something is drawn, and not where."""
+Attributes = Mapping[str, str]
+"""DOT attributes of appearance, without position."""
 
 Point = tuple[float, float]
 
@@ -37,17 +37,17 @@ class Box:
     name: str
     centre: Point
     size: Point
-    look: Look
+    attributes: Attributes
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """A line between boxes; `course` are Bezier curves as Graphviz writes them (splineType)."""
+    """A line between boxes; `curve` are Bezier curves as Graphviz writes them (splineType)."""
 
     source: str
     target: str
-    course: str
-    look: Look
+    curve: str
+    attributes: Attributes
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Block:
         return Block(
             self.size,
             tuple(replace(b, centre=(b.centre[0] + x, b.centre[1] + y)) for b in self.boxes),
-            tuple(replace(a, course=_translated(a.course, x, y)) for a in self.arrows),
+            tuple(replace(a, curve=_translated(a.curve, x, y)) for a in self.arrows),
         )
 
 
@@ -71,7 +71,7 @@ def bounded(boxes: Sequence[Box], arrows: Sequence[Arrow]) -> Block:
     """Return a block just as large as its boxes and arrows."""
     centres, sizes = np.array([box.centre for box in boxes]), np.array([box.size for box in boxes])
     corners = [centres - sizes / 2, centres + sizes / 2]
-    places = np.concatenate([*corners, *(samples(one.course) for one in arrows)])
+    places = np.concatenate([*corners, *(samples(one.curve) for one in arrows)])
     (left, low), (right, high) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
     return Block((right - left, high - low), (*boxes,), (*arrows,)).moved(-left, -low)
 
@@ -87,7 +87,7 @@ def written(name: str, label: str) -> Block:
     return Block(size, (Box(name, (size[0] / 2, size[1] / 2), size, look),))
 
 
-def beside(blocks: Sequence[Block], gap: float) -> Block:
+def side_by_side(blocks: Sequence[Block], gap: float) -> Block:
     """Put blocks side by side, their tops at one height."""
     height = max(block.size[1] for block in blocks)
     placed, x = [], 0.0
@@ -146,12 +146,14 @@ def polyline(points: Iterable[Point], *, head: bool = True) -> str:
 
 def covered(block: Block) -> int:
     """Return how often an arrow runs through text, a dot or a state that is not at its ends."""
-    solid = [box for box in block.boxes if box.look["label"] or box.look["shape"] == "circle"]
+    solid = [
+        box for box in block.boxes if box.attributes["label"] or box.attributes["shape"] == "circle"
+    ]
     centres = np.array([box.centre for box in solid]).reshape(-1, 2)
     reach = np.array([box.size for box in solid]).reshape(-1, 2) / 2 - _TOUCH
     found = 0
     for one in block.arrows:
-        off = np.abs(samples(one.course)[:, None] - centres)
+        off = np.abs(samples(one.curve)[:, None] - centres)
         through = np.all(off < reach, axis=2).any(axis=0)
         ends = (one.source, one.target)
         found += sum(box.name not in ends for box, on in zip(solid, through, strict=True) if on)

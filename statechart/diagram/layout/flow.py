@@ -12,16 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from statechart.diagram.layout.block import Arrow, Block, Box, Look, bounded, covered, polyline
+from statechart.diagram.layout.block import (
+    Arrow,
+    Attributes,
+    Block,
+    Box,
+    bounded,
+    covered,
+    polyline,
+)
 from statechart.diagram.layout.graphviz_program import FONT, laid_out, size_of
 from statechart.diagram.layout.markup import (
     FRAMES,
     START,
     Style,
     arrow,
-    arrow_look,
-    state_look,
-    title_look,
+    arrow_attributes,
+    state_attributes,
+    title_attributes,
 )
 from statechart.diagram.model import Chart, Node
 from statechart.palette import FAINT, FRAME
@@ -30,7 +38,7 @@ if TYPE_CHECKING:
     import graphviz
 
 # Width and height that a chart may take of a slide.
-_ROOM = (740.0, 430.0)
+_SLIDE = (740.0, 430.0)
 # Ways to go from rank to rank, and space between neighbours in inches.
 _WAYS = [(way, gap) for way in ("TB", "LR") for gap in ("0.25", "0.5")]
 # A region in a state has no frame of its own.
@@ -51,7 +59,7 @@ def flow(chart: Chart, style: Style, prefix: str) -> Block:
 def _badness(block: Block) -> tuple[float, ...]:
     """Return lines through text, by how much a block must shrink to fit, and its height."""
     width, height = block.size
-    shrink = max(width / _ROOM[0], height / _ROOM[1], 1.0)
+    shrink = max(width / _SLIDE[0], height / _SLIDE[1], 1.0)
     return covered(block), round(4 * shrink), height
 
 
@@ -61,20 +69,20 @@ class _Flow:
     def __init__(self, chart: Chart, style: Style, prefix: str) -> None:
         self.chart, self.names, self.prefix = chart, style.names, prefix
         leaves = {node.name for node in chart.leaves}
-        self.looks: dict[str, Look] = {}
+        self.looks: dict[str, Attributes] = {}
         self.starts: dict[str, Node] = {}
         for k, node in enumerate(chart.nodes):
             if node.name in leaves:
-                self.looks[self.names[node.name]] = state_look(node, chart, style)
+                self.looks[self.names[node.name]] = state_attributes(node, chart, style)
             else:
-                self.looks[self.title(node)] = title_look(node, chart, style)
+                self.looks[self.title(node)] = title_attributes(node, chart, style)
             if node.initial or node.default:
                 self.starts[f"{prefix}start{k}"] = node
         self.words: dict[str | None, list[str]] = {}
-        self.edges: dict[str, tuple[str, str, Look]] = {}
+        self.edges: dict[str, tuple[str, str, Attributes]] = {}
         for k, ((source, target), links) in enumerate(chart.arrows.items()):
             self.edges[str(k)] = source, target, arrow(links)
-            look = arrow_look(links, style)
+            look = arrow_attributes(links, style)
             if look is not None:
                 self.looks[f"{prefix}{k}"] = look
                 around = chart.around(target)
@@ -175,7 +183,7 @@ class _Flow:
     def _frame(self, node: Node, items: dict[str, Any]) -> Box:
         name = self.names[node.name]
         x0, y0, x1, y1 = map(float, items[name]["bb"].split(","))
-        look: Look = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
+        look: Attributes = FRAMES if node.infeasible is None else {**FRAMES, "color": FAINT}
         if node.inside is not None and self.chart.node(node.inside).parallel:
             look = _REGION
         return Box(name, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), look)

@@ -41,7 +41,7 @@ def render(source: str, form: str) -> bytes:
 
 
 def laid_out(source: str) -> dict[str, Any]:
-    """Return what Graphviz says of a graph after its layout, as the object of its JSON."""
+    """Return the layout of a graph by Graphviz, as its JSON object."""
     found: dict[str, Any] = json.loads(render(source, "json"))
     return found
 

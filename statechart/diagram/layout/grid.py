@@ -17,16 +17,22 @@ from typing import NamedTuple
 
 from statechart.diagram.layout.block import (
     Arrow,
+    Attributes,
     Block,
     Box,
-    Look,
     Point,
     bounded,
     polyline,
     with_start,
 )
 from statechart.diagram.layout.graphviz_program import measured
-from statechart.diagram.layout.markup import Style, arrow, arrow_look, state_look, title_look
+from statechart.diagram.layout.markup import (
+    Style,
+    arrow,
+    arrow_attributes,
+    state_attributes,
+    title_attributes,
+)
 from statechart.diagram.model import Chart, Link, Node
 from statechart.palette import FAINT, FRAME
 
@@ -149,14 +155,14 @@ class _Grid:
                          ((down, self.axes[1]), (along, self.axes[0])))  # fmt: skip
         nodes = chart.nodes
         self.nodes = [[nodes[row * len(columns) + column] for column in columns] for row in rows]
-        self.looks: dict[str, Look] = {}
+        self.looks: dict[str, Attributes] = {}
         for k, part in enumerate((along, down)):
             for number, bond in enumerate(self.axes[k].bonds):
-                look = arrow_look(bond.links, style, narrow=k == 1)
+                look = arrow_attributes(bond.links, style, narrow=k == 1)
                 self.looks |= {self._key(k, number): look} if look else {}
             for number, (node, _, _) in enumerate(self.axes[k].frames):
-                self.looks[self._key(k, f"in{number}")] = title_look(node, part, style)
-        self.cells = {self.names[node.name]: state_look(node, chart, style) for node in nodes}
+                self.looks[self._key(k, f"in{number}")] = title_attributes(node, part, style)
+        self.cells = {self.names[node.name]: state_attributes(node, chart, style) for node in nodes}
         self.sizes = measured({**self.looks, **self.cells})
         self._measure()
 
@@ -288,7 +294,7 @@ class _Grid:
                     self._end(k, span, other) for span in (bond.tail, bond.head)
                 )
                 look = arrow(bond.links) | ({"color": FAINT} if no_tail or no_head else {})
-                course = [_point(k, *at) for at in self._course(k, number, v)]
+                course = [_point(k, *at) for at in self._corners(k, number, v)]
                 yield Arrow(tail, head, polyline(course), look)
 
     def _end(self, k: int, span: Span, across: int) -> tuple[str, bool]:
@@ -300,7 +306,7 @@ class _Grid:
         number = next(n for n, (_, other, _) in enumerate(self.axes[k].frames) if other == span)
         return self._key(k, f"_{number}"), impossible
 
-    def _course(self, k: int, number: int, v: float) -> list[Point]:
+    def _corners(self, k: int, number: int, v: float) -> list[Point]:
         """Return the corners of an arrow as (u, v): one in a lane turns into its states."""
         bond = self.axes[k].bonds[number]
         way = 1 if bond.onward else -1

@@ -73,8 +73,8 @@ def plain(words: str) -> str:
     return literal
 
 
-def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
-    """Return the look of a state that holds no others, its own loops among its lines."""
+def state_attributes(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+    """Return the attributes of an atomic state, with its loops as lines."""
     faint = node.infeasible is not None
     ink = FAINT if faint else INK
     lines = (node.label + mark(node, style.reasons)).split("\n")
@@ -101,18 +101,18 @@ def state_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
     }
 
 
-def title_look(node: Node, chart: Chart, style: Style) -> dict[str, str]:
-    """Return the look of the name of a state that holds others, with what is its own."""
+def title_attributes(node: Node, chart: Chart, style: Style) -> dict[str, str]:
+    """Return the attributes of the title of a composite state, with its actions and loops."""
     colour = FRAME if node.infeasible is None else FAINT
     rows = [text(node.label + mark(node, style.reasons), bold=True, colour=colour)]
     rows += _details(node, chart, style, INK)
     return {"shape": "plain", "label": table(rows, align="LEFT")}
 
 
-def arrow_look(
+def arrow_attributes(
     links: Sequence[Link], style: Style, *, narrow: bool = False, counted: bool = True
 ) -> dict[str, str] | None:
-    """Return the look of words on an arrow, narrow ones below each other; None without words."""
+    """Return the attributes of an arrow's label, narrow ones stacked; None without words."""
     lines = _spoken(links if counted else [replace(x, visits=None) for x in links], style)
     if narrow:
         lines = [part for line in lines for part in line.replace(", ", ",\n").split("\n")]

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from statechart.diagram.layout.block import (
     Arrow,
+    Attributes,
     Block,
     Box,
-    Look,
     Point,
     bounded,
     polyline,
@@ -27,8 +27,8 @@ from statechart.diagram.layout.markup import (
     STATE,
     Style,
     arrow,
-    arrow_look,
-    state_look,
+    arrow_attributes,
+    state_attributes,
     table,
     text,
 )
@@ -38,7 +38,7 @@ from statechart.tabular import several
 
 # Points: what a row may take, and in a picture that were higher than that; a line on each side of
 # its words; between words and a line's end.
-_WIDTH, _WIDEST, _ROOM, _AIR = 740.0, 980.0, 16.0, 3.0
+_WIDTH, _WIDEST, _PADDING, _AIR = 740.0, 980.0, 16.0, 3.0
 # A ring has at least so many modes.
 _MIN_RING = 3
 # A sequence repeated so often counts as rounds.
@@ -61,8 +61,8 @@ class Round(NamedTuple):
     rounds: int
 
 
-def course(path: Sequence[str]) -> Round | None:
-    """Return the course of a path: rounds from as early on as there are some, or a chain.
+def find_rounds(path: Sequence[str]) -> Round | None:
+    """Return a path as rounds of a cycle from the earliest possible start, or as a chain.
 
     None where modes come again, and not in rounds for at least half of the path.
     """
@@ -81,7 +81,7 @@ def course(path: Sequence[str]) -> Round | None:
 
 def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
     """Lay out the path of a run; None where it has more steps than can be seen, or next to none."""
-    found = course(chart.path) or Round(chart.path, None, 1)
+    found = find_rounds(chart.path) or Round(chart.path, None, 1)
     order, back = found.order, found.back
     lone = back is not None and len(order) - back < _MIN_RING
     if (
@@ -95,22 +95,22 @@ def ring(chart: Chart, style: Style, prefix: str) -> Block | None:
         f"{prefix}again_{k}_{style.names[name]}" if name in order[:k] else style.names[name]
         for k, name in enumerate(order)
     ]
-    looks: dict[str, Look] = {
-        name: state_look(replace(chart.node(mode), visits=None), bare, style)
+    looks: dict[str, Attributes] = {
+        name: state_attributes(replace(chart.node(mode), visits=None), bare, style)
         for name, mode in zip(names, order, strict=True)
     }
     steps = [*pairwise(range(len(names)))]
     if back is not None:
         steps.append((len(names) - 1, back))
     taken = [chart.bundles[order[a], order[b]] for a, b in steps]
-    words = [arrow_look(links, style, narrow=True, counted=False) for links in taken]
-    labels: dict[str, Look] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
+    words = [arrow_attributes(links, style, narrow=True, counted=False) for links in taken]
+    labels: dict[str, Attributes] = {f"{prefix}{k}": look for k, look in enumerate(words) if look}
     count = text(several(found.rounds, "round"), size=STATE, bold=True, colour=RUN)
     middle = {f"{prefix}rounds": {"shape": "plain", "label": table([count])}}
     sizes = measured({**looks, **labels, **middle})
     cell = max(sizes[n][0] for n in looks), max(sizes[n][1] for n in looks)
     wide, high = (
-        cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _ROOM for k in (0, 1)
+        cell[k] + max((sizes[n][k] for n in labels), default=0.0) + 2 * _PADDING for k in (0, 1)
     )
     most = 1 + int((_WIDTH - cell[0]) // wide)
     if ceil(len(names) / max(most, 2)) * high > _WIDTH:

@@ -1,4 +1,4 @@
-"""Whole numbers at or below others."""
+"""Floor of a number that may be off an integer by round-off."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _ALL_WHOLE = 2.0**53
 """From here on every float is a whole number."""
 
 
-def whole(a: float) -> float:
-    """Return the largest whole number that is not above `a`, but for rounding."""
+def tolerant_floor(a: float) -> float:
+    """Return the floor of `a`; a number within round-off of an integer is that integer."""
     if not abs(a) < _ALL_WHOLE:
         return a
     near = float(math.floor(a + 0.5))

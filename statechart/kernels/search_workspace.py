@@ -1,4 +1,4 @@
-"""Memory of searches, and tapes made ready in it to be evaluated along steps.
+"""Workspace of searches, and tapes prepared in it for evaluation along steps.
 
 A search asks for all outputs of a tape where a step is clear, and for one or two where it is not:
 then the others' operations are skipped.
@@ -19,7 +19,7 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import POW, SKIP, TapeCode, fill, run_tape
 
 BOXES = 64
-"""Boxes still to see, at most: halves of halves down to the narrowest."""
+"""Largest number of pending boxes: halves of halves down to the narrowest."""
 
 Needed = tuple[Ints, Ints32, Ints32, Ints]
 """For every register the outputs that need it, a bit each; the operations and the variables that
@@ -28,14 +28,14 @@ are chosen; for which outputs, where the last operation is, how many variables."
 # Bits of a set; the outputs beyond share the last.
 _BITS = 62
 
-Ready = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
+PreparedTape = tuple[Along, Needed, Array, Array, Array, Array, Array, NDArray[np.uint8]]
 """A tape that is evaluated along steps, with what depends on parameters alone: see `Along`, and
 `Needed`; bounds of third derivatives, registers, jets; evidence on the outputs; boxes still to see,
 and the outputs that are undecided in them."""
 
 
-class Memory(NamedTuple):
-    """Memory to search in, for tapes of up to r registers, c operations and o outputs."""
+class SearchWorkspace(NamedTuple):
+    """Workspace of a search, for tapes of up to r registers, c operations and o outputs."""
 
     registers: Array  # shape (r, 1)
     jets: Array  # shape (r, 6)
@@ -43,18 +43,20 @@ class Memory(NamedTuple):
     code: Ints32  # shape (c, 3)
     # See `Needed`.
     variables: Ints32  # shape (n + 1,)
-    kept: Ints  # shape (3,)
+    selection: Ints  # shape (3,)
     bounds: Array  # (n,): of third derivatives.
-    # On the outputs; boxes still to see, and what is undecided in them.
+    # Evidence on the outputs; pending boxes, and the outputs that are undecided in each.
     evidence: Array  # shape (o + 1, 11)
     ends: Array  # shape (2, b)
     marks: NDArray[np.uint8]  # shape (b + 1, o)
 
 
 @kernel
-def room(registers: int, operations: int, outputs: int, variables: int) -> Memory:
-    """Return memory to search in."""
-    return Memory(
+def search_workspace(
+    registers: int, operations: int, outputs: int, variables: int
+) -> SearchWorkspace:
+    """Allocate the workspace of a search."""
+    return SearchWorkspace(
         np.empty((registers, 1)),
         np.empty((registers, 6)),
         np.empty(registers, np.int64),
@@ -69,11 +71,11 @@ def room(registers: int, operations: int, outputs: int, variables: int) -> Memor
 
 
 @kernel
-def ready_along(tape: TapeCode, steps: Steps, memory: Memory) -> Ready:
+def prepare_tape(tape: TapeCode, steps: Steps, workspace: SearchWorkspace) -> PreparedTape:
     """Evaluate the operations that depend on parameters alone."""
     code, constants, outputs, reads, n_fixed = tape
     times, coeffs, parameters, start = steps
-    n, regs, jets = coeffs.shape[1], memory.registers, memory.jets
+    n, regs, jets = coeffs.shape[1], workspace.registers, workspace.jets
     base = n + 1 + parameters.shape[0] + constants.shape[0]
     fill(constants, parameters, n, regs)
     along = (code, base, n_fixed, code.shape[0], reads, times, coeffs, start)
@@ -87,10 +89,19 @@ def ready_along(tape: TapeCode, steps: Steps, memory: Memory) -> Ready:
             jets[r, 0], jets[r, 1] = -INF, INF
     run_jets(code, 0, n_fixed, base, jets, 2)
     for v in range(n):
-        memory.bounds[v] = 0.0
-    needs = memory.needs, memory.code, memory.variables, memory.kept
-    follow(along, outputs, needs)
-    return along, needs, memory.bounds, regs, jets, memory.evidence, memory.ends, memory.marks
+        workspace.bounds[v] = 0.0
+    needs = workspace.needs, workspace.code, workspace.variables, workspace.selection
+    mark_needed(along, outputs, needs)
+    return (
+        along,
+        needs,
+        workspace.bounds,
+        regs,
+        jets,
+        workspace.evidence,
+        workspace.ends,
+        workspace.marks,
+    )
 
 
 @kernel
@@ -100,9 +111,9 @@ def bit(output: int) -> int:
 
 
 @kernel
-def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
-    """Follow which registers the outputs need; of operations, those that `along` runs."""
-    needs, chosen, _, kept = needed
+def mark_needed(along: Along, outputs: Ints32, needed: Needed) -> None:
+    """Mark the registers that each output needs, over the operations that `along` runs."""
+    needs, chosen, _, selection = needed
     code, base, first, last = along[:4]
     for r in range(base + code.shape[0]):
         needs[r] = 0
@@ -114,15 +125,15 @@ def follow(along: Along, outputs: Ints32, needed: Needed) -> None:
         needs[code[k, 1]] |= needs[base + k]
         if code[k, 0] <= POW:
             needs[code[k, 2]] |= needs[base + k]
-    kept[0] = kept[1] = kept[2] = 0
+    selection[0] = selection[1] = selection[2] = 0
 
 
 @kernel
-def narrowed(needed: Needed, along: Along, outputs: int) -> Along:
+def select_outputs(needed: Needed, along: Along, outputs: int) -> Along:
     """Return `along` with the operations and variables that a set of outputs needs alone."""
-    needs, chosen, variables, kept = needed
+    needs, chosen, variables, selection = needed
     code, base, first, last, reads, times, coeffs, start = along
-    if kept[0] != outputs:
+    if selection[0] != outputs:
         end, count = first, 0
         for k in range(first, last):
             if needs[base + k] & outputs != 0:
@@ -134,5 +145,5 @@ def narrowed(needed: Needed, along: Along, outputs: int) -> Along:
             if needs[reads[r]] & outputs != 0:
                 variables[count] = reads[r]
                 count += 1
-        kept[0], kept[1], kept[2] = outputs, end, count
-    return chosen, base, first, kept[1], variables[: kept[2]], times, coeffs, start
+        selection[0], selection[1], selection[2] = outputs, end, count
+    return chosen, base, first, selection[1], variables[: selection[2]], times, coeffs, start

@@ -12,7 +12,7 @@ from statechart.formulas.writer import compile_tape
 from statechart.kernels.boxes import enclose, prepare
 from statechart.kernels.jets import run_jets
 from statechart.kernels.jit import kernel
-from statechart.kernels.search_memory import bit, follow, narrowed
+from statechart.kernels.search_workspace import bit, mark_needed, select_outputs
 
 COEFFS, TIMES = contiguous([[[0.7, 0.2, -0.1], [0.4, -0.3, 0.2]]]), contiguous([0.0, 0.5])
 PARAMETERS = contiguous([1.3])
@@ -27,8 +27,8 @@ def _enclosed(along, outputs, chosen, bounds, w, order, jets, ran):
         np.empty(3, np.int32),
         np.empty(3, np.int64),
     )
-    follow(along, outputs, needed)
-    few = narrowed(needed, along, chosen)
+    mark_needed(along, outputs, needed)
+    few = select_outputs(needed, along, chosen)
     ran[0], ran[1] = 0, few[4].shape[0]
     for k in range(few[2], few[3]):
         if few[0][k, 0] >= 0:

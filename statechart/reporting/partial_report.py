@@ -19,12 +19,12 @@ _NUMBERS = 2**17  # in a short form of many variables, which has the fewer rows
 _INTERRUPTED = "interrupted"
 
 
-def rows(width: int) -> int:
+def short_length(width: int) -> int:
     """Return how many rows of so many numbers a short form has."""
     return max(1, min(SOME, _NUMBERS // max(width, 1)))
 
 
-class Pieces:
+class PartialReport:
     """Record of a work in parts: which of them are done, and which failed.
 
     A signal to end that comes now ends the piece at hand and leaves out those that follow; of those
@@ -74,8 +74,8 @@ class Pieces:
             self._signals = before
 
     def some(self, what: str, items: Sequence[T], width: int = 1) -> tuple[T, ...]:
-        """Return at most `rows` items, evenly chosen; say so where there are more."""
-        chosen = tuple(items[:: max(1, -(-len(items) // rows(width)))])
+        """Return at most `short_length` items, evenly chosen; say so where there are more."""
+        chosen = tuple(items[:: max(1, -(-len(items) // short_length(width)))])
         if len(chosen) < len(items):
             self.leave(f"{len(items) - len(chosen)} of {len(items)} {what}")
         return chosen
