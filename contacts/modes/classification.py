@@ -51,6 +51,7 @@ from contacts.states import (
     SLIDE_MINUS,
     SLIDE_PLUS,
     SLIDING,
+    SLIPPING,
     STICKING,
     declared_state,
     undetermined,
@@ -904,11 +905,17 @@ def _bearing(candidate: Candidate) -> frozenset[int]:
 
 
 def _opens(taken: Candidate, other: Candidate, closed: Sequence[bool]) -> bool:
-    """Return whether the chosen mode opens contacts that a rejected mode would keep closed."""
+    """Return whether the chosen mode opens contacts that a rejected mode would keep closed.
+
+    Or lets couplings slip that it would keep locked.
+    """
     if other.undetermined != OPEN_LOAD:
         return False
     pairs = zip(taken.states, other.states, closed, strict=True)
-    return all(mine == theirs or (shut and mine == "free") for mine, theirs, shut in pairs)
+    return all(
+        mine == theirs or (shut and mine == "free") or (mine in SLIPPING and theirs == "locked")
+        for mine, theirs, shut in pairs
+    )
 
 
 def _indeterminate(laws: Sequence[ContactLaw], shared: Share) -> tuple[str, ...]:

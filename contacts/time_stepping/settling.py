@@ -11,7 +11,8 @@ impact, or a change of a mode, on the modes are those of the engines with events
 with the velocities after the step, until its impulses say the same. What a few steps of the
 accelerations explain counts as zero: gaps up to ``16 h^2 a`` and their rates, slips against the
 mode of the step before up to ``4 h a`` while the contact bears, and slips that end within four
-steps; accelerations of the order ``h a`` only after an impact or against the impulses.
+steps; accelerations of the order ``h a`` only after an impact or against the impulses. Slips of
+couplings count as zero up to ``4 h a`` with the sizes a of all terms of their accelerations.
 """
 
 from __future__ import annotations
@@ -225,7 +226,7 @@ def settle(
         slips, slides, rounding = np.empty(m), np.zeros(m), SUM_ROUNDING * scene.speed
         forced, sums, alone = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 2))
         cones, terms = np.empty((m, 2)), np.empty((m, 2))
-        against = np.zeros(m, np.bool_)
+        against, brakes = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
         for a in range(m):
             i = which[a]
             put(free[i], alone[a])
@@ -237,6 +238,9 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
+            # What an impact leaves of the slip of a brake is judged by the forces.
+            brakes[a] = is_coupling(scene, i) and scene.carriers[i] < 0
+            against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
         load_couplings(scene, tape, which, loads, delassus, alone)
@@ -247,6 +251,10 @@ def settle(
             loads = coupling_loads(scene, which, columns, moving, forces, 1.0)
             if load_couplings(scene, tape, which, loads, delassus, alone) > LOADED:
                 continue
+            for a in range(m):
+                if brakes[a]:
+                    # The forces of contacts turn what it holds.
+                    put(sums[a], terms[a])
             if ended or not (solved and end_slips(slips, forced, against, terms, h, slides)):
                 break
             ended = True
@@ -261,6 +269,10 @@ def settle(
                 if memory.settling[i] == LANDED or modes[i] != chunk.codes[k, i]:
                     clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
                     modes[i] = mode_of_acceleration(forced[a], slips[a], still, cones[a], directed)
+            if solved and brakes[a]:
+                clear_alike(forced[a], sums[a], ALIKE * h / scene.speed)
+                along = slips[a] if slides[a] != 0.0 else forced[a, 1]
+                modes[i] = coupling_mode(scene, i, along, modes)
             if scene.carriers[i] >= 0:
                 found = coupling_mode(scene, i, slips[a] if slides[a] != 0.0 else 0.0, modes)
                 modes[i] = found if FREE in (found, modes[i]) else modes[i]

@@ -615,6 +615,19 @@ def coupling_mode(scene: StepConstants, i: int, slip: float, modes: Ints) -> int
 
 
 @kernel
+def _round_off(
+    scene: StepConstants, problem: ContactProblem, pushes: Array, a: int, h: float
+) -> float:
+    """Return the slip of coupling `a` that round-off of the gaps of contacts that press makes."""
+    most, delassus, groups = 0.0, problem.delassus, problem.groups
+    for b in range(len(groups)):
+        if groups[b] == groups[a] and pushes[b, 0] > 0.0 and not problem.apart[b]:
+            most = max(most, abs(delassus[2 * a + 1, 2 * b]) / delassus[2 * b, 2 * b])
+    found: float = most * scene.near / h
+    return found
+
+
+@kernel
 def write_modes(
     scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
     met: ContactRoles, k: int, chunk: Chunk,
@@ -628,6 +641,8 @@ def write_modes(
         i = problem.which[a]
         put(pushes[a], memory.pushes[i])
         slip = velocity_after(problem.delassus, answer.least, pushes, a, 1)
+        if is_coupling(scene, i) and abs(slip) <= _round_off(scene, problem, pushes, a, chunk.h):
+            slip = 0.0
         memory.slid[i] = slip != 0.0
         if is_coupling(scene, i):
             memory.closed[i] = True

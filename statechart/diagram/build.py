@@ -59,7 +59,7 @@ def build(
     if trace is not None:
         modes = explored(automaton, within=0, trace=trace, found=found)
         run, notes = _run(automaton, trace, modes)
-        charts = _charts(automaton, None)
+        charts = _charts(automaton, trace.start_mode)
         shown = (run,) if visited else (run, *charts)
         return Diagram(automaton.name, shown, notes, modes.graph, explained=charts)
     if needs_run(automaton):
@@ -92,10 +92,10 @@ def _is_composed(region: Region) -> bool:
     return bool(region.nesting.histories) or not {*region.states} <= {*region.innermost}
 
 
-def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
-    """Return the chart of every region, those alike once."""
+def _charts(automaton: Automaton, mode: Key | None) -> tuple[Chart, ...]:
+    """Return the chart of every region, those alike once; regions start in the states of `mode`."""
     charts = []
-    states = dict(zip((r.name for r in automaton.regions), start or (), strict=False))
+    states = dict(zip((r.name for r in automaton.regions), mode or (), strict=False))
     moving = _moving(automaton)
     for regions in group_alike(moving):
         region = regions[0]
@@ -103,10 +103,9 @@ def _charts(automaton: Automaton, start: Key | None) -> tuple[Chart, ...]:
         if any(other.edges != region.edges for other in regions):
             title += f"; numbers of {region.name}"
         prefix = "" if len(moving) == 1 else f"{region.name}:"
-        start_state = states.get(region.name)
-        charts.append(
-            region_chart(automaton, region, prefix=prefix, title=title, start=start_state)
-        )
+        starts = {states.get(each.name) for each in regions}
+        start = starts.pop() if len(starts) == 1 else None
+        charts.append(region_chart(automaton, region, prefix=prefix, title=title, start=start))
     return tuple(charts)
 
 

@@ -54,7 +54,7 @@ def scxml(diagram: Diagram) -> str:
     root = _MachineWriter(diagram.machine).root
     for place, sentence in enumerate(lost(diagram.machine)):
         # Two hyphens would end a comment.
-        words = f" not said: {printable(sentence).replace('--', '- -')} "
+        words = f" left out: {printable(sentence).replace('--', '- -')} "
         root.insert(place, ET.Comment(words))
     for key, text in (("title", diagram.title), ("notes", "\n".join(diagram.notes))):
         if text:
@@ -191,7 +191,7 @@ class _MachineWriter:
                 element.set("cond", condition)
             else:
                 element.set("diagram:guard", printable(edge.condition or edge.guard))
-                self._lose("guards, whose events who runs it has to send", what)
+                self._lose("guards (the host program sends these events)", what)
             if not edge.static:
                 element.set("target", ids[choice.target])
                 if edge.internal:
@@ -202,7 +202,7 @@ class _MachineWriter:
                 self._assign(element, None, edge.updates, what)
             elif choice.reset:
                 element.set("diagram:reset", printable(choice.reset))
-                self._lose("what is reset of the motion", what)
+                self._lose("resets of continuous states", what)
 
     def _event_name(self, region: Region, event: str) -> str:
         """Return the name of an awaited event in SCXML."""
@@ -226,7 +226,7 @@ class _MachineWriter:
         if not updates:
             return
         if not all(name in self._data and self._formula(text) for name, text in updates.items()):
-            self._lose("updates with names or functions that are no data", what)
+            self._lose("updates with names or functions not in datamodel", what)
             return
         element = parent if tag is None else ET.SubElement(parent, tag)
         later: list[tuple[str, str]] = []

@@ -108,13 +108,13 @@ def test_parts_that_scxml_cannot_express_are_listed(
     path = tmp_path / "stick.scxml"
     assert main(["draw", "toppling_stick", "-o", str(path)]) == 0
     told = capsys.readouterr().err
-    left_out = "the SCXML file leaves out guards, whose events who runs it has to send: tip."
+    left_out = "the SCXML file leaves out guards (the host program sends these events): tip."
     assert f"{left_out}touchdown" in told
-    assert "what is reset of the motion: tip.touchdown, tip.stick" in told
-    assert path.read_text(encoding="utf-8").count("<!-- not said: ") == 2
+    assert "resets of continuous states: tip.touchdown, tip.stick" in told
+    assert path.read_text(encoding="utf-8").count("<!-- left out: ") == 2
     machine = drawn(Runner("bouncing_ball_chart"))[0].machine
     assert machine is not None
-    assert lost(machine) == ("guards, whose events who runs it has to send: ball.settle",)
+    assert lost(machine) == ("guards (the host program sends these events): ball.settle",)
 
 
 def test_a_contact_is_written_with_its_states_in_states() -> None:

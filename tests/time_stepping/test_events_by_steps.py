@@ -262,6 +262,7 @@ def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
             assert t == pytest.approx(exact_t, abs=40 * H)
 
 
+<<<<<<< HEAD
 _HANDED_OVER = """
 kind: scene
 name: track
@@ -310,3 +311,35 @@ def test_a_surface_that_takes_over_is_enabled_and_then_touched_as_with_events(re
         if record == "modes":
             heard = [(jump.region, jump.cause) for jump in run.trace.jumps]
             assert heard[2:4] == [("c2", "touchdown"), ("r", "kink")]
+=======
+BRAKED_BAR = """
+kind: scene
+name: bar
+gravity: 9.81
+simultaneous: plastic
+bodies: {b: {mass: 2, inertia: 0.06, start: {x: 0.3, y: 0.165, angle: 0.2, dx: -2}}}
+surfaces: {f: {line: [[0, 0], [0.998376, 0.056969]]}}
+contacts:
+  c: {point: {body: b, at: [-0.2, -0.1]}, surface: f, friction: %s, restitution: 0, impact: moreau}
+  d: {point: {body: b, at: [0.25, -0.1]}, surface: f, friction: 0, restitution: 0, impact: moreau}
+couplings: {brake: {bodies: [b], limit: 0.02}}
+stop: {time: 0.25}
+"""
+
+
+@pytest.mark.parametrize("step", [1e-4, 1.25e-5])
+def test_a_brake_locks_once_where_two_feet_hold_the_body(step) -> None:
+    # On both feet the bar cannot turn: the rate that round-off of their gaps leaves is no slip.
+    scene = interpret(read_text(BRAKED_BAR % 0))
+    jumps = Runner(scene, engine="impulse", step=step).run().trace.jumps
+    landed = next(j.t for j in jumps if j.region == "d")
+    assert [j.cause for j in jumps] == ["touchdown", "touchdown", "lock"]
+    assert jumps[-1].target[2] == "locked"
+    assert jumps[-1].t <= landed + 3.0 * step
+
+
+def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load() -> None:
+    # Any couple within the limit agrees, and gives the foot with friction another load.
+    warnings = Runner(interpret(read_text(BRAKED_BAR % 0.3))).run().warnings
+    assert any("share the load changes the motion" in warning for warning in warnings)
+>>>>>>> int
