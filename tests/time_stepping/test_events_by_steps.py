@@ -262,7 +262,6 @@ def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
             assert t == pytest.approx(exact_t, abs=40 * H)
 
 
-<<<<<<< HEAD
 _HANDED_OVER = """
 kind: scene
 name: track
@@ -311,7 +310,8 @@ def test_a_surface_that_takes_over_is_enabled_and_then_touched_as_with_events(re
         if record == "modes":
             heard = [(jump.region, jump.cause) for jump in run.trace.jumps]
             assert heard[2:4] == [("c2", "touchdown"), ("r", "kink")]
-=======
+
+
 BRAKED_BAR = """
 kind: scene
 name: bar
@@ -342,4 +342,3 @@ def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load() -> None:
     # Any couple within the limit agrees, and gives the foot with friction another load.
     warnings = Runner(interpret(read_text(BRAKED_BAR % 0.3))).run().warnings
     assert any("share the load changes the motion" in warning for warning in warnings)
->>>>>>> int
