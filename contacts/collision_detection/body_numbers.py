@@ -61,6 +61,8 @@ class LinkNumbers(NamedTuple):
 
     bodies: int
     size: int
+    # (l,): the first of those that share coordinates with a body, directly or through others.
+    firsts: Ints
     # The program (see `statechart.formulas.tape.Tape`) over coordinates and their rates: poses
     # (l, 3), their derivatives by the coordinates (l, 3, c), mass (c, c), derivatives (c, c) of
     # forces by the rates, and forces (c,), those of inertia included.
@@ -73,7 +75,7 @@ class LinkNumbers(NamedTuple):
     def none(cls) -> LinkNumbers:
         """Return those of a scene whose bodies are free."""
         nothing = np.zeros((0, 3), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros(0)
-        return cls(0, 0, *nothing)
+        return cls(0, 0, np.zeros(0, np.int64), *nothing)
 
     @property
     def rows(self) -> int:
@@ -152,8 +154,10 @@ class BodyNumbers(NamedTuple):
     def inertia(self, states: Array) -> tuple[Array, Array]:
         """Return mass matrices (k, c, c) and forces (k, c) of the coordinates in states."""
         size = self.links.size
-        found = self.table(states)[:, -size * (2 * size + 1) :]
-        return found[:, : size * size].reshape(-1, size, size), found[:, -size:]
+        found = self.table(states)
+        forces = found.shape[1] - size
+        masses = found[:, forces - 2 * size * size : forces - size * size]
+        return masses.reshape(len(found), size, size), found[:, forces:]
 
     def whole(self, rows: Array, state: Array) -> Array:
         """Return rows (r, 3 m) of all bodies that move as rows (r, n) of the coordinates."""

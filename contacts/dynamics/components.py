@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from contacts.dynamics.setup_evaluation import SceneNumbers
 from contacts.scene.modes import Bearing
 from contacts.scene.scene import Scene
 from statechart.automaton.automaton import Automaton, Component, Places
-from statechart.automaton.components import Data, composed, reserved_words, split
+from statechart.automaton.components import Data, composed, split
 from statechart.automaton.laws import Setup
 from statechart.automaton.trace import Role
 
@@ -24,13 +24,6 @@ _MOVING = ("coordinates", "bodies", *_REGIONS, "joints", "forces", "controls")
 
 # In the names of the parameters that say whether rows of joints are redundant, in their order.
 _ROW = ".redundant_"
-
-
-@cache
-def _reserved() -> frozenset[str]:
-    schema = json.loads(Path(__file__).parents[1].joinpath("schema.json").read_text("utf-8"))
-    # Read by forces and conditions, it couples all bodies.
-    return frozenset((*reserved_words(schema), "energy"))
 
 
 def components(
@@ -50,7 +43,7 @@ def components(
         numbers[id(made)] = own
         return made
 
-    parts = split(data, _MOVING, _REGIONS, _reserved)
+    parts = split(data, _MOVING, _REGIONS, Path(__file__).parents[1] / "schema.json")
     if not all(part.get("bodies") for part, _ in parts):
         # A controller of time alone is no scene by itself.
         return ()

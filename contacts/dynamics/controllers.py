@@ -25,12 +25,13 @@ from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
 from statechart.charts.guard_watch import (
     Guard,
     GuardWatch,
+    check_updated,
     guard_claims,
     guard_margins,
     guards,
     guards_at_events,
+    values_after,
 )
-from statechart.errors import NonFinite
 from statechart.formulas.formula import parse
 from statechart.formulas.linear import Definition
 from statechart.formulas.tape import Tape
@@ -248,17 +249,9 @@ class ControllerState:
         key = tuple(tuple(block.items()) for block in blocks)
         tape = self._updates.get(key)
         if tape is None:
-            tape = self._updates[key] = self._compiled(blocks)
+            mechanics = self._mechanics
+            values = values_after(blocks, mechanics.memory, mechanics.known)
+            tape = self._updates[key] = mechanics.whole_tape(values)
         remembered = tape.at(state, setup.values, clock.high)
-        for name, value in zip(self._names, remembered.tolist(), strict=True):
-            if not np.isfinite(value):
-                raise NonFinite(f"{cause} sets {name} to {value}")
+        check_updated(cause, self._names, remembered)
         return np.concatenate([state[: self._size], remembered])
-
-    def _compiled(self, blocks: tuple[Updates, ...]) -> Tape:
-        mechanics = self._mechanics
-        found: dict[str, sp.Expr] = dict(mechanics.memory)
-        for block in blocks:
-            known = {**mechanics.known, **found}
-            found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
-        return mechanics.whole_tape([*found.values()])

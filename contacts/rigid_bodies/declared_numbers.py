@@ -374,6 +374,18 @@ class LinkedMechanics(Mechanics):
         damping = [derivative(force, rate) for force in forces for rate in self.v]
         return self.tape([*poses, *gradients, *self.mass_matrix, *damping, *forces])
 
+    @cached_property
+    def firsts(self) -> Ints:
+        """For each body, the first of those that share coordinates with it."""
+        found: list[set[sp.Symbol]] = []
+        for name in self.scene.bodies:
+            (x, y), angle = self.body_frame(name)
+            found.append((x.free_symbols | y.free_symbols | angle.free_symbols) & {*self.q})
+        for _ in found:
+            found = [set().union(one, *(other for other in found if one & other)) for one in found]
+        return np.array([next(i for i, o in enumerate(found) if o & one or o is one)
+                         for one in found], dtype=np.int64)  # fmt: skip
+
 
 def linked_mechanics(scene: Scene) -> LinkedMechanics | None:
     """Return the equations of the bodies that coordinates place; None where all are free."""
@@ -393,8 +405,9 @@ def link_numbers(mechanics: LinkedMechanics | None, known: Mapping[str, float]) 
     scene, tape = mechanics.scene, mechanics.program
     values, _ = mechanics.parameters.values({name: known[name] for name in scene.parameters})
     return LinkNumbers(
-        len(scene.bodies), len(mechanics.q), tape.code, tape.constants, tape.outputs, values
-    )
+        len(scene.bodies), len(mechanics.q), mechanics.firsts, tape.code, tape.constants,
+        tape.outputs, values,
+    )  # fmt: skip
 
 
 class _Piece(NamedTuple):

@@ -82,7 +82,7 @@ _STRIDE = 5
 
 @kernel
 def find_islands(
-    bodies: Ints, count: int, free: int, moving: int, parents: Ints, begins: Ints, order: Ints
+    bodies: Ints, count: int, free: int, firsts: Ints, parents: Ints, begins: Ints, order: Ints
 ) -> None:
     """Write which contacts belong together, by a counting sort.
 
@@ -92,8 +92,8 @@ def find_islands(
         Which bodies touch, -1 for a surface.
     count : int
         Contacts, of those that there is place for.
-    free, moving : int
-        Bodies between these share coordinates.
+    free : int, firsts : (l,) array of int
+        Free bodies, and which of those behind them share coordinates; see `LinkNumbers`.
     parents : (b,) array of int
         Is overwritten.
     begins : (b + 1,), order : (m,)
@@ -103,8 +103,8 @@ def find_islands(
         parents[b] = b
         begins[b] = 0
     begins[len(parents)] = 0
-    for b in range(free, moving):
-        parents[b] = free
+    for i in range(len(firsts)):
+        parents[free + i] = free + firsts[i]
     for i in range(count):
         if bodies[i, 1] >= 0:
             one = root(parents, bodies[i, 0])
@@ -422,6 +422,13 @@ def impacts_in_turn(
 
 
 @kernel
+def _mechanism(numbers: BodyNumbers, b: int) -> int:
+    """Return the first of the bodies that share coordinates with a body; itself if it is free."""
+    free = len(numbers.inverse) - numbers.links.bodies
+    return free + numbers.links.firsts[b - free] if b >= free else b
+
+
+@kernel
 def is_ambiguous(
     numbers: BodyNumbers, active: ActiveContacts, contacts: ContactRows, island: Island, h: float,
     struck: Ints,
@@ -432,12 +439,10 @@ def is_ambiguous(
     where it bears more than in the step before, and than what would rest in two steps. `struck`
     (b,) is overwritten.
     """
-    # All bodies of a mechanism are one.
-    free = len(numbers.inverse) - numbers.links.bodies
     for i in island.members:
         for side in range(2):
             if active.bodies[i, side] >= 0:
-                struck[min(active.bodies[i, side], free)] = -1
+                struck[_mechanism(numbers, active.bodies[i, side])] = -1
     for a in range(len(island.members)):
         i = island.members[a]
         sudden = contacts.own[a, 0] * (island.chosen[a, 0] - active.pushes[i, 0])
@@ -445,7 +450,7 @@ def is_ambiguous(
             continue
         pair = _pair(numbers, active, i)
         for side in range(2):
-            b = min(active.bodies[i, side], free)
+            b = _mechanism(numbers, active.bodies[i, side])
             if b >= 0 and struck[b] >= 0 and struck[b] != pair:
                 return True
             if b >= 0:
@@ -681,13 +686,13 @@ def solve_islands(
         See `Chunk.efforts`.
     """
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
-    free, moving = len(inverse) - numbers.links.bodies, len(inverse)
+    free = len(inverse) - numbers.links.bodies
     bodies, materials = active.bodies, active.materials
     space.apart[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
     effort[CONTACTS] = count
-    find_islands(bodies, count, free, moving, space.parents, space.begins, order)
+    find_islands(bodies, count, free, numbers.links.firsts, space.parents, space.begins, order)
     for island in range(len(numbers.sizes)):
         members = order[space.begins[island] : space.begins[island + 1]]
         size = len(members)
@@ -716,17 +721,17 @@ def solve_islands(
             quiet += 0 if active.hit[i] else 1
             used = active.laws[i]
             splits = splits or (used >= 0 and has_two_coefficients(numbers.materials[used]))
-        bound, linked = 0.0, False
+        bound = 0.0
         for a in range(size):
             for side in range(2):
                 b = bodies[members[a], side]
-                linked = linked or b >= free
                 # Once for each body.
                 if 0 <= b < free and local[b] >= 0:
                     bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
                     local[b] = -1
-        for b in range(free, moving if linked else free):
-            bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
+        for b in range(free, len(inverse)):
+            if root(space.parents, b) == island:
+                bound += 0.125 * space.mid.pull[b] ** 2 / inverse[b, 0]
         sequential = law == SEQUENTIAL and size > 1 and quiet < size
         near, turns, left = allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0

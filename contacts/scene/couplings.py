@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from contacts.scene.friction import StaticKinetic, coefficients
 from contacts.scene.modes import Bearing, ContactSymbols, share_of
+from contacts.scene.parts import Relations
 from contacts.states import COUPLING_STATES, DISENGAGED, SLIPPING, superstates_of
 from statechart.automaton.regions import Claim, Edge, Margin, Region, State
 from statechart.documents.documented import declare
-from statechart.documents.fields import FormulaText, OneRelation, Part
+from statechart.documents.fields import FormulaText, Part
 from statechart.errors import DeclarationProblem
 from statechart.formulas.relation import conjunction
 
@@ -25,10 +26,6 @@ LIMIT_MARGINS = _UPPER, _LOWER = "limit - M", "limit + M"
 """Names of the margins of a locked coupling."""
 _SLIP = "slip"
 _DIRECTIONS = {"slip+": 1, "slip-": -1}
-
-
-def _as_list(value: object) -> object:
-    return value if isinstance(value, list | tuple) else (value,)
 
 
 class Coupling(Part):
@@ -64,10 +61,7 @@ class Coupling(Part):
         {"static": 11, "kinetic": 10},
         unit="force length; force along a guide",
     )
-    enabled: Annotated[
-        tuple[OneRelation, ...],
-        BeforeValidator(_as_list, json_schema_input_type=OneRelation | list[OneRelation]),
-    ] = declare(
+    enabled: Relations = declare(
         "Relation, or several that must all hold; while it fails, the coupling is open.",
         "time >= 0.4",
         default=(),

@@ -21,6 +21,7 @@ from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
 from contacts.time_stepping.stability import DEPENDENT, Swings
 from statechart.arrays import Array, Bools, Ints
+from statechart.automaton.time_stepper import DEFAULT_IMPULSES
 
 # A coordinate that is slower, or goes less far, than this part of the scene's is at rest.
 _LITTLE = 1e-3
@@ -30,8 +31,6 @@ _LITTLE = 1e-3
 _FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
 # The same, relative to the way of a coordinate.
 _WAY = 0.2
-# Residual of impulses that satisfy the law of impact.
-_SOLVED = 1e-6
 
 
 def velocity_change(
@@ -60,9 +59,9 @@ def velocity_change(
         velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
         np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
     )  # fmt: skip
-    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), _SOLVED)
+    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), DEFAULT_IMPULSES.tolerance)
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if missed <= _SOLVED and np.isfinite(change).all() else None
+    return change if missed <= DEFAULT_IMPULSES.tolerance and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):

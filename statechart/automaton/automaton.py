@@ -13,17 +13,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import prod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy as sp
 
-from statechart.arrays import Ints
+from statechart.arrays import Array, Ints
 from statechart.automaton.laws import Laws, Setup
 from statechart.automaton.reduction import Coordinates
 from statechart.automaton.regions import Invariant, Margin, Mode, Region, StopCondition, active_in
 from statechart.automaton.time_stepper import TimeStepper
-from statechart.automaton.trace import Key, Role
+from statechart.automaton.trace import Key, Role, Trace
 from statechart.errors import Unsupported
 from statechart.palette import region_colours
 
@@ -153,6 +153,11 @@ class Automaton:
             f"{region.name}:{state}"
             for region, state in zip(self.recorded_regions(key), key, strict=True)
         )
+
+    def trace(self, values: Array, **found: Any) -> Trace:
+        """Return the trace of a run with these values (p,) of the parameters."""
+        parameters = dict(zip(self.parameter_names, values.tolist(), strict=True))
+        return Trace(self.name, self.region_names, self.names, parameters, **found)
 
     def tape(self, expressions: Sequence[sp.Expr], mode: Mode | None = None) -> Tape:
         """Return expressions in the variables as a program; in a mode, also in what it solves."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sympy.utilities.iterables import connected_components
@@ -34,13 +36,13 @@ def split(
     data: Data,
     moving: Collection[str],
     regions: Collection[str],
-    reserved: Callable[[], Collection[str]],
+    schema: Path,
 ) -> list[tuple[Data, dict[str, str]]]:
     """Return the independent parts of a declaration in neutral names; none where it is one.
 
     A part is its declaration, and neutral name -> name. `moving` are the sections whose entities
     change in time, or say how others do; `regions` those of them whose entities are regions.
-    `reserved` returns the words of the document. An entity with such a name keeps it, as names are
+    An entity with the name of a word of the document, in its JSON Schema, keeps it, as names are
     replaced in texts.
     """
     entities = {(s, name): data[s][name] for s in (*moving, "surfaces") for name in data.get(s, {})}
@@ -65,7 +67,7 @@ def split(
     if any(not _mentioned(event, owners) for event in _events(data, "contacts" in data)):
         # An event without the name of its region is heard from all of them.
         return []
-    words = {*reserved(), *_words_of_regions(data, regions)}
+    words = {*_reserved(schema), *_words_of_regions(data, regions)}
     if any(NEUTRAL.search(text) for text in _texts(data)):
         return []
     groups[0] = groups[0].union(*idle, (e for e in still if e[0] == "stop"))
@@ -171,7 +173,13 @@ def _words_of_regions(data: Data, regions: Collection[str]) -> set[str]:
     return found
 
 
-def reserved_words(schema: Any) -> Iterator[str]:
+@cache
+def _reserved(schema: Path) -> frozenset[str]:
+    # Read by forces and conditions, an energy couples all bodies.
+    return frozenset((*_words_of_schema(json.loads(schema.read_text("utf-8"))), "energy"))
+
+
+def _words_of_schema(schema: Any) -> Iterator[str]:
     """Yield the keys and the words of a document, of its JSON Schema."""
     if isinstance(schema, dict):
         yield from schema.get("properties", ())
@@ -179,10 +187,10 @@ def reserved_words(schema: Any) -> Iterator[str]:
         if isinstance(schema.get("const"), str):
             yield schema["const"]
         for content in schema.values():
-            yield from reserved_words(content)
+            yield from _words_of_schema(content)
     elif isinstance(schema, list):
         for content in schema:
-            yield from reserved_words(content)
+            yield from _words_of_schema(content)
 
 
 def composed(

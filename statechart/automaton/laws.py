@@ -161,6 +161,15 @@ class Instant(NamedTuple):
         )
 
 
+def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
+    """Return the sizes (n,) of the terms that the variables were summed from, or of themselves."""
+    found = np.abs(state)
+    for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
+        if sizes is not None:
+            found = np.maximum(found, sizes)
+    return found
+
+
 class Laws(Protocol):
     """Jumps at the instants between flows; the executor knows nothing else."""
 

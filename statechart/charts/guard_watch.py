@@ -21,7 +21,7 @@ guards fire there at one instant (SCXML's microstep).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from types import MappingProxyType
@@ -35,8 +35,10 @@ from statechart.automaton.laws import Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
 from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
 from statechart.automaton.trace import Jump, Key
-from statechart.charts.flatten import FlatRegion, FlatTransition
+from statechart.charts.flatten import FlatRegion, FlatTransition, Updates
+from statechart.errors import NonFinite
 from statechart.formulas.condition import Active, AtomsAt, Condition
+from statechart.formulas.formula import parse
 from statechart.formulas.relation import Relation, parse_relation
 from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
@@ -337,6 +339,24 @@ def guard_claims(declared: FlatRegion, state: str) -> tuple[Claim, ...]:
         Claim(guard.name, (guard.relation.text,), holds=False)
         for guard in guards(0, declared, state)
     )
+
+
+def values_after(
+    blocks: Iterable[Updates], variables: Mapping[str, sp.Expr], known: Mapping[str, sp.Expr]
+) -> list[sp.Expr]:
+    """Return the values of variables after updates; a block sees what those before it left."""
+    found = dict(variables)
+    for block in blocks:
+        now = {**known, **found}
+        found |= {name: parse(text).to_sympy(now) for name, text in block.items()}
+    return list(found.values())
+
+
+def check_updated(cause: str, names: Iterable[str], values: Array) -> None:
+    """Raise `NonFinite` if a transition sets a variable to what is no number."""
+    for name, value in zip(names, values.tolist(), strict=True):
+        if not math.isfinite(value):
+            raise NonFinite(f"{cause} sets {name} to {value}")
 
 
 def considered(region: Region) -> Callable[[FlatTransition], Mapping[str, str]]:

@@ -7,7 +7,6 @@ state's transition ``on: zeno``, if it has one, takes its place.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -21,9 +20,9 @@ from pydantic import ValidationError
 from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton, Component, Places
 from statechart.automaton.clock import Clock, between
-from statechart.automaton.components import Data, composed, reserved_words, split
+from statechart.automaton.components import Data, composed, split
 from statechart.automaton.constraints import NO_CONSTRAINTS, Constraints
-from statechart.automaton.laws import HELD, Flow, Instant, Setup, moving_mode, roles_in
+from statechart.automaton.laws import HELD, Flow, Instant, Setup, flow_sizes, moving_mode, roles_in
 from statechart.automaton.margin_derivatives import MarginDerivatives, rounding_scale
 from statechart.automaton.regions import Invariant, Region, State, active_in, stop_conditions
 from statechart.automaton.switches import explicit_rates
@@ -36,11 +35,13 @@ from statechart.charts.guard_watch import (
     GuardWatch,
     Judgement,
     Listening,
+    check_updated,
     considered,
     guard_claims,
     guard_margins,
     guards,
     guards_at_events,
+    values_after,
 )
 from statechart.documents.declaration import TIME
 from statechart.documents.fields import FiniteText
@@ -199,7 +200,7 @@ class ChartLaws:
             taken = self._zeno[place][flow.mode[place]]
         else:
             watch = self._watch(setup, flow)
-            sizes = _summed(flow, state)
+            sizes = flow_sizes(setup, flow, state)
             active = self._active(flow.mode)
 
             def holding() -> Collection[tuple[int, int]]:
@@ -222,7 +223,7 @@ class ChartLaws:
                 return None, flow._replace(tolerances=tolerances)
             place, taken, pending, _ = firing
         name = self._regions[place]
-        sizes = _summed(flow, state)
+        sizes = flow_sizes(setup, flow, state)
         after, summed = self._updated(setup, clock, taken.name, taken.blocks, state, sizes)
         if taken.source == taken.target and (after == state).all():
             limit = self._zeno[place].get(taken.source)
@@ -286,7 +287,11 @@ class ChartLaws:
 
     def _with_tolerances(self, setup: Setup, clock: Clock, flow: Flow, state: Array) -> Flow:
         watch = self._watch(setup, flow)
-        rows = watch.at(setup, state, _state_sizes(flow, state), clock.high)
+        sizes = flow_sizes(setup, flow, state)
+        if flow.sizes is not None:
+            # What is set to zero leaves it by what the time at hand can resolve.
+            sizes = np.maximum(sizes, flow.sizes)
+        rows = watch.at(setup, state, sizes, clock.high)
         if (name := watch.valueless(rows)) is not None:
             raise NonFinite(f"the guard of {name} has no value")
         return flow._replace(tolerances=watch.tolerances(rows, setup.precision))
@@ -361,50 +366,25 @@ class ChartLaws:
         if tape is None:
             variables = self._symbols.variables
             before = {v: sp.Symbol(f"size_{v}", real=True) for v in variables.values()}
-            found: dict[str, sp.Expr] = dict(variables)
-            for block in blocks:
-                known = {**self._symbols.known, **found}
-                found |= {name: parse(text).to_sympy(known) for name, text in block.items()}
-            values = list(found.values())
+            values = values_after(blocks, variables, self._symbols.known)
             tape = self._updates[key] = compile_tape(
                 [*values, *(rounding_scale(value, before) for value in values)],
                 variables=(*variables.values(), *before.values()),
                 parameters=self._symbols.parameters.ordered,
                 time=self._symbols.time,
             )
-        values_after = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
-        after, summed = values_after[: len(state)], values_after[len(state) :]
-        for name, value in zip(self._symbols.variables, after, strict=True):
-            if not np.isfinite(value):
-                raise NonFinite(f"{cause} sets {name} to {value}")
+        found = tape.values(np.concatenate([state, sizes]), setup.values, clock.high)
+        after, summed = found[: len(state)], found[len(state) :]
+        check_updated(cause, self._symbols.variables, after)
         return after, np.where(np.isfinite(summed), summed, np.abs(after))
-
-
-def _summed(flow: Flow, state: Array) -> Array:
-    """Return the size of the terms that the state was summed from, or is itself."""
-    sizes = flow.sizes if flow.summed is None else flow.summed
-    return np.abs(state) if sizes is None else np.maximum(sizes, np.abs(state))
-
-
-def _state_sizes(flow: Flow, state: Array) -> Array:
-    """Return these sizes, or those before the jumps of this instant where they are larger.
-
-    What is set to zero leaves it by what the time at hand can resolve.
-    """
-    sizes, found = flow.sizes, _summed(flow, state)
-    return found if sizes is None else np.maximum(sizes, found)
-
-
-@cache
-def _reserved() -> frozenset[str]:
-    schema = Path(__file__).with_name("schema.json").read_text("utf-8")
-    return frozenset(reserved_words(json.loads(schema)))
 
 
 def components(chart: Chart, compose: Callable[[Chart], Automaton]) -> tuple[Component, ...]:
     """Return the components of a chart, none where all of it belongs together."""
     data = chart.model_dump(by_alias=True, exclude_unset=True)
-    parts = split(data, ("variables", "regions"), ("regions",), _reserved)
+    parts = split(
+        data, ("variables", "regions"), ("regions",), Path(__file__).with_name("schema.json")
+    )
     try:
         return composed(
             parts,

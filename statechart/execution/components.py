@@ -142,13 +142,8 @@ class MergedRun:
         }
         named = [(part.component.named, part.trace) for part in parts]
         proved = all(trace.certified for _, trace in named)
-        return Trace(
-            name=automaton.name,
-            regions=automaton.region_names,
-            variables=automaton.names,
-            parameters=dict(
-                zip(automaton.parameter_names, self._setup.values.tolist(), strict=True)
-            ),
+        return automaton.trace(
+            self._setup.values,
             arcs=LazySequence(self._arc, lambda: len(self._spans), cached=jumps < _KEPT),
             jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _KEPT),
             initial=self._state([part.trace.initial for part in parts]),

@@ -568,13 +568,8 @@ class Execution:
         arcs, jumps = self.record.close()
         remarks = automaton.laws_of_events.remarks(self.setup, arcs)
         start = self.started_mode or tuple(r.states[0] for r in automaton.regions)
-        return Trace(
-            name=automaton.name,
-            regions=automaton.region_names,
-            variables=automaton.names,
-            parameters=dict(
-                zip(automaton.parameter_names, self.setup.values.tolist(), strict=True)
-            ),
+        return automaton.trace(
+            self.setup.values,
             arcs=arcs,
             jumps=jumps,
             initial=self.started_state,

@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from statechart.arrays import Array
-from statechart.automaton.laws import SWITCHES, Instant
+from statechart.automaton.laws import SWITCHES, Instant, flow_sizes
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.switches import RESTS, SIGN_OF, SLIDE_ON, SLIDES, Switches, is_of_switch
 from statechart.automaton.trace import Role, Roles
 from statechart.errors import AmbiguousMode, NonFinite
 from statechart.execution.compiled_modes import CompiledModes
-from statechart.execution.standing import flow_sizes
 from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
 

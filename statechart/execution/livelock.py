@@ -52,10 +52,7 @@ class Livelock:
     def rearranged(self, clock: Clock, fired: tuple[str, ...]) -> None:
         """Note that a mode goes on by other equations.
 
-        Raises
-        ------
-        EventLoop
-            Where it does so again and again at one instant.
+        Raises `EventLoop` where it does so again and again at one instant.
         """
         if not self._stays(self._since, clock):
             self._since, self._changes = clock, 0

@@ -153,11 +153,8 @@ class Simulator:
         remarks: tuple[str, ...] = ()
         if modes.laws.has_remarks:
             remarks = automaton.laws_of_events.remarks(setup(), arcs)
-        return Trace(
-            name=automaton.name,
-            regions=automaton.region_names,
-            variables=automaton.names,
-            parameters=dict(zip(automaton.parameter_names, found.values[0].tolist(), strict=True)),
+        return automaton.trace(
+            found.values[0],
             arcs=arcs,
             jumps=jumps,
             initial=found.initial[0],

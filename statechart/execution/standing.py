@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
-from statechart.arrays import Array
 from statechart.automaton.automaton import Automaton
-from statechart.automaton.laws import Flow, Instant, Setup
+from statechart.automaton.laws import Flow, Instant, flow_sizes
 from statechart.automaton.margin_derivatives import UNDERFLOW, MarginDerivatives
 from statechart.automaton.regions import Mode, StopCondition
 from statechart.formulas.condition import AtomsAt
@@ -102,12 +99,3 @@ class StandingStops:
             [not atom.strict for stop, _ in self._stops() for atom in stop.condition.atoms],
             way,
         )
-
-
-def flow_sizes(setup: Setup, flow: Flow, state: Array) -> Array:
-    """Return how large what the variables were summed from is, or they are."""
-    found = np.abs(state)
-    for sizes in (setup.sizes, flow.sizes if flow.summed is None else flow.summed):
-        if sizes is not None:
-            found = np.maximum(found, sizes)
-    return found

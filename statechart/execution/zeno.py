@@ -53,12 +53,8 @@ class Accumulation:
     ``dt r / (1 - r)`` (equation 5, with its erratum) where the ratio r is constant; it may be
     skipped only when it is too short to matter, against the longest interval seen. A ratio so
     small that the intervals vanish before it is known needs no sum: the jumps have accumulated
-    where the time no longer tells them apart.
-
-    Attributes
-    ----------
-    series : (s, `WIDTH`) array
-        See `statechart.kernels.accumulation`.
+    where the time no longer tells them apart. For the `series` (s, `WIDTH`) see
+    `statechart.kernels.accumulation`.
     """
 
     def __init__(self, known: Sequence[tuple[str, str]] = ()) -> None:

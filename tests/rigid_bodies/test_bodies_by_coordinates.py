@@ -293,6 +293,24 @@ collisions: {all: {bodies: [one, two], friction: 0, restitution: 1}}
     assert found["ds"] == pytest.approx(-math.sqrt(top), abs=5e-3)
 
 
+@pytest.mark.parametrize(("place", "rebound"), [("v", 0.5), ("u", 0.0)])
+def test_impacts_are_together_where_bodies_share_a_coordinate(place: str, rebound: float) -> None:
+    text = f"""
+coordinates: {{u: {{start: 1}}, v: {{start: 1}}}}
+bodies:
+  one: {{mass: 2, position: [0, u], shape: {{disc: 0.1}}}}
+  two: {{mass: 1, position: [2, {place}], shape: {{disc: 0.1}}}}
+  three: {{mass: 1, position: [4 + v, 9], shape: {{disc: 0.1}}}}
+{FLOOR}
+collisions: {{all: {{bodies: [one, two], surfaces: [floor], friction: 0, restitution: 0.5}}}}
+simultaneous: plastic
+"""
+    struck = math.sqrt(2 * 0.9 / G)
+    found = _final(_run(text, struck + 0.05, step=2.5e-4))
+    speed = rebound * G * struck - (0.05 * G if rebound else 0.0)
+    assert found["du"] == pytest.approx(speed, abs=1e-2)
+
+
 def test_controllers_turn_a_mechanism() -> None:
     text = (
         RAM.replace("force: [10, 0]", "force: [push, 0]")
