@@ -9,10 +9,9 @@ at a time under the forces of the states at hand; those after a transition are t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import groupby
 
 import numpy as np
 
@@ -95,8 +94,7 @@ class StepControl:
             If they do not end.
         """
         pending: dict[str, tuple[Raised, ...]] = {}
-        for _, together in groupby(jumps, key=lambda jump: jump.t):
-            first, *others = together
+        for first, *others in _simultaneous(jumps):
             # Jumps of several contacts at one instant are one event, as in event-driven runs.
             jump = replace(first, target=others[-1].target) if others else first
             pending = self._listening.pending_after(pending, jump)
@@ -218,3 +216,15 @@ class StepControl:
         return {
             (g.place, g.trigger) for g, now in zip(guards.watch.guards, held, strict=True) if now
         }
+
+
+def _simultaneous(jumps: Sequence[Jump]) -> Iterator[Sequence[Jump]]:
+    """Yield jumps of one instant together; a region that jumps again there begins anew."""
+    together: list[Jump] = []
+    for jump in jumps:
+        if together and (jump.t != together[0].t or jump.region in {j.region for j in together}):
+            yield together
+            together = []
+        together.append(jump)
+    if together:
+        yield together

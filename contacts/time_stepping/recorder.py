@@ -17,6 +17,7 @@ import numpy as np
 from contacts.states import (
     FREE,
     LOCKED,
+    OFF_CODE,
     PIN,
     SLIDE_MINUS,
     SLIDE_PLUS,
@@ -118,6 +119,10 @@ class Recorder:
             if shared:
                 self._note_shared(chunk.shared[first:k])
             first = k + int(hit[k])
+            enabled = _enabled(self.row, shown[k], chunk.struck[k])
+            if enabled.any():
+                done = self._flow(steps, done, k, 0)
+                self._change(_opened(self.row, shown[k], enabled), chunk.states[k])
             done = self._flow(steps, done, k, first - k)
             if hit[k]:
                 self._strike(steps, k, shown[k])
@@ -135,6 +140,12 @@ class Recorder:
         last, half = len(chunk.codes) - 1, 0.5 * chunk.h
         shown, hit = self.shown(chunk), np.any(chunk.struck, axis=1).tolist()
         jumps = np.where(hit, 1, np.count_nonzero(self._differs(shown), axis=1))
+        before = self._before(shown)
+        enabled = _enabled(before, shown, chunk.struck)
+        for k in np.flatnonzero(enabled.any(axis=1)).tolist():
+            opened = _opened(before[k], shown[k], enabled[k])
+            jumps[k] = np.count_nonzero(opened != before[k])
+            jumps[k] += 1 if hit[k] else np.count_nonzero(opened != shown[k])
         begin = self.clock.later(last * chunk.h).short
         tail = _Tail(
             chunk.after(last),
@@ -324,6 +335,17 @@ class Recorder:
         found = cause_of(STATES[before], STATES[after])
         lasting = found in ("liftoff", "stick", "slip", "reverse")
         return self.again if struck and lasting else found
+
+
+def _enabled(before: Ints, after: Ints, struck: Bools) -> Bools:
+    """Return which contacts were off and close at once: they are free first, as with events."""
+    found: Bools = (before == OFF_CODE) & (after != OFF_CODE) & (struck | (after != FREE))
+    return found
+
+
+def _opened(before: Ints, after: Ints, enabled: Bools) -> Ints:
+    """Return the modes after conditions have changed, before these contacts close."""
+    return np.where(enabled, FREE, np.where(after == OFF_CODE, OFF_CODE, before))
 
 
 # Bytes of a block, which is one arc; an arc takes some times as many.

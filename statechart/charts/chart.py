@@ -156,7 +156,8 @@ class Chart(Declaration):
         for _, flow, loc in self._flows():
             changing = {TIME, *self.variables}
             check_derived(parse(flow).root, changing, loc, order=1)
-        states = {name: region.named for name, region in self.flat.items()}
+        whole = self.expanded
+        states = {name: region.named for name, region in whole.flat.items()}
         changing = {TIME, *(name for name, _, _ in self._flows())}
         for state, at in self._states():
             for label, relation in state.invariants.items():
@@ -165,12 +166,12 @@ class Chart(Declaration):
             for transition, at in declared_transitions(declared, "regions", region):
                 if transition.guard is not None:
                     check_relation(transition.guard, names, states, changing, *at, "guard")
-        causes = causes_of(self.flat)
+        causes = causes_of(whole.flat)
         for name, declared in self.regions.items():
             found = list(declared_transitions(declared, "regions", name))
             check_listening(name, found, causes, states, alone=("zeno",))
-        timers = self.timers
-        self.check_uses(names | timers, states, causes, changing)
+        further = self.timers | whole.variables.keys()
+        self.check_uses(names | further, states, causes, changing)
         return self
 
     @model_validator(mode="after")

@@ -121,9 +121,11 @@ class SciPy(Engine):
         magnitude = np.abs(state)
         sizes = self.sizes
         if sizes is None:
-            # Without scales of its own a variable at zero is measured by the others.
-            rate = np.abs(rates(0.0, state))
-            largest = max(float(magnitude.max(initial=0.0)), float(rate.max(initial=0.0)))
+            # Without scales of its own a variable at zero is measured by the others, or where all
+            # are zero, by the way that the rates make: rates alone depend on the unit of time.
+            rate = float(np.abs(rates(0.0, state)).max(initial=0.0)) * min(duration, 1.0)
+            largest = float(magnitude.max(initial=0.0))
+            largest = largest if largest > _UNDERFLOW * rate else rate
             least = np.full(len(state), max(largest, _SMALLEST) if largest > 0.0 else 1.0)
         else:
             # In the model's own units, and as small as the motion now is (late, low bounces), but

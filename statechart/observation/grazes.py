@@ -102,8 +102,9 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
             ends = [(arc, ended[id(arc)]) for arc in some if id(arc) in ended]
             found += look.beyond(ends)
             for graze in look.turned_back(ends):
-                late = graze.t + _SAME * max(graze.t, 1.0)
-                now = trace.jumps[bisect_left(times, graze.t) : bisect_right(times, late)]
+                same = _SAME * max(graze.t, 1.0)
+                first, last = graze.t - same, graze.t + same
+                now = trace.jumps[bisect_left(times, first) : bisect_right(times, last)]
                 if graze.guard.split(".")[0] not in {jump.region for jump in now}:
                     found.append(graze)
     return tuple(sorted(found, key=lambda one: one.t))
@@ -206,7 +207,7 @@ class _GuardScan:
             bend, fall = now - 2.0 * before + first, 0.5 * (3.0 * now - 4.0 * before + first)
             if bend > 0.0 > fall:
                 graze = self._open(
-                    arc, k, arc.times.item(-1), -0.5 * fall * fall / bend, fired=True
+                    arc, k, arc.times.item(-1), -0.5 * fall * (fall / bend), fired=True
                 )
                 if graze:
                     yield graze

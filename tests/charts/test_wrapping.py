@@ -177,3 +177,25 @@ def test_mod_is_refused_in_outputs_and_in_pins_of_points(section: str) -> None:
     whole = f"kind: scene\nname: n\nbodies: {{ball: {{mass: 1}}}}\n{section}\n"
     with pytest.raises(DeclarationError, match="mod jumps, and cannot stand in this field"):
         interpret(read_text(whole))
+
+
+@pytest.mark.parametrize("engine", ["taylor", "scipy"])
+def test_a_chart_listens_to_the_end_of_a_period(engine: str, tmp_path: Path) -> None:
+    # The switch is on from the beginning of each period until the saw tooth reaches
+    # time/4 + 1/16: for 1/12, 5/12 and 3/4 of a period.
+    text = """
+variables: {x: 0}
+regions:
+  switch:
+    initial: "on"
+    states: {"on": {flows: {x: 1}}, "off": {}}
+    transitions:
+      - {name: cut, from: "on", to: "off", guard: "4*mod(time, 1) >= time + 1/4"}
+      - {name: restore, from: "off", to: "on", on: mod.wrap}
+stop: {time: 2.9}
+outputs: {x: {value: x}, n: {value: mod.count}, cuts: {value: time, at: each switch.cut}}
+"""
+    result = run_chart(tmp_path, text, engine)
+    assert result.outputs["cuts"] == pytest.approx([1 / 12, 17 / 12, 11 / 4], abs=1e-12)
+    assert result.outputs["x"] == pytest.approx(1 / 12 + 5 / 12 + 3 / 4, abs=1e-12)
+    assert result.outputs["n"] == 2

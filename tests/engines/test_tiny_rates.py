@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from runs import ENGINES
 
@@ -25,3 +27,27 @@ def test_a_rate_of_next_to_nothing_is_none(engine: str, v: float) -> None:
     trace = run(read_text(_DRIFT.format(v=v, w=v / 6.4)), engine=engine, throw=False).trace
     assert trace.outcome is Outcome.HORIZON
     assert trace.final.tolist() == pytest.approx([0.883333015, -0.468576, 0.0, 0.0], abs=1e-15)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("unit", [1e-15, 1e-9, 1.0, 1e12])
+def test_the_unit_of_time_does_not_matter(engine: str, unit: float) -> None:
+    # Falls to 1/2 in ln 2, and climbs towards 2 back to 1 in ln 1.5.
+    text = f"""\
+kind: chart
+name: clock
+parameters: {{k: {1 / unit!r}}}
+variables: {{x: 1}}
+regions:
+  m:
+    initial: falls
+    states: {{falls: {{flows: {{x: -k*x}}}}, climbs: {{flows: {{x: k*(2 - x)}}}}}}
+    transitions:
+      - {{name: low, from: falls, to: climbs, guard: x <= 0.5}}
+      - {{name: high, from: climbs, to: falls, guard: x >= 1}}
+stop: {{time: 10/k}}
+outputs: {{lows: {{value: k*time, at: each m.low}}}}
+"""
+    lows = run(read_text(text), engine=engine).outputs["lows"]
+    period = math.log(2.0) + math.log(1.5)
+    assert lows == pytest.approx([math.log(2.0) + k * period for k in range(9)], rel=1e-10)

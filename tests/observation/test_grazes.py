@@ -189,3 +189,57 @@ def test_a_guard_that_passes_or_stays_clear_before_the_event_gives_none(
     result = statechart.run(read_text(_TURNED.format(back=back, guard=guard)), engine=engine)
     assert result.outputs["hits"] == hits
     assert not result.warnings
+
+
+_DIAGONAL = """
+kind: chart
+name: billiard
+variables: {x: 0.25, y: 0.25, u: 1, v: 1}
+regions:
+  h:
+    initial: a
+    states: {a: {flows: {x: u}}}
+    transitions:
+      - {name: right, from: a, guard: x >= 1 and u > 0, updates: {u: -u}}
+      - {name: left, from: a, guard: x <= 0 and u < 0, updates: {u: -u}}
+  k:
+    initial: a
+    states: {a: {flows: {y: v}}}
+    transitions:
+      - {name: up, from: a, guard: y >= 1 and v > 0, updates: {v: -v}}
+      - {name: down, from: a, guard: y <= 0 and v < 0, updates: {v: -v}}
+stop: {time: 57.1}
+outputs: {x: {value: x}, y: {value: y}, hits: {count: right or up or left or down}}
+"""
+
+
+def test_guards_that_fire_one_after_another_at_one_instant_give_no_warning(engine: str) -> None:
+    # A billiard ball that runs on the diagonal into the corners, both ways.
+    result = statechart.run(read_text(_DIAGONAL), engine=engine)
+    assert result.outputs["x"] == result.outputs["y"] == pytest.approx(1.65 - 1.0, abs=1e-11)
+    assert result.outputs["hits"] == 114
+    assert not result.warnings
+
+
+_SMALL = """
+kind: chart
+name: small
+parameters: {e: 1}
+variables: {x: e}
+regions:
+  m:
+    initial: falls
+    states: {falls: {flows: {x: -x}}, rises: {flows: {x: x}}}
+    transitions:
+      - {name: low, from: falls, to: rises, guard: x <= e/2}
+      - {name: high, from: rises, to: falls, guard: x >= e}
+stop: {time: 3}
+outputs: {n: {count: m.low}}
+"""
+
+
+@pytest.mark.parametrize("e", [1e-200, 1e-160, 1e160, 1e200])
+def test_guards_pass_boundaries_of_extreme_sizes_without_a_doubt(engine: str, e: float) -> None:
+    result = statechart.run(read_text(_SMALL), engine=engine, parameters={"e": e})
+    assert result.outputs["n"] == 2
+    assert not result.warnings

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+import statechart
 from contacts.scene.scene import Scene
 from statechart.automaton.trace import Trace
 from statechart.documents.yaml_reader import read_text
@@ -258,6 +260,56 @@ def test_thrown_bars_and_controllers_that_listen(seed: int) -> None:
         assert [mode for _, mode in there] == [mode for _, mode in before], name
         for (t, _), (exact_t, _) in zip(there, before, strict=True):
             assert t == pytest.approx(exact_t, abs=40 * H)
+
+
+_HANDED_OVER = """
+kind: scene
+name: track
+parameters: {e: 0, mu: 0}
+gravity: 9.81
+bodies: {b: {mass: 1, start: {x: -1, y: 0.5}}}
+surfaces:
+  down: {edge: [[-2, 1], [0, 0]]}
+  flat: {edge: [[0, 0], [1, 0]]}
+  on: {edge: [[1, 0], [9, 0]]}
+contacts:
+  c1: {point: {body: b}, surface: down, friction: mu, restitution: e}
+  c2: {point: {body: b}, surface: flat, friction: mu, restitution: e}
+  c3: {point: {body: b}, surface: on, friction: mu, restitution: e}
+regions:
+  r:
+    initial: first
+    states: {first: {}, second: {}, third: {}}
+    transitions:
+      - {name: kink, from: first, to: second, on: c2.touchdown}
+      - {name: seam, from: second, to: third, on: c3.touchdown}
+stop: {time: 1.3}
+outputs:
+  kink: {value: time, at: first r.kink}
+  seam: {value: time, at: first r.seam}
+  enables: {count: enable}
+  touchdowns: {count: touchdown}
+"""
+
+
+@pytest.mark.parametrize("record", ["modes", "nothing"])
+def test_a_surface_that_takes_over_is_enabled_and_then_touched_as_with_events(record: str) -> None:
+    text = read_text(_HANDED_OVER)
+    slope = math.atan(0.5)
+    kink = math.sqrt(2.0 * math.sqrt(1.25) / (9.81 * math.sin(slope)))
+    # The plastic impact in the kink leaves the velocity along the flat.
+    seam = kink + 1.0 / (math.sqrt(9.81) * math.cos(slope))
+    exact = statechart.run(text)
+    assert exact.outputs["kink"] == pytest.approx(kink, abs=1e-12)
+    assert exact.outputs["seam"] == pytest.approx(seam, abs=1e-12)
+    for h in (1e-3, 1e-4):
+        run = statechart.run(text, engine="impulse", step=h, record=record)
+        assert run.outputs["kink"] == pytest.approx(kink, abs=2 * h)
+        assert run.outputs["seam"] == pytest.approx(seam, abs=4 * h)
+        assert run.outputs["enables"] == run.outputs["touchdowns"] == 2
+        if record == "modes":
+            heard = [(jump.region, jump.cause) for jump in run.trace.jumps]
+            assert heard[2:4] == [("c2", "touchdown"), ("r", "kink")]
 
 
 BRAKED_BAR = """
