@@ -107,7 +107,7 @@ def of_shapes(name: str, runner: Runner, values: Mapping[str, float]) -> Iterato
     for stepped, *_ in steps_of(runner, values, h):
         assert isinstance(stepped, RigidBodyRun)
         touches, inverse = stepped._workspace.active, stepped.numbers.inverse
-        count = int(stepped._memory.many[0])
+        count = int(stepped._warm.n_contacts[0])
         keys = [tuple(key) for key in touches.keys[:count].tolist()]
         bodies = touches.bodies[:count].copy()
         for members in islands(bodies):
@@ -192,7 +192,7 @@ def of_points(name: str, runner: Runner) -> Iterator[Problem]:
         middle = state.copy()
         middle[:n] += 0.5 * h * state[n : 2 * n]
         numbers = source.tape.values(middle, stepped._values, start + 0.5 * h)
-        mass, contacts, joints = source.rows(stepped._values, middle, start + 0.5 * h)
+        mass, contacts, joints = source.equations(stepped._values, middle, start + 0.5 * h)
         which = np.flatnonzero((chunk.codes[0] > 0) & (source.held == 0) | chunk.struck[0])
         if not len(which):
             continue

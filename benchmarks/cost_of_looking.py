@@ -28,7 +28,7 @@ _SECONDS = 2.0
 
 def main() -> None:
     """Print a table."""
-    looking = Advance._unseen
+    looking = Advance._find_missed
     print(
         "| model | engine | without, ms | with, ms | ratio | certified, ms | in runs |\n"
         "|---|---|---|---|---|---|---|"
@@ -41,11 +41,11 @@ def main() -> None:
             until = time.perf_counter() + _SECONDS
             while time.perf_counter() < until or len(times["with"]) < 5:
                 for how, taken in times.items():
-                    Advance._unseen = _nothing if how == "without" else looking  # type: ignore[method-assign]
+                    Advance._find_missed = _nothing if how == "without" else looking  # type: ignore[method-assign]
                     began = time.perf_counter()
                     runner.run(certify=how == "certified", throw=False)
                     taken.append(time.perf_counter() - began)
-            Advance._unseen = looking  # type: ignore[method-assign]
+            Advance._find_missed = looking  # type: ignore[method-assign]
             without, whole, proved = (1e3 * statistics.median(taken) for taken in times.values())
             print(
                 f"| {name} | {' '.join(map(str, choice.values()))} | {without:.3g} | {whole:.3g} "

@@ -121,8 +121,8 @@ def by_us(count: int, tolerance: float) -> tuple[float, Iterator[Step]]:
 
 def ours(heap: RigidBodyRun, count: int) -> Step:
     """Return the step that bodies have just taken."""
-    touches, m = heap._workspace.active, int(heap._memory.many[0])
-    rows, impulses = np.zeros((m, 2, 3 * count)), heap._room.pressed[:m].copy()
+    touches, m = heap._workspace.active, int(heap._warm.n_contacts[0])
+    rows, impulses = np.zeros((m, 2, 3 * count)), heap._workspace.pressed[:m].copy()
     for i, (one, other) in enumerate(touches.bodies[:m].tolist()):
         rows[i, :, 3 * one : 3 * one + 3] = touches.rows[i, :, :3]
         if other >= 0:

@@ -34,7 +34,7 @@ def automaton(scene: Scene) -> Automaton:
 def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     """Compose the automaton of a scene; return it and what gives the numbers of its runs."""
     from contacts.dynamics.components import components
-    from contacts.dynamics.controllers import given
+    from contacts.dynamics.controllers import controlled_symbols
     from contacts.dynamics.mechanics import Mechanics
     from contacts.dynamics.minimal import coordinates
     from contacts.dynamics.setup_evaluation import SceneNumbers
@@ -61,20 +61,20 @@ def _composed(scene: Scene) -> tuple[Automaton, SceneNumbers]:
     made = Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.memory),
-        variables=(*mechanics.variables, *mechanics.memory.values()),
+        names=(*mechanics.variable_names, *mechanics.controller_state),
+        variables=(*mechanics.variables, *mechanics.controller_state.values()),
         parameter_names=parameters.names,
         parameters=parameters.ordered,
         time=mechanics.time,
         unknowns=(*mechanics.a, *mechanics.unknown_forces),
-        rates=(*mechanics.v, *mechanics.a, *mechanics.memory_rates.values()),
+        rates=(*mechanics.v, *mechanics.a, *mechanics.controller_rates.values()),
         equations=mechanics.equations,
         regions=regions,
         stops=stops,
         observables=observables,
         setup=numbers.at,
         laws=laws,
-        controls=given(mechanics),
+        controls=controlled_symbols(mechanics),
         # Rates of what is eliminated would follow from the memory as well.
         coordinates=None if mechanics.scene.leading else coordinates(mechanics),
         stepper=stepper,

@@ -10,7 +10,7 @@ def contact_rows(
     bodies: Ints, moving: int, rows: Array, columns: Array, cones: Array
 ) -> ContactRows:
     """Return contacts of so many bodies, with what follows from their rows."""
-    contacts = ContactRows.room(len(bodies), moving)._replace(
+    contacts = ContactRows.allocate(len(bodies), moving)._replace(
         bodies=bodies, moving=moving, rows=rows, columns=columns, cones=cones
     )
     complete(contacts)

@@ -13,7 +13,7 @@ from contacts.collision_detection.body_numbers import (
     ROLLING,
     STIFFNESS,
     BodyNumbers,
-    Memory,
+    WarmStart,
 )
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.solvers.contact_rows import ON_TRIAL
@@ -33,11 +33,11 @@ class ActiveContacts(NamedTuple):
 
     bodies: Ints  # (c, 2): which touch; -1: a surface, or a body that moves as prescribed.
     rows: Array  # (c, 2, 6): velocities, normal and tangential, per unit rates of the two.
-    keys: Ints  # (c, 2): see `Memory`.
+    keys: Ints  # (c, 2): see `WarmStart`.
     # (c, 4): the level at which each is kept; how far above that it is, or, where it is struck,
     # above the other; slip that the impulses of the step before may have missed; how far it is
     # above the level at which it was kept.
-    memory: Array
+    levels: Array
     laws: Ints  # (c,): which of `BodyNumbers.materials`; -1: a joint.
     materials: Array  # (c, 3): edge of the cone that holds now (2), restitution.
     # (c,): slip before, 1 or -1, where kinetic friction holds; `BEGINS` or `ON_TRIAL`.
@@ -58,7 +58,7 @@ class ActiveContacts(NamedTuple):
 
     @classmethod
     def allocate(cls, most: int) -> ActiveContacts:
-        """Return place for so many contacts."""
+        """Allocate arrays for so many contacts."""
         return cls(
             np.empty((most, 2), np.int64),
             np.zeros((most, 2, 6)),
@@ -111,7 +111,9 @@ def write_contact(
 
 
 @kernel
-def take_motion_of(mid: Midpoint, c: int, found: Array, m: int, active: ActiveContacts) -> float:
+def remove_body_motion(
+    mid: Midpoint, c: int, found: Array, m: int, active: ActiveContacts
+) -> float:
     """Take the motion of a prescribed body from the velocities of a contact; return its pull."""
     nx, ny, x, y = found[0], found[1], found[2] - mid.places[c, 0], found[3] - mid.places[c, 1]
     for rates, velocities in ((mid.old, active.before), (mid.loose, active.free)):
@@ -123,23 +125,23 @@ def take_motion_of(mid: Midpoint, c: int, found: Array, m: int, active: ActiveCo
 
 
 @kernel
-def warm_start(
-    memory: Memory, first: int, pair: int, feature: int, h: float, m: int, active: ActiveContacts
+def restore_impulses(
+    warm: WarmStart, first: int, pair: int, feature: int, h: float, m: int, active: ActiveContacts
 ) -> tuple[float, bool, int]:
     """Write the impulses that a contact had in a step; return its level, if it lasts, its place.
 
     The place is that in the memory, -1 where it is new.
     """
-    active.pushes[m, 0] = active.pushes[m, 1] = active.memory[m, 2] = 0.0
+    active.pushes[m, 0] = active.pushes[m, 1] = active.levels[m, 2] = 0.0
     level, lasting, at, place = 0.0, False, first, -1
     # Forces last, so that impulses go with the length of a step.
-    longer = h / memory.past[0] if memory.past[0] > 0.0 else 1.0
-    while at < memory.many[0] and memory.keys[at, 0] == pair:
-        if memory.keys[at, 1] == feature:
-            level, lasting, place = memory.contacts[at, 0], memory.contacts[at, 1] > 0.0, at
-            active.pushes[m, 0] = longer * memory.contacts[at, 2]
-            active.pushes[m, 1] = longer * memory.contacts[at, 3]
-            active.memory[m, 2] = memory.contacts[at, 8]
+    longer = h / warm.past[0] if warm.past[0] > 0.0 else 1.0
+    while at < warm.n_contacts[0] and warm.keys[at, 0] == pair:
+        if warm.keys[at, 1] == feature:
+            level, lasting, place = warm.contacts[at, 0], warm.contacts[at, 1] > 0.0, at
+            active.pushes[m, 0] = longer * warm.contacts[at, 2]
+            active.pushes[m, 1] = longer * warm.contacts[at, 3]
+            active.levels[m, 2] = warm.contacts[at, 8]
         at += 1
     return level, lasting, place
 
@@ -178,7 +180,7 @@ def write_compliance(
 
 @kernel
 def write_resistance(
-    numbers: BodyNumbers, memory: Memory, at_old: int, turns: tuple[float, float], h: float,
+    numbers: BodyNumbers, warm: WarmStart, at_old: int, turns: tuple[float, float], h: float,
     m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
     """Write the row of the rolling resistance of the contact before m as contact m.
@@ -187,7 +189,7 @@ def write_resistance(
     """
     i, length = m - 1, numbers.materials[active.laws[m - 1], ROLLING]
     pair, feature = active.keys[i, 0], -1 - active.keys[i, 1]
-    warm_start(memory, at_old, pair, feature, h, m, active)
+    restore_impulses(warm, at_old, pair, feature, h, m, active)
     if active.hit[i] or active.pushes[i, 0] == 0.0:
         active.pushes[m, 0] = active.pushes[m, 1] = 0.0
     active.keys[m, 0], active.keys[m, 1] = pair, feature
@@ -198,7 +200,7 @@ def write_resistance(
             active.rows[m, 0, k], active.rows[m, 1, k] = active.rows[i, 0, k], 0.0
         active.rows[m, 1, 3 * side + 2] = turn
     for k in range(4):
-        active.memory[m, k] = active.memory[i, k]
+        active.levels[m, k] = active.levels[i, k]
     active.before[m, 0], active.free[m, 0] = active.before[i, 0], active.free[i, 0]
     active.wanted[m, 0], active.wanted[m, 1] = active.wanted[i, 0], 0.0
     active.before[m, 1], active.free[m, 1] = -length * turns[0], -length * turns[1]
@@ -211,14 +213,14 @@ def write_resistance(
 
 @kernel
 def turning_change(
-    memory: Memory, place: int, m: int, active: ActiveContacts
+    warm: WarmStart, place: int, m: int, active: ActiveContacts
 ) -> tuple[float, float]:
     """Return by how much the turning of bodies has changed the velocities of a contact.
 
     Since the last detection nothing acts on them. Contacts of other features with the same key are
     not compared: their normals differ.
     """
-    last, rows, before = memory.contacts[place], active.rows, active.before
+    last, rows, before = warm.contacts[place], active.rows, active.before
     if last[6] * rows[m, 0, 0] + last[7] * rows[m, 0, 1] < _LASTS:
         return 0.0, 0.0
     return before[m, 0] - last[4], before[m, 1] - last[5]

@@ -1,4 +1,4 @@
-"""Colliding bodies, and what is remembered of their contacts, as arrays of a compiled step."""
+"""Arrays of a compiled step: colliding bodies, joints, and the warm start of contacts."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from contacts.collision_detection.surfaces import SurfaceNumbers
 from statechart.arrays import Array, Bools, Ints, Ints32
 from statechart.kernels.tapes import tape_table
 
-MEMORY = 10
-"""What is kept of a contact from step to step: level; whether it lasts (1), is closed and bears
+WARM_START_COLUMNS = 10
+"""Columns of a contact in a warm start: level; whether it lasts (1), is closed and bears
 nothing (-1), or was hit (0); impulses; its velocities, normal and tangential, after the step, and
 its normal; slip that the impulses may have missed; whether it slid (1)."""
 
@@ -173,14 +173,14 @@ class BodyNumbers(NamedTuple):
         return int(self.materials[:, STIFFNESS:].any())
 
 
-class Memory(NamedTuple):
+class WarmStart(NamedTuple):
     """Warm start of a step: contacts, impulses and modes of the step before."""
 
     # (c, 2): of the contacts of the step before: pair and feature. There is place for more than
     # take part in a step.
     keys: Ints
-    contacts: Array  # (c, MEMORY): see `MEMORY`.
-    many: Ints  # (1,): how many they are.
+    contacts: Array  # (c, WARM_START_COLUMNS): see there.
+    n_contacts: Ints  # (1,): how many they are.
     # (3,): length of the step before; the fastest approach so far, and the longest in a step, of
     # which half is how deep bodies may be kept.
     past: Array
@@ -192,31 +192,31 @@ class Memory(NamedTuple):
     landed: Array
 
     @classmethod
-    def allocate(cls, numbers: BodyNumbers) -> Memory:
-        """Return that of bodies that have not touched yet."""
+    def allocate(cls, numbers: BodyNumbers) -> WarmStart:
+        """Return the warm start of bodies that have not touched yet."""
         most = _PER_PIECE * max(len(numbers.pieces.sizes), len(numbers.sizes)) + 1
         return cls(
             np.zeros((most, 2), dtype=np.int64),
-            np.zeros((most, MEMORY)),
+            np.zeros((most, WARM_START_COLUMNS)),
             np.zeros(1, dtype=np.int64),
             np.zeros(3),
             np.zeros((len(numbers.inverse), 2), dtype=np.int64),
             np.zeros((len(numbers.inverse), 6)),
         )
 
-    def copy(self) -> Memory:
-        """Return it as it is now."""
-        return Memory._make(rows.copy() for rows in self)
+    def copy(self) -> WarmStart:
+        """Return a copy."""
+        return WarmStart._make(rows.copy() for rows in self)
 
-    def as_large(self, other: Memory) -> Memory:
-        """Return it with place for as many contacts as another."""
+    def enlarged_to(self, other: WarmStart) -> WarmStart:
+        """Return it with the capacity of another."""
         found = self
         while len(found.keys) < len(other.keys):
-            found = found.larger()
+            found = found.doubled()
         return found
 
-    def larger(self) -> Memory:
-        """Return it with place for twice as many contacts."""
+    def doubled(self) -> WarmStart:
+        """Return it with twice the capacity."""
         return self._replace(
             keys=np.concatenate([self.keys, np.zeros_like(self.keys)]),
             contacts=np.concatenate([self.contacts, np.zeros_like(self.contacts)]),

@@ -37,11 +37,11 @@ class Grid(NamedTuple):
     pairs: Ints  # (p, 2): those found, in order.
     circles: Array  # (b, 3): middles and radii of the circles that the listed pairs are of.
     listed: Ints  # (p, 2): pairs of these, in order.
-    many: Ints  # (1,): how many; -1: none are listed.
+    n_listed: Ints  # (1,): how many; -1: none are listed.
 
     @classmethod
     def allocate(cls, count: int, most: int) -> Grid:
-        """Return place for so many bodies and pairs."""
+        """Allocate arrays for so many bodies and pairs."""
         cells = 1 << (_CELLS * count).bit_length()
         return cls(
             np.empty((count, 2), np.int64),
@@ -168,17 +168,17 @@ def _all_within(centres: Array, sizes: Array, reach: Array, circles: Array) -> b
 def near_pairs(centres: Array, sizes: Array, reach: Array, grid: Grid) -> int:
     """Find pairs (one < other) whose circles meet; return how many, or -1 where place is short."""
     circles, listed, pairs, found = grid.circles, grid.listed, grid.pairs, 0
-    if grid.many[0] < 0 or not _all_within(centres, sizes, reach, circles):
+    if grid.n_listed[0] < 0 or not _all_within(centres, sizes, reach, circles):
         for b in range(len(sizes)):
             circles[b, 0], circles[b, 1] = centres[b]
             circles[b, 2] = sizes[b] + reach[b]
             circles[b, 2] += _WIDER * sizes[b] + min(_FARTHER * reach[b], sizes[b])
-        grid.many[0] = _list_pairs(grid)
-    for i in range(grid.many[0]):
+        grid.n_listed[0] = _list_pairs(grid)
+    for i in range(grid.n_listed[0]):
         b, c = listed[i, 0], listed[i, 1]
         x, y = centres[b, 0] - centres[c, 0], centres[b, 1] - centres[c, 1]
         both = sizes[b] + reach[b] + (sizes[c] + reach[c])
         # Written whether or not: to guess which takes longer.
         pairs[found, 0], pairs[found, 1] = b, c
         found += 0 if x * x + y * y > both * both else 1
-    return found if grid.many[0] >= 0 else -1
+    return found if grid.n_listed[0] >= 0 else -1

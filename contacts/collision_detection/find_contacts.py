@@ -11,10 +11,10 @@ from contacts.collision_detection.active_contacts import (
     ROLLS,
     ActiveContacts,
     has_two_coefficients,
-    take_motion_of,
+    remove_body_motion,
+    restore_impulses,
     turning_change,
     velocity,
-    warm_start,
     write_compliance,
     write_contact,
     write_friction,
@@ -25,34 +25,40 @@ from contacts.collision_detection.body_numbers import (
     ROLLING,
     STIFFNESS,
     BodyNumbers,
-    Memory,
+    WarmStart,
 )
 from contacts.collision_detection.broad_phase import Grid, near_pairs
 from contacts.collision_detection.convex import FOUND, ConvexShape, between
-from contacts.collision_detection.ground import POINTS, Ground, carried_along, is_far, on_surface
+from contacts.collision_detection.ground import (
+    POINTS,
+    Ground,
+    is_far,
+    on_surface,
+    remove_surface_motion,
+)
 from contacts.collision_detection.internal_edges import (
     COVERING,
     Neighbours,
     Touched,
     drop_internal_edges,
+    find_face_contacts,
     list_neighbours,
-    met_by_faces,
     near_obstacles,
     sort_pairs,
 )
-from contacts.collision_detection.joints import held
-from contacts.collision_detection.midpoint import TOUCHING, Midpoint
+from contacts.collision_detection.joints import is_joined
+from contacts.collision_detection.midpoint import TOUCH_TOLERANCE, Midpoint
 from contacts.collision_detection.surfaces import PLATE, ROUND
 from contacts.collision_detection.time_of_impact import (
-    entered_elsewhere,
-    hits_ahead,
-    hits_turning,
+    entered_other_side,
     nearby,
     overlap,
     passing_time,
-    turning,
+    turning_speed,
+    will_collide,
+    will_collide_turning,
 )
-from contacts.time_stepping.chunk import APART, BESIDE, HIT, SLOW, arriving
+from contacts.time_stepping.chunk import HIT, SEPARATED, SLOW, TIME_MARGIN, arriving
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
 
@@ -70,7 +76,7 @@ class CandidatePair(NamedTuple):
     # -1.
     body: int
     other: int
-    key: int  # See `Memory`.
+    key: int  # See `WarmStart`.
     material: int  # Which law they touch by; -1: they do not.
     # Whether both are pieces; both discs; one a surface that moves, and no body.
     whole: bool
@@ -94,10 +100,10 @@ def candidate_pair(
     s, key = q - count, p * (count + len(surfaces.kinds)) + q
     if s < 0:
         other = pieces.bodies[q]
-        touch = other != b and not held(numbers.joints, b, other)
+        touch = other != b and not is_joined(numbers.joints, b, other)
         material = numbers.laws[numbers.kinds[b], numbers.kinds[other]] if touch else -1
         size, discs = min(pieces.sizes[p], pieces.sizes[q]), pieces.radii[p] * pieces.radii[q] > 0.0
-        turns = since * turning(numbers, mid, p, q) > CROSSED * min(
+        turns = since * turning_speed(numbers, mid, p, q) > CROSSED * min(
             pieces.cores[p], pieces.cores[q]
         )
         slowly = not turns and nearby(mid.drifts, pieces.sizes, p, q, CROSSED / since)
@@ -175,12 +181,12 @@ class _Points(NamedTuple):
 
 @kernel
 def _note(points: _Points, what: int, value: float) -> None:
-    """Keep the largest that a detection has found."""
+    """Update the largest value of a detection."""
     points.worst[what] = max(points.worst[what], value)
 
 
 @kernel
-def _of_pieces(
+def _piece_points(
     numbers: BodyNumbers, mid: Midpoint, pair: CandidatePair, times: _Times, points: _Points
 ) -> int:
     """Find the points where two pieces are near each other, and whether they have passed."""
@@ -204,14 +210,14 @@ def _of_pieces(
 
 
 @kernel
-def _met(
+def _pair_points(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, times: _Times,
     points: _Points, near: Neighbours,
 ) -> int:  # fmt: skip
     """Find the points where a pair is near each other; return their number."""
     pieces, (found, features) = numbers.pieces, points[:2]
     if pair.whole:
-        count = _of_pieces(numbers, mid, pair, times, points)
+        count = _piece_points(numbers, mid, pair, times, points)
     else:
         s = pair.q - len(pieces.sizes)
         count, crosses = on_surface(numbers, ground, mid, pair.p, s, times.h, found, features)
@@ -226,12 +232,12 @@ def _met(
         several = turn == 0 and pieces.begins[pair.body + 1] - pieces.begins[pair.body] > 1
         # A half-plane has one normal: others beside what touches it take none away.
         if pair.whole or several or numbers.surfaces.kinds[s] in (PLATE, ROUND):
-            count = _bared(numbers, ground, mid, pair, turn, times.h, points, near, count)
+            count = _drop_covered(numbers, ground, mid, pair, turn, times.h, points, near, count)
     return count
 
 
 @kernel
-def _bared(
+def _drop_covered(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: CandidatePair, turn: int, h: float,
     points: _Points, near: Neighbours, count: int,
 ) -> int:  # fmt: skip
@@ -248,7 +254,7 @@ def _bared(
     touched = Touched(sides[0], sides[1], 2.0 * turn - 1.0, near.covering[:many])
     count, barred = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
     if count == 0 and barred:
-        count = met_by_faces(numbers, ground, mid, touched, pair.whole, found, features)
+        count = find_face_contacts(numbers, ground, mid, touched, pair.whole, found, features)
         if count > 0:
             count, _ = drop_internal_edges(numbers, ground, mid, touched, found, features, count)
     return count
@@ -273,9 +279,9 @@ def _strikes(
     if alike:
         return True
     if pair.turns and gap > 0.0:
-        until = (0.5 + BESIDE) * h
-        return hits_turning(numbers, mid, (pair.p, pair.q), gap, until, points.aside)
-    meets, crossed = hits_ahead(
+        until = (0.5 + TIME_MARGIN) * h
+        return will_collide_turning(numbers, mid, (pair.p, pair.q), gap, until, points.aside)
+    meets, crossed = will_collide(
         numbers, mid, (pair.p, pair.q), (nx, ny), gap, nearing, h, points.aside
     )
     _note(points, PASSED, crossed)
@@ -283,8 +289,8 @@ def _strikes(
 
 
 @kernel
-def _kept_up(
-    memory: Memory, place: int, lasting: bool, m: int, times: _Times, gained: float,
+def _write_velocity_bounds(
+    warm: WarmStart, place: int, lasting: bool, m: int, times: _Times, gained: float,
     above: float, active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Write what a contact's velocities may not fall below; return how turning changed the normal.
@@ -296,8 +302,8 @@ def _kept_up(
     faster than forces move it.
     """
     h, since, turn, shift = times.h, times.since, 0.0, 0.0
-    if place >= 0 and memory.contacts[place, 1] != 0.0:
-        turn, shift = turning_change(memory, place, m, active)
+    if place >= 0 and warm.contacts[place, 1] != 0.0:
+        turn, shift = turning_change(warm, place, m, active)
     if not lasting and abs(turn) > gained:
         turn = shift = 0.0
     if above < 0.0:
@@ -310,7 +316,7 @@ def _kept_up(
 
 @kernel
 def _takes_part(
-    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
+    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at: int, at_old: int, m: int, points: _Points, active: ActiveContacts,
 ) -> bool:  # fmt: skip
     """Return whether a pair touches at a point in this step; write it as contact m.
@@ -319,16 +325,16 @@ def _takes_part(
     """
     h, point, feature = times.h, points.found[at], points.features[at]
     gap = point[4]
-    known = at_old < memory.many[0] and memory.keys[at_old, 0] == pair.key
-    level, lasting, place = warm_start(memory, at_old, pair.key, feature, h, m, active)
+    known = at_old < warm.n_contacts[0] and warm.keys[at_old, 0] == pair.key
+    level, lasting, place = restore_impulses(warm, at_old, pair.key, feature, h, m, active)
     prescribed = pair.other >= len(numbers.inverse)
     write_contact(mid, pair.body, -1 if prescribed else pair.other, point, m, active)
     if prescribed:
-        pull = take_motion_of(mid, pair.other, point, m, active)
+        pull = remove_body_motion(mid, pair.other, point, m, active)
         mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     if pair.moves:
         s = pair.q - len(numbers.pieces.sizes)
-        pull = carried_along(ground, numbers.surfaces, s, point, h, m, active)
+        pull = remove_surface_motion(ground, numbers.surfaces, s, point, h, m, active)
         mid.pull[pair.body] = max(mid.pull[pair.body], pull)
     nearing = -active.before[m, 0]
     gained = max(abs(active.free[m, 0] - active.before[m, 0]), times.fall)
@@ -336,40 +342,40 @@ def _takes_part(
     active.yields[m], active.laws[m] = 0.0, pair.material
     active.twins[m] = ROLLS if pair.rolls and law[ROLLING] > 0.0 else 0
     if law[STIFFNESS] > 0.0:
-        shift = turning_change(memory, place, m, active)[1] if lasting else 0.0
+        shift = turning_change(warm, place, m, active)[1] if lasting else 0.0
         active.hit[m], active.materials[m, 2] = False, 0.0
         active.keys[m, 0], active.keys[m, 1] = pair.key, feature
         for k in range(4):
-            active.memory[m, k] = 0.0
-        _write_way(numbers, memory, place, lasting, gained, m, active)
+            active.levels[m, k] = 0.0
+        _write_way(numbers, warm, place, lasting, gained, m, active)
         return write_compliance(law, gap, h, 0.5 * h / times.since * shift, m, active)
     turned = 0.0
-    if place >= 0 and memory.contacts[place, 1] == 0.0:
+    if place >= 0 and warm.contacts[place, 1] == 0.0:
         # What has just rebounded comes back by turning as well: else it would at every step.
-        turned = h / times.since * turning_change(memory, place, m, active)[0]
+        turned = h / times.since * turning_change(warm, place, m, active)[0]
     forced = abs(active.free[m, 0] - active.before[m, 0] + turned)
-    slow = SLOW * max(gained, forced, TOUCHING * pair.size / h)
+    slow = SLOW * max(gained, forced, TOUCH_TOLERANCE * pair.size / h)
     if gap < 0.0 and not known:
-        explained = times.since * max(memory.past[1], nearing, slow)
+        explained = times.since * max(warm.past[1], nearing, slow)
         if times.first:
-            explained += _STARTED * pair.size + LANDED * memory.past[2]
+            explained += _STARTED * pair.size + LANDED * warm.past[2]
         _note(points, SUNK, -gap - explained)
     # Struck in the step whose middle is nearest to the instant of touching.
-    closing, reached = h * (slow - active.free[m, 0]), (0.5 + BESIDE) * h * nearing
+    closing, reached = h * (slow - active.free[m, 0]), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
     alike = known or pair.slowly
     if role == HIT and not _strikes(numbers, mid, pair, times, point, nearing, alike, points):
-        role = APART
+        role = SEPARATED
     if gap < 0.0 and -nearing > slow and not alike:
         # It leaves: if it was not in it before, it came by another side. What was before a step
         # that is shorter than the last one, the look at the end of that has told.
         where, since = ((pair.p, pair.q), (point[0], point[1])), min(times.since, h)
-        _note(points, PASSED, entered_elsewhere(numbers, mid, *where, since, points.aside))
-    if role == APART:
+        _note(points, PASSED, entered_other_side(numbers, mid, *where, since, points.aside))
+    if role == SEPARATED:
         return False
-    active.memory[m, 3] = above
+    active.levels[m, 3] = above
     _note(points, APPROACH, nearing)
-    if nearing > slow and -gap > max(memory.past[2], h * nearing):
+    if nearing > slow and -gap > max(warm.past[2], h * nearing):
         _note(points, SUNK, -gap)
     if role == HIT:
         active.wanted[m, 0] = -numbers.materials[pair.material, RESTITUTION] * nearing
@@ -380,7 +386,7 @@ def _takes_part(
     else:
         # No deeper than an impact leaves a contact does it stay.
         above, level = min(above, gap + times.lowest), max(level, -times.lowest)
-        turn = _kept_up(memory, place, lasting, m, times, gained, above, active)
+        turn = _write_velocity_bounds(warm, place, lasting, m, times, gained, above, active)
         # Half of it is let be, half is in the way to the next detection.
         _note(points, TURNED, 2.0 * abs(turn))
     if not lasting:
@@ -388,22 +394,22 @@ def _takes_part(
         active.pushes[m, 0] = active.pushes[m, 1] = 0.0
     active.hit[m] = role == HIT
     active.keys[m, 0], active.keys[m, 1] = pair.key, feature
-    active.memory[m, 0] = level
-    active.memory[m, 1] = 0.0 if lasting and role != HIT else above
+    active.levels[m, 0] = level
+    active.levels[m, 1] = 0.0 if lasting and role != HIT else above
     active.materials[m, 2] = law[RESTITUTION]
-    _write_way(numbers, memory, place, lasting, gained, m, active)
+    _write_way(numbers, warm, place, lasting, gained, m, active)
     return True
 
 
 @kernel
 def _write_way(
-    numbers: BodyNumbers, memory: Memory, place: int, lasting: bool, gained: float, m: int,
+    numbers: BodyNumbers, warm: WarmStart, place: int, lasting: bool, gained: float, m: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
     """Write the friction of contact m: kinetic where it slipped, or comes with a slip."""
     slip = active.before[m, 1]
     one = not has_two_coefficients(numbers.materials[active.laws[m]])
-    stuck = lasting and place >= 0 and memory.contacts[place, 9] == 0.0
+    stuck = lasting and place >= 0 and warm.contacts[place, 9] == 0.0
     if one or stuck or abs(slip) <= _STUCK * gained:
         write_friction(numbers, m, 0, active)
     else:
@@ -412,7 +418,7 @@ def _write_way(
 
 @kernel
 def _add_resistance(
-    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, pair: CandidatePair,
+    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, pair: CandidatePair,
     times: _Times, at_old: int, m: int, active: ActiveContacts,
 ) -> None:  # fmt: skip
     """Write the rolling resistance of the contact before m as contact m."""
@@ -423,21 +429,21 @@ def _add_resistance(
         frames = ground.frames
         before = (frames[1, 2] - frames[0, 2]) / times.h
         after = (frames[2, 2] - frames[1, 2]) / times.h
-    write_resistance(numbers, memory, at_old, (before, after), times.h, m, active)
+    write_resistance(numbers, warm, at_old, (before, after), times.h, m, active)
     active.before[m, 1] += velocity(active.bodies, active.rows, mid.old, m, 1)
     active.free[m, 1] += velocity(active.bodies, active.rows, mid.loose, m, 1)
 
 
 @kernel
 def find_contacts(
-    numbers: BodyNumbers, ground: Ground, memory: Memory, mid: Midpoint, grid: Grid, h: float,
+    numbers: BodyNumbers, ground: Ground, warm: WarmStart, mid: Midpoint, grid: Grid, h: float,
     active: ActiveContacts,
 ) -> DetectionResult:  # fmt: skip
     """Find the contacts that take part in a step.
 
     Parameters
     ----------
-    memory : Memory
+    warm : WarmStart
         Of the step before.
     mid : Midpoint
         Its gaps and pulls are written.
@@ -448,14 +454,14 @@ def find_contacts(
     active : ActiveContacts
         To be filled.
     """
-    sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, memory.keys
+    sizes, pairs, keys = numbers.pieces.sizes, grid.pairs, warm.keys
     count, others = len(sizes), len(sizes) + len(numbers.surfaces.kinds)
     found, aside, worst = np.empty((POINTS, FOUND)), np.empty((POINTS, FOUND)), np.zeros(5)
     points = _Points(found, np.empty(POINTS, np.int64), aside, worst)
-    first = not memory.past[0] > 0.0
+    first = not warm.past[0] > 0.0
     fall = math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
-    lowest = math.inf if first else LANDED * memory.past[2]
-    times = _Times(h, 0.5 * (h + (h if first else memory.past[0])), fall, first, lowest)
+    lowest = math.inf if first else LANDED * warm.past[2]
+    times = _Times(h, 0.5 * (h + (h if first else warm.past[0])), fall, first, lowest)
     m, at_old, end = 0, 0, 0
     many = near_pairs(mid.centres, sizes, mid.reach, grid)
     # Discs cover no feature of each other.
@@ -481,18 +487,16 @@ def find_contacts(
             pair = candidate_pair(numbers, mid, p, q, times.since)
             if pair.material < 0:
                 continue
-            met = _met(numbers, ground, mid, pair, times, points, near)
-            while at_old < memory.many[0] and keys[at_old, 0] < pair.key:
+            met = _pair_points(numbers, ground, mid, pair, times, points, near)
+            while at_old < warm.n_contacts[0] and keys[at_old, 0] < pair.key:
                 at_old += 1
             for at in range(met):
                 if _takes_part(
-                    numbers, ground, memory, mid, pair, times, at, at_old, m, points, active
+                    numbers, ground, warm, mid, pair, times, at, at_old, m, points, active
                 ):
                     m += 1
                     if m < len(active.hit) and active.twins[m - 1] == ROLLS:
-                        _add_resistance(
-                            numbers, ground, memory, mid, pair, times, at_old, m, active
-                        )
+                        _add_resistance(numbers, ground, warm, mid, pair, times, at_old, m, active)
                         m += 1
                 if m == len(active.hit):
                     return DetectionResult(-1, worst[0], worst[1], worst[2], worst[3], worst[4])

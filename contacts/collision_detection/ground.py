@@ -1,4 +1,4 @@
-"""Surfaces in the middle of a step, which may move, and what of a body is near them."""
+"""Surfaces at the midpoint of a step, which may move, and contact points of bodies near them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from contacts.collision_detection.surfaces import (
     ROUND,
     SurfaceNumbers,
     against_surface,
-    carried,
-    crossed,
+    crossing_time,
     distance,
-    seen_from,
+    to_frame,
+    to_world,
 )
 from contacts.collision_detection.time_of_impact import shape_at
 from statechart.arrays import Array, Ints
@@ -30,7 +30,7 @@ POINTS = 16
 
 # Stride of the samples on the way of a piece, relative to its inner circle, and their number at
 # most: a shorter way passes nothing.
-_STRIDE, _LOOKS = 0.5, 64
+_STRIDE, _MAX_SAMPLES = 0.5, 64
 # Depth on the way, relative to that circle, up to which a piece grazes.
 _GRAZED = 0.1
 
@@ -48,7 +48,7 @@ class Ground(NamedTuple):
 
 
 @kernel
-def _swung(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
+def _write_frames(ground: Ground, s: int, carrier: int, mid: Midpoint, h: float) -> None:
     """Write the frames (3, 3) of a surface that moves."""
     for at in range(3):
         for d in range(3):
@@ -70,8 +70,8 @@ def pose_of(numbers: BodyNumbers, ground: Ground, mid: Midpoint, s: int) -> Arra
 @kernel
 def _in_frame(frames: Array, x: float, y: float, mid: int) -> tuple[float, float]:
     """Return where the point of a surface that now is at x, y is at a detection."""
-    u, v = seen_from(frames[1], x, y)
-    return carried(frames[mid], u, v)
+    u, v = to_frame(frames[1], x, y)
+    return to_world(frames[mid], u, v)
 
 
 @kernel
@@ -90,20 +90,20 @@ def on_surface(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, p: int, s: int, h: float, found: Array,
     features: Ints,
 ) -> tuple[int, float]:  # fmt: skip
-    """Find the points of a piece near a surface; return their number, and `crossed`."""
+    """Find the points of a piece near a surface; return their number, and `crossing_time`."""
     surfaces, x, y = numbers.surfaces, mid.centres[p, 0], mid.centres[p, 1]
     pieces, carrier, within = numbers.pieces, surfaces.carriers[s], mid.reach[p]
     moves = carrier >= 0 or surfaces.moves[s]
     frames = ground.frames if moves else ground.still
     if moves:
-        _swung(ground, s, carrier, mid, h)
+        _write_frames(ground, s, carrier, mid, h)
         u, v = _in_frame(frames, x, y, 2)
         within += 2.0 * norm(u - x, v - y)
     if distance(surfaces, s, frames[1], x, y) > pieces.sizes[p] + within:
         return 0, 0.0
-    before = seen_from(frames[0], x - h * mid.drifts[p, 0], y - h * mid.drifts[p, 1])
-    after = seen_from(frames[1], x, y)
-    passed = crossed(surfaces, s, before, after, pieces.cores[p])
+    before = to_frame(frames[0], x - h * mid.drifts[p, 0], y - h * mid.drifts[p, 1])
+    after = to_frame(frames[1], x, y)
+    passed = crossing_time(surfaces, s, before, after, pieces.cores[p])
     first, end = pieces.firsts[p], pieces.firsts[p + 1]
     points = against_surface(
         surfaces, s, frames[1], ground.registers,
@@ -116,7 +116,7 @@ def on_surface(
         for at in range(points):
             clear = clear and found[at, 4] >= 0.0
         if clear:
-            looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _LOOKS))
+            looks = math.ceil(min(way / (_STRIDE * pieces.cores[p]), 1.0 * _MAX_SAMPLES))
             passed = _passed_over(numbers, ground, mid, (p, s), h, frames, looks)
     return points, passed
 
@@ -124,7 +124,7 @@ def on_surface(
 @kernel
 def _passed_over(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], h: float,
-    frames: Array, looks: int,
+    frames: Array, samples: int,
 ) -> float:  # fmt: skip
     """Return the part of a step for which a piece was in a surface that it is clear of now.
 
@@ -135,8 +135,8 @@ def _passed_over(
     b = pieces.bodies[p]
     found, features = np.empty((POINTS, FOUND)), np.empty(POINTS, np.int64)
     frame, within, was_clear, inside = np.empty(3), 0.0, False, 0
-    for i in range(looks):
-        back = 1.0 - i / looks
+    for i in range(samples):
+        back = 1.0 - i / samples
         shape = shape_at(pieces, p, mid.places[b] - back * h * mid.old[b])
         for d in range(3):
             frame[d] = frames[1, d] + back * (frames[0, d] - frames[1, d])
@@ -149,11 +149,11 @@ def _passed_over(
         was_clear = was_clear or deepest == 0.0
         if was_clear and deepest < -_GRAZED * pieces.cores[p]:
             inside += 1
-    return inside / looks
+    return inside / samples
 
 
 @kernel
-def carried_along(
+def remove_surface_motion(
     ground: Ground, surfaces: SurfaceNumbers, s: int, found: Array, h: float, m: int,
     active: ActiveContacts,
 ) -> float:  # fmt: skip
@@ -166,7 +166,7 @@ def carried_along(
     before, free, frames = active.before, active.free, ground.frames
     a, b = x, y
     if surfaces.kinds[s] == ROUND or surfaces.kinds[s] == HOLLOW:
-        a, b = carried(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
+        a, b = to_world(frames[1], surfaces.numbers[s, 0], surfaces.numbers[s, 1])
     arm = nx * (x - a) + ny * (y - b)
     for mid in (0, 2):
         way, turned = (mid - 1.0) / h, frames[mid, 2] - frames[1, 2]

@@ -23,15 +23,15 @@ import numpy as np
 from contacts.collision_detection.body_numbers import BodyNumbers, PieceNumbers
 from contacts.collision_detection.convex import against_faces, norm, write_contact
 from contacts.collision_detection.ground import Ground, pose_of
-from contacts.collision_detection.joints import held
+from contacts.collision_detection.joints import is_joined
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.collision_detection.surfaces import (
     PLATE,
     ROUND,
-    carried,
     distance,
-    seen_from,
     tangent_at,
+    to_frame,
+    to_world,
 )
 from statechart.arrays import Array, Ints
 from statechart.kernels.jit import kernel
@@ -73,12 +73,12 @@ def obstacle(
     pose, two, centre = pose_of(numbers, ground, mid, s), np.zeros((2, 2)), np.zeros(2)
     a, b, c, d = surfaces.numbers[s]
     if surfaces.kinds[s] == PLATE:
-        two[0, 0], two[0, 1] = carried(pose, a, b)
-        two[1, 0], two[1, 1] = carried(pose, c, d)
+        two[0, 0], two[0, 1] = to_world(pose, a, b)
+        two[1, 0], two[1, 1] = to_world(pose, c, d)
         centre[0], centre[1] = 0.5 * (two[0, 0] + two[1, 0]), 0.5 * (two[0, 1] + two[1, 1])
         return Obstacle(SHEET, two, centre, 0.0, 0.5 * norm(c - a, d - b))
     if surfaces.kinds[s] == ROUND:
-        centre[0], centre[1] = carried(pose, a, b)
+        centre[0], centre[1] = to_world(pose, a, b)
         return Obstacle(DISC, two[:0], centre, c, c)
     two[0, 0], two[0, 1], nx, ny = tangent_at(surfaces, s, pose, ground.registers, x, y)
     two[1, 0], two[1, 1] = two[0, 0] - ny, two[0, 1] + nx
@@ -200,7 +200,7 @@ def chord(
 
 
 @kernel
-def goes_on(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
+def continues_face(one: Obstacle, x: float, y: float, ux: float, uy: float, near: float) -> bool:
     """Return whether an obstacle has a face on the same line that faces the same way.
 
     It covers nothing of what it makes one face with.
@@ -227,7 +227,7 @@ def collide(numbers: BodyNumbers, one: int, other: int) -> bool:
         carrier = numbers.surfaces.carriers[s]
         return carrier != b and numbers.laws[kinds[b], len(numbers.laws) + s] >= 0
     c = numbers.pieces.bodies[other]
-    return b != c and not held(numbers.joints, b, c) and numbers.laws[kinds[b], kinds[c]] >= 0
+    return b != c and not is_joined(numbers.joints, b, c) and numbers.laws[kinds[b], kinds[c]] >= 0
 
 
 @kernel
@@ -244,17 +244,17 @@ def _velocity(
     if not surfaces.moves[q - count]:
         return 0.0, 0.0, 0.0
     now, then = ground.paths[1, q - count], ground.paths[2, q - count]
-    u, v = seen_from(now, x, y)
-    u, v = carried(then, u, v)
+    u, v = to_frame(now, x, y)
+    u, v = to_world(then, u, v)
     return (u - x) / h, (v - y) / h, (then[2] - now[2]) / h
 
 
 @kernel
-def rest_together(
+def is_relatively_still(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, pair: tuple[int, int], x: float, y: float,
     h: float, near: float,
 ) -> bool:  # fmt: skip
-    """Return whether two obstacles move at x, y by less than `near` in a step, relatively."""
+    """Return whether the relative motion of two obstacles at x, y is below `near` in a step."""
     u, v, turning = _velocity(numbers, ground, mid, pair[0], x, y, h)
     other_u, other_v, other_turning = _velocity(numbers, ground, mid, pair[1], x, y, h)
     along, across = u - other_u, v - other_v
@@ -288,7 +288,7 @@ class Neighbours(NamedTuple):
     lower: Ints
     # (p,): those near one piece, and how many they are.
     others: Ints
-    many: Ints
+    n_others: Ints
     covering: Ints  # (c,): is overwritten; see `near_obstacles`.
 
 
@@ -318,7 +318,7 @@ def list_neighbours(pairs: Ints, begin: int, end: int, p: int, near: Neighbours)
     for i in range(begin, end):
         near.others[many] = pairs[i, 1]
         many += 1
-    near.many[0] = many
+    near.n_others[0] = many
 
 
 @kernel
@@ -334,7 +334,11 @@ def near_obstacles(
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1
-    others, covering, count_others = near_pieces.others, near_pieces.covering, near_pieces.many[0]
+    others, covering, count_others = (
+        near_pieces.others,
+        near_pieces.covering,
+        near_pieces.n_others[0],
+    )
     covering[0] = one
     plate = one >= all_pieces
     body = -1 if plate else pieces.bodies[one]
@@ -369,7 +373,7 @@ def near_obstacles(
         if (
             at < 0
             or many == len(covering)
-            or not rest_together(
+            or not is_relatively_still(
                 numbers, ground, mid, (one, q), found[at, 2], found[at, 3], h, near
             )
         ):
@@ -488,7 +492,9 @@ def _covered_to(
             at = x + covered * ux, y + covered * uy
             other = obstacle(numbers, ground, mid, q, at[0], at[1])
             near = FLUSH * min(size, other.size)
-            if q == touched.which or goes_on(other, x, y, along_face * ux, along_face * uy, near):
+            if q == touched.which or continues_face(
+                other, x, y, along_face * ux, along_face * uy, near
+            ):
                 continue
             low, high = chord(other, x, y, ux, uy, near)
             if low <= covered + near and high > covered + near:
@@ -581,7 +587,7 @@ def drop_internal_edges(
     kept, rays, how = 0, np.empty((RAYS, 3)), np.empty(count, np.int64)
     barred = math.inf
     for i in range(count):
-        how[i] = _how(numbers, ground, mid, touched, found[i], rays)
+        how[i] = _classify_point(numbers, ground, mid, touched, found[i], rays)
         if how[i] == _BARRED:
             barred = min(barred, found[i, 4])
     for i in range(count):
@@ -594,10 +600,10 @@ def drop_internal_edges(
 
 
 @kernel
-def _how(
+def _classify_point(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, point: Array, rays: Array
 ) -> int:
-    """Return how a point of contact is on what is touched; see `_OF_FACE`."""
+    """Classify a contact point on the touched obstacle; see `_OF_FACE`."""
     which, by, side, covering = touched
     all_pieces = len(numbers.pieces.sizes)
     body = numbers.pieces.bodies[which] if which < all_pieces else -1
@@ -665,7 +671,7 @@ def _in_cone(
 
 
 @kernel
-def met_by_faces(
+def find_face_contacts(
     numbers: BodyNumbers, ground: Ground, mid: Midpoint, touched: Touched, whole: bool,
     found: Array, features: Ints,
 ) -> int:  # fmt: skip

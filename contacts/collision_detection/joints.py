@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from contacts.collision_detection.active_contacts import ActiveContacts, warm_start
+from contacts.collision_detection.active_contacts import ActiveContacts, restore_impulses
 from contacts.collision_detection.body_numbers import (
     ALONG_Y,
     BOTH,
@@ -23,12 +23,12 @@ from contacts.collision_detection.body_numbers import (
     TURN,
     BodyNumbers,
     JointNumbers,
-    Memory,
+    WarmStart,
 )
 from contacts.collision_detection.midpoint import Midpoint
-from contacts.collision_detection.surfaces import carried
+from contacts.collision_detection.surfaces import to_world
 from contacts.solvers.contact_rows import GUIDED, HELD
-from contacts.time_stepping.chunk import BESIDE, HIT, LASTING, SLOW, arriving
+from contacts.time_stepping.chunk import HIT, LASTING, SLOW, TIME_MARGIN, arriving
 from statechart.arrays import Array
 from statechart.kernels.jit import kernel
 
@@ -100,7 +100,7 @@ def _joint_rows(
                 free[d] -= (paths[2, joints.owners[j], axis] - now) / h
                 apart, size = apart - now, size + abs(now)
                 continue
-            x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+            x, y = to_world(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
             rx, ry = x - places[b, 0], y - places[b, 1]
             at = 3 * side
             rows[d, at], rows[d, at + 1] = sign * ux, sign * uy
@@ -148,7 +148,7 @@ def _distance_row(
                 rates[0, d] -= (now - paths[0, owner, d]) / h
                 rates[1, d] -= (paths[2, owner, d] - now) / h
             continue
-        x, y = carried(mid.places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+        x, y = to_world(mid.places[b], joints.at[j, side, 0], joints.at[j, side, 1])
         rx, ry = x - mid.places[b, 0], y - mid.places[b, 1]
         ends[side, 0], ends[side, 1], arms[side, 0], arms[side, 1] = x, y, rx, ry
         for k, bodies in ((0, mid.old), (1, mid.loose)):
@@ -204,10 +204,10 @@ def _bounded(
     """
     nearing = -active.before[m, 0]
     slow = SLOW * max(abs(active.free[m, 0] - active.before[m, 0]), fall)
-    closing, reached = h * (slow - active.free[m, 0] + bend), (0.5 + BESIDE) * h * nearing
+    closing, reached = h * (slow - active.free[m, 0] + bend), (0.5 + TIME_MARGIN) * h * nearing
     role, level, above = arriving(gap, level, lasting, nearing, slow, closing, reached, 0.0)
-    active.memory[m, 0], active.memory[m, 1] = level, max(above, 0.0)
-    active.memory[m, 3] = above
+    active.levels[m, 0], active.levels[m, 1] = level, max(above, 0.0)
+    active.levels[m, 3] = above
     active.hit[m] = role == HIT
     active.wanted[m, 0] = _OFF
     if role == LASTING:
@@ -220,8 +220,8 @@ def _bounded(
 
 @kernel
 def _other_row(
-    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, memory: Memory, place: int, h: float,
-    fall: float, m: int, active: ActiveContacts,
+    joints: JointNumbers, j: int, mid: Midpoint, paths: Array, warm: WarmStart, place: int,
+    h: float, fall: float, m: int, active: ActiveContacts,
 ) -> float:  # fmt: skip
     """Write the row of a distance or an angle as contact m; see `_joint_rows`."""
     holds, bend = joints.holds[j], 0.0
@@ -233,7 +233,7 @@ def _other_row(
         gap, bend = _distance_row(joints, j, mid, paths, h, m, active)
     else:
         gap = _angle_row(joints, j, mid, m, active)
-    past, closing = memory.past[0], active.closing[m]
+    past, closing = warm.past[0], active.closing[m]
     if past > 0.0:
         _leave_open(gap, 0, h, past, closing)
     gap -= closing[0, 0]
@@ -243,15 +243,15 @@ def _other_row(
             closing[0, 0], gap = gap, 0.0
         active.wanted[m, 0] = gap / h - bend
     else:
-        lasting = place >= 0 and memory.contacts[place, 1] == 1.0
-        level = memory.contacts[place, 0] if place >= 0 else 0.0
+        lasting = place >= 0 and warm.contacts[place, 1] == 1.0
+        level = warm.contacts[place, 0] if place >= 0 else 0.0
         _bounded(gap, bend, lasting, level, h, joints.sizes[j, 1], fall, m, active)
     return _path_bend(paths, joints.owners[j]) / h
 
 
 @kernel
 def add_joints(
-    numbers: BodyNumbers, places: Array, memory: Memory, mid: Midpoint, h: float, count: int,
+    numbers: BodyNumbers, places: Array, warm: WarmStart, mid: Midpoint, h: float, count: int,
     active: ActiveContacts,
 ) -> int:  # fmt: skip
     """Append the joints to the contacts of a step; return how many there are in all.
@@ -267,7 +267,7 @@ def add_joints(
     """
     joints, pieces = numbers.joints, len(numbers.pieces.sizes)
     first, at_old, m = pieces * (pieces + len(numbers.surfaces.kinds)), 0, count
-    past, fall = memory.past[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
+    past, fall = warm.past[0], math.hypot(numbers.gravity[0], numbers.gravity[1]) * h
     for j in range(len(joints.holds)):
         b = joints.bodies[j, 0]
         active.bodies[m, 0], active.bodies[m, 1] = b, joints.bodies[j, 1]
@@ -279,18 +279,18 @@ def add_joints(
         active.laws[m], active.ways[m] = -1, 0
         active.yields[m], active.twins[m] = 0.0, 0
         active.hit[m] = False
-        while at_old < memory.many[0] and memory.keys[at_old, 0] < first + j:
+        while at_old < warm.n_contacts[0] and warm.keys[at_old, 0] < first + j:
             at_old += 1
-        _, _, place = warm_start(memory, at_old, first + j, 0, h, m, active)
-        if place >= 0 and memory.contacts[place, 9] == 0.0:
+        _, _, place = restore_impulses(warm, at_old, first + j, 0, h, m, active)
+        if place >= 0 and warm.contacts[place, 9] == 0.0:
             # It was off.
             place = -1
         for d in range(2):
-            active.closing[m, 0, d] = memory.contacts[place, 4 + d] if place >= 0 else 0.0
-            active.closing[m, 1, d] = memory.contacts[place, 6 + d] if place >= 0 else 0.0
-        active.memory[m, 0] = active.memory[m, 1] = 0.0
+            active.closing[m, 0, d] = warm.contacts[place, 4 + d] if place >= 0 else 0.0
+            active.closing[m, 1, d] = warm.contacts[place, 6 + d] if place >= 0 else 0.0
+        active.levels[m, 0] = active.levels[m, 1] = 0.0
         if joints.holds[j] >= ROD:
-            pull = _other_row(joints, j, mid, places, memory, place, h, fall, m, active)
+            pull = _other_row(joints, j, mid, places, warm, place, h, fall, m, active)
         else:
             pull = _joint_rows(joints, j, mid, places, h, past, m, active)
             if place < 0 and past > 0.0:
@@ -323,7 +323,7 @@ def bent_on(
     if joints.holds[j] >= ROD:
         return 0.0, 0.0
     b = joints.bodies[j, side]
-    x, y = carried(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
+    x, y = to_world(places[b], joints.at[j, side, 0], joints.at[j, side, 1])
     rx, ry = x - places[b, 0], y - places[b, 1]
     across = d == 1 or joints.holds[j] == ALONG_Y
     further = _bent(rx, ry, across, turn) - _bent(rx, ry, across, than)
@@ -331,7 +331,7 @@ def bent_on(
 
 
 @kernel
-def held(joints: JointNumbers, one: int, other: int) -> bool:
+def is_joined(joints: JointNumbers, one: int, other: int) -> bool:
     """Return whether a joint holds two bodies together, which then do not touch."""
     for j in range(len(joints.holds)):
         a, b = joints.bodies[j]

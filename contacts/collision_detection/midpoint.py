@@ -1,4 +1,4 @@
-"""Bodies in the middle of a step: where they are, what moves them, how far they reach.
+"""Midpoint configuration of a step: positions, forces and reach of bodies.
 
 Bodies that coordinates q place have poses p(q) and rates G q' with G = dp/dq; forces F on them give
 M(q) q'' = f(q, q') + G^T F. In rates (b + k, 3) of all bodies those of the coordinates stand in the
@@ -40,20 +40,20 @@ class Prescribed(NamedTuple):
     frames: Array  # shape (k + 2, s, 3)
     places: Array  # shape (k + 2, j, 2)
     poses: Array  # (k + 2, l, 3): led bodies, then.
-    memories: Array  # (k + 2, w): what controllers remember then.
+    controller_states: Array  # (k + 2, w): variables of controllers then.
     forces: ForceProgram
 
     def after(self, count: int) -> Prescribed:
-        """Return what acts after so many steps."""
+        """Return the prescribed motion after so many steps."""
         return self._replace(
             frames=self.frames[count:],
             places=self.places[count:],
             poses=self.poses[count:],
-            memories=self.memories[count:],
+            controller_states=self.controller_states[count:],
         )
 
 
-TOUCHING = 1e-12
+TOUCH_TOLERANCE = 1e-12
 """Bodies this near, in parts of the size of the smaller one, touch: where they are is rounded."""
 
 
@@ -251,7 +251,7 @@ def move_to_midpoint(
             if b >= free:
                 next_speed = norm(loose[b, 0], loose[b, 1]) + pieces.spans[p] * abs(loose[b, 2])
                 speed = max(speed, next_speed)
-            reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCHING * pieces.sizes[p]
+            reach[p] = max(2.0 * h, 0.5 * (h + past)) * speed + TOUCH_TOLERANCE * pieces.sizes[p]
         gaps[b], pull[b] = math.inf, _pull(numbers, mid, b) if free <= b < count else sped
 
 

@@ -20,7 +20,7 @@ LINE, PLATE, ROUND, HOLLOW, GRAPH = range(5)
 around a disc, what is below a function."""
 
 # Pieces in which the nearest points of a graph are looked for, and steps to each.
-_PIECES, _STEPS = 16, 40
+_INTERVALS, _STEPS = 16, 40
 # A crest this close to the end of an edge, relative to its length, is the corner there.
 _SAME_NORMAL = 1e-3
 
@@ -49,7 +49,7 @@ def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) 
     kind = surfaces.kinds[s]
     if kind == GRAPH:
         return -math.inf
-    x, y = seen_from(pose, x, y)
+    x, y = to_frame(pose, x, y)
     a, b, c, d = surfaces.numbers[s]
     if kind == LINE:
         return c * (x - a) + d * (y - b)
@@ -62,7 +62,7 @@ def distance(surfaces: SurfaceNumbers, s: int, pose: Array, x: float, y: float) 
 
 
 @kernel
-def seen_from(pose: Array, x: float, y: float) -> tuple[float, float]:
+def to_frame(pose: Array, x: float, y: float) -> tuple[float, float]:
     """Return a point of the world in a frame (x, y, angle)."""
     dx, dy = x - pose[0], y - pose[1]
     if pose[2] == 0.0:
@@ -72,14 +72,14 @@ def seen_from(pose: Array, x: float, y: float) -> tuple[float, float]:
 
 
 @kernel
-def carried(pose: Array, x: float, y: float) -> tuple[float, float]:
+def to_world(pose: Array, x: float, y: float) -> tuple[float, float]:
     """Return a point of a frame (x, y, angle) in the world."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return pose[0] + c * x - s * y, pose[1] + s * x + c * y
 
 
 @kernel
-def crossed(
+def crossing_time(
     surfaces: SurfaceNumbers, s: int, before: tuple[float, float], after: tuple[float, float],
     core: float,
 ) -> float:  # fmt: skip
@@ -136,9 +136,9 @@ def against_surface(
     middle, corners = centre, body
     if moved:
         middle, corners = np.empty(2), np.empty_like(body)
-        middle[0], middle[1] = seen_from(pose, centre[0], centre[1])
+        middle[0], middle[1] = to_frame(pose, centre[0], centre[1])
         for i in range(len(body)):
-            corners[i, 0], corners[i, 1] = seen_from(pose, body[i, 0], body[i, 1])
+            corners[i, 0], corners[i, 1] = to_frame(pose, body[i, 0], body[i, 1])
     kind = surfaces.kinds[s]
     a, b, c, d = surfaces.numbers[s]
     if kind in (PLATE, ROUND):
@@ -181,8 +181,8 @@ def against_surface(
                 count += 1
     if moved:
         for i in range(count):
-            x, y = carried(pose, found[i, 2], found[i, 3])
-            nx, ny = carried(pose, found[i, 0], found[i, 1])
+            x, y = to_world(pose, found[i, 2], found[i, 3])
+            nx, ny = to_world(pose, found[i, 0], found[i, 1])
             write_contact(found[i], nx - pose[0], ny - pose[1], x, y, found[i, 4])
     return count
 
@@ -200,7 +200,7 @@ def tangent_at(
     surfaces: SurfaceNumbers, s: int, pose: Array, registers: tuple[int, Array], x: float, y: float
 ) -> tuple[float, float, float, float]:
     """Return a point of the boundary of a surface that is no plate, near x, y, and its normal."""
-    u, v = seen_from(pose, x, y)
+    u, v = to_frame(pose, x, y)
     a, b, c, d = surfaces.numbers[s]
     kind = surfaces.kinds[s]
     if kind == GRAPH:
@@ -214,13 +214,13 @@ def tangent_at(
         away, side = norm(u - a, v - b), 1.0 if kind == ROUND else -1.0
         nx, ny = ((u - a) / away, (v - b) / away) if away > 0.0 else (0.0, 1.0)
         a, b, c, d = a + c * nx, b + c * ny, side * nx, side * ny
-    x, y = carried(pose, a, b)
-    nx, ny = carried(pose, c, d)
+    x, y = to_world(pose, a, b)
+    nx, ny = to_world(pose, c, d)
     return x, y, nx - pose[0], ny - pose[1]
 
 
 @kernel
-def _beside_disc(
+def _distance_to_disc(
     surfaces: SurfaceNumbers, s: int, registers: tuple[int, Array], x: float, middle: Array
 ) -> tuple[float, float, float, float]:
     """Return height and slope at x, half the rate of the squared distance, and its rate."""
@@ -233,7 +233,7 @@ def _beside_disc(
 
 
 @kernel
-def _between_steps(low: float, high: float, x: float, rate: float, steeper: float) -> float:
+def _newton_step(low: float, high: float, x: float, rate: float, steeper: float) -> float:
     """Return Newton's next x, or the middle of a bracket where that leaves it."""
     following = x - rate / steeper if steeper > 0.0 else math.inf
     return following if low < following < high else 0.5 * (low + high)
@@ -246,32 +246,32 @@ def _disc_on_graph(
 ) -> int:  # fmt: skip
     """Find the points of a graph that are nearest to a disc: local minima of the distance."""
     numbers = registers[1]
-    reach, away = radius + within, np.empty(_PIECES + 1)
-    for j in range(_PIECES + 1):
-        numbers[0, j] = middle[0] + reach * (2.0 * j / _PIECES - 1.0)
-    at = _at(surfaces, s, registers, _PIECES + 1)
-    for j in range(_PIECES + 1):
-        x, y = reach * (2.0 * j / _PIECES - 1.0), numbers[surfaces.outputs[at], j] - middle[1]
+    reach, away = radius + within, np.empty(_INTERVALS + 1)
+    for j in range(_INTERVALS + 1):
+        numbers[0, j] = middle[0] + reach * (2.0 * j / _INTERVALS - 1.0)
+    at = _at(surfaces, s, registers, _INTERVALS + 1)
+    for j in range(_INTERVALS + 1):
+        x, y = reach * (2.0 * j / _INTERVALS - 1.0), numbers[surfaces.outputs[at], j] - middle[1]
         away[j] = x * x + y * y
     count = 0
-    for j in range(1, _PIECES):
+    for j in range(1, _INTERVALS):
         if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
             continue
-        low = middle[0] + reach * (2.0 * (j - 1) / _PIECES - 1.0)
-        high = middle[0] + reach * (2.0 * (j + 1) / _PIECES - 1.0)
+        low = middle[0] + reach * (2.0 * (j - 1) / _INTERVALS - 1.0)
+        high = middle[0] + reach * (2.0 * (j + 1) / _INTERVALS - 1.0)
         x = 0.5 * (low + high)
         for _ in range(_STEPS):
-            _, _, rate, steeper = _beside_disc(surfaces, s, registers, x, middle)
+            _, _, rate, steeper = _distance_to_disc(surfaces, s, registers, x, middle)
             if rate > 0.0:
                 high = x
             else:
                 low = x
-            following = _between_steps(low, high, x, rate, steeper)
+            following = _newton_step(low, high, x, rate, steeper)
             done = abs(following - x) <= 1e-15 * reach
             x = following
             if done:
                 break
-        height, slope, _, _ = _beside_disc(surfaces, s, registers, x, middle)
+        height, slope, _, _ = _distance_to_disc(surfaces, s, registers, x, middle)
         unit = 1.0 / math.sqrt(1.0 + slope * slope)
         gap = unit * (middle[1] - height - slope * (middle[0] - x)) - radius
         if gap <= within:
@@ -307,17 +307,17 @@ def _polygon_on_graph(
             continue
         length = norm(ex, ey)
         nx, ny = ey / length, -ex / length
-        away = np.empty(_PIECES + 1)
-        for j in range(_PIECES + 1):
-            numbers[0, j] = x + ex * j / _PIECES
-        at = _at(surfaces, s, registers, _PIECES + 1)
-        for j in range(_PIECES + 1):
-            away[j] = nx * (ex * j / _PIECES) + ny * (numbers[outputs[at], j] - y)
+        away = np.empty(_INTERVALS + 1)
+        for j in range(_INTERVALS + 1):
+            numbers[0, j] = x + ex * j / _INTERVALS
+        at = _at(surfaces, s, registers, _INTERVALS + 1)
+        for j in range(_INTERVALS + 1):
+            away[j] = nx * (ex * j / _INTERVALS) + ny * (numbers[outputs[at], j] - y)
         crests = 0
-        for j in range(1, _PIECES):
+        for j in range(1, _INTERVALS):
             if not (away[j] <= away[j - 1] and away[j] < away[j + 1]) or count == len(found):
                 continue
-            low, high = x + ex * (j - 1) / _PIECES, x + ex * (j + 1) / _PIECES
+            low, high = x + ex * (j - 1) / _INTERVALS, x + ex * (j + 1) / _INTERVALS
             place = 0.5 * (low + high)
             for _ in range(_STEPS):
                 numbers[0, 0] = place
@@ -327,7 +327,7 @@ def _polygon_on_graph(
                     high = place
                 else:
                     low = place
-                following = _between_steps(low, high, place, rate, ny * numbers[outputs[at + 2], 0])
+                following = _newton_step(low, high, place, rate, ny * numbers[outputs[at + 2], 0])
                 done = abs(following - place) <= 1e-15 * length
                 place = following
                 if done:
@@ -339,7 +339,7 @@ def _polygon_on_graph(
             beside = min(place - x, x + ex - place)
             if gap <= within and beside > _SAME_NORMAL * length:
                 write_contact(found[count], -nx, -ny, place, height, gap)
-                features[count] = len(corners) + _PIECES * i + crests
+                features[count] = len(corners) + _INTERVALS * i + crests
                 count += 1
                 crests += 1
     return count

@@ -17,9 +17,9 @@ _ARRIVED = 0.01
 # The cosine of the angle by which the normal of a hit may turn from its detection to the touch.
 _ALIKE = 0.8
 # Resolution of the time of impact of turning pieces: the interval is divided by this.
-_LOOKS = 256
+_DIVISIONS = 256
 # Part of a step for which a piece that leaves by another side than it entered has crossed.
-_ELSEWHERE = 0.5
+_CROSSED_PART = 0.5
 
 
 @kernel
@@ -49,8 +49,8 @@ def nearby(velocities: Array, sizes: Array, one: int, other: int, rate: float) -
 
 
 @kernel
-def turning(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
-    """Return how fast turning brings parts of two pieces nearer, which their middles do not tell.
+def turning_speed(numbers: BodyNumbers, mid: Midpoint, one: int, other: int) -> float:
+    """Return how fast turning brings parts of two pieces nearer, beside their motion.
 
     What is round turns nothing.
     """
@@ -83,7 +83,7 @@ def _points(
 
 
 @kernel
-def _met(
+def _gap_and_cosine(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], later: float,
     normal: tuple[float, float], found: Array,
 ) -> tuple[float, float]:  # fmt: skip
@@ -104,7 +104,7 @@ def _met(
 
 
 @kernel
-def _touch(
+def _time_of_impact(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], begin: float, end: float,
     near: float, aside: Array,
 ) -> float:  # fmt: skip
@@ -119,7 +119,7 @@ def _touch(
     fastest = norm(u[0] - v[0], u[1] - v[1])
     fastest += abs(u[2]) * pieces.spans[p] + abs(v[2]) * pieces.spans[q]
     way, time = math.copysign(1.0, end - begin), begin
-    least = abs(end - begin) / _LOOKS
+    least = abs(end - begin) / _DIVISIONS
     while (end - time) * way > 0.0:
         gap = math.inf
         for k in range(_points(numbers, mid, pair, time, math.inf, aside)):
@@ -131,7 +131,7 @@ def _touch(
 
 
 @kernel
-def hits_ahead(
+def will_collide(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     gap: float, nearing: float, h: float, aside: Array,
 ) -> tuple[bool, float]:  # fmt: skip
@@ -140,14 +140,14 @@ def hits_ahead(
     Ahead of its arrival, or behind, other corners and edges of a fast body are the nearest.
     """
     later = max(gap / nearing, -h)
-    arrived, along = _met(numbers, mid, pair, later, normal, aside)
+    arrived, along = _gap_and_cosine(numbers, mid, pair, later, normal, aside)
     if gap > 0.0 and not arrived <= _ARRIVED * gap:
         return False, 0.0
-    return True, _ELSEWHERE if along < _ALIKE else 0.0
+    return True, _CROSSED_PART if along < _ALIKE else 0.0
 
 
 @kernel
-def hits_turning(
+def will_collide_turning(
     numbers: BodyNumbers,
     mid: Midpoint,
     pair: tuple[int, int],
@@ -156,7 +156,7 @@ def hits_turning(
     aside: Array,
 ) -> bool:
     """Return whether two quickly turning bodies that are apart touch before the given time."""
-    return _touch(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
+    return _time_of_impact(numbers, mid, pair, 0.0, until, _ARRIVED * gap, aside) < math.inf
 
 
 @kernel
@@ -165,18 +165,18 @@ def passing_time(
     aside: Array,
 ) -> float:  # fmt: skip
     """Return for how long pieces were so deep in each other since the last detection."""
-    left = _touch(numbers, mid, pair, 0.0, -since, -deep, aside)
+    left = _time_of_impact(numbers, mid, pair, 0.0, -since, -deep, aside)
     if not -since < left < 0.0:
         return 0.0
-    begin = _touch(numbers, mid, pair, -since, 0.0, -deep, aside)
+    begin = _time_of_impact(numbers, mid, pair, -since, 0.0, -deep, aside)
     return left - begin if -since < begin else 0.0
 
 
 @kernel
-def entered_elsewhere(
+def entered_other_side(
     numbers: BodyNumbers, mid: Midpoint, pair: tuple[int, int], normal: tuple[float, float],
     since: float, aside: Array,
 ) -> float:  # fmt: skip
     """Return for how long a body was in another that it leaves: if it came by another side."""
-    earlier, _ = _met(numbers, mid, pair, -since, normal, aside)
-    return _ELSEWHERE if earlier > 0.0 else 0.0
+    earlier, _ = _gap_and_cosine(numbers, mid, pair, -since, normal, aside)
+    return _CROSSED_PART if earlier > 0.0 else 0.0

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import memory_rates_in, values_in
+from contacts.dynamics.controllers import controller_rates_in, values_in
 from contacts.dynamics.gates import (
     FAILS,
     HOLDS,
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 # More often than this, what contacts are on and how they move do not come to agree.
 _ROUNDS = 8
 # Gradients are differences over this part of the sizes of coordinates.
-_APART = 1e-6
+_DIFFERENCE = 1e-6
 
 
 class _Condition(NamedTuple):
@@ -96,9 +96,9 @@ class Conditions:
         self.gaps = tuple("" if gate is None else gate.gap for gate in gates)
         self.nodes = tree(gates)
         self._roles = roles_in(tuple((initial if states is None else states).values()))
-        self._memory = len(mechanics.memory)
+        self._memory = len(mechanics.controller_state)
         self._moving = {*mechanics.variables}
-        memory = memory_rates_in(mechanics, known)
+        memory = controller_rates_in(mechanics, known)
         rates = {**dict(zip(mechanics.q, mechanics.v, strict=True)), **memory}
         sizes = {v: sp.Symbol(f"size_{v}", real=True) for v in mechanics.variables}
         outputs: list[sp.Expr] = []
@@ -119,7 +119,7 @@ class Conditions:
             outputs, unknowns=tuple(sizes.values()), definitions=mechanics.controlled(states)
         )
         self._derivatives = MarginDerivatives(
-            (*mechanics.variables, *mechanics.memory.values()),
+            (*mechanics.variables, *mechanics.controller_state.values()),
             mechanics.parameters.ordered,
             mechanics.time,
         )
@@ -222,7 +222,7 @@ class ConditionsAt:
         gradients = np.empty((len(here), len(state) // 2))
         for i in range(len(state) // 2):
             moved = state.copy()
-            moved[i] += _APART * max(abs(state[i]), self._setup.scales.sizes[i])
+            moved[i] += _DIFFERENCE * max(abs(state[i]), self._setup.scales.sizes[i])
             there = self._numbers(moved)[: PER_CONDITION * len(here) : PER_CONDITION]
             gradients[:, i] = (there - here) / (moved[i] - state[i])
         steep = np.linalg.norm(gradients, axis=1)
@@ -231,7 +231,7 @@ class ConditionsAt:
             found[point] = max(found[point], bands[k] / steep[k])
         return [found[point] for point in points]
 
-    def kept_on(
+    def with_boundary(
         self, verdicts: Sequence[int], contacts: Collection[int], fired: Collection[str]
     ) -> list[int]:
         """Return the verdicts if the atoms of contacts hold that are zero within round-off.
@@ -263,13 +263,13 @@ class ConditionsAt:
         """
         found = self._verdicts.tolist()
         unsure = [k for k, verdict in enumerate(found) if verdict == UNSURE]
-        standing = [self._standing(k, fired, on) for k in unsure]
+        standing = [self._judge_staying(k, fired, on) for k in unsure]
         if motion is None or self._setup.modes is None or not unsure:
             for k, still in zip(unsure, standing, strict=True):
                 found[k] = still
             return found
         for k in unsure:
-            found[k] = self._standing(k, (), on)
+            found[k] = self._judge_staying(k, (), on)
 
         def ways(verdicts: Sequence[int]) -> list[float] | None:
             roles = motion([name != "" for name in self._of.first(verdicts)])
@@ -294,7 +294,7 @@ class ConditionsAt:
         signs = ways(closed)
         return found if signs is None or min(signs) < 0.0 else closed
 
-    def _standing(self, k: int, fired: Collection[str], on: Sequence[bool]) -> int:
+    def _judge_staying(self, k: int, fired: Collection[str], on: Sequence[bool]) -> int:
         """Judge an atom that stays on its boundary as far as its derivatives tell."""
         one = self._of._conditions[k]
         if one.atom.name in fired:

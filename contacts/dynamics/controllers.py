@@ -77,7 +77,7 @@ def controller(name: str, flat: FlatRegion, mechanics: Mechanics) -> Region:
 
 def _flows(mechanics: Mechanics, region: str, state: str) -> dict[sp.Symbol, sp.Expr]:
     """Return what a state of a controller sets rates of its variables to."""
-    rates = mechanics.memory_rates
+    rates = mechanics.controller_rates
     flows = mechanics.scene.controlled.flows(region, state)
     return {rates[v]: parse(text).to_sympy(mechanics.known) for v, text in flows.items()}
 
@@ -87,34 +87,37 @@ def flows_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[sp.Expr]:
     found: dict[sp.Symbol, sp.Expr] = {}
     for name, state in states.items():
         found |= _flows(mechanics, name, state)
-    return [found.get(rate, sp.S.Zero) for rate in mechanics.memory_rates.values()]
+    return [found.get(rate, sp.S.Zero) for rate in mechanics.controller_rates.values()]
 
 
-def given(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
-    """Return what states of controllers give values: controls, and rates of what is remembered."""
-    return (*mechanics.controls, *(rate for rate in mechanics.memory_rates.values() if rate != 0))
+def controlled_symbols(mechanics: Mechanics) -> tuple[sp.Symbol, ...]:
+    """Return the symbols that states of controllers set: controls, and rates of variables."""
+    return (
+        *mechanics.controls,
+        *(rate for rate in mechanics.controller_rates.values() if rate != 0),
+    )
 
 
-def given_in(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
-    """Return the values of what is `given` in these states, each after those that it uses."""
-    flows = zip(mechanics.memory_rates.values(), flows_in(mechanics, states), strict=True)
+def control_values(mechanics: Mechanics, states: Mapping[str, str]) -> list[Definition]:
+    """Return the values of `controlled_symbols` in these states, each after those that it uses."""
+    flows = zip(mechanics.controller_rates.values(), flows_in(mechanics, states), strict=True)
     return [*mechanics.controlled(states), *((rate, flow) for rate, flow in flows if rate != 0)]
 
 
 def values_in(mechanics: Mechanics, states: Mapping[str, str]) -> dict[sp.Symbol, sp.Expr]:
-    """Return the values of what is `given` in these states, without symbols of each other."""
+    """Return the values of `controlled_symbols` in these states, without symbols of each other."""
     found: dict[sp.Symbol, sp.Expr] = {}
-    for symbol, value in given_in(mechanics, states):
+    for symbol, value in control_values(mechanics, states):
         found[symbol] = value.xreplace(found)
     return found
 
 
-def memory_rates_in(
+def controller_rates_in(
     mechanics: Mechanics, known: Mapping[sp.Symbol, sp.Expr]
 ) -> dict[sp.Symbol, sp.Expr]:
     """Return the rates of what controllers remember, with the values of `values_in`."""
-    rates = mechanics.memory_rates
-    return {mechanics.memory[name]: rate.xreplace(known) for name, rate in rates.items()}
+    rates = mechanics.controller_rates
+    return {mechanics.controller_state[name]: rate.xreplace(known) for name, rate in rates.items()}
 
 
 class Controllers:
@@ -155,7 +158,7 @@ class ControlGuards:
         made: Callable[[int, FlatRegion, str], list[Guard]],
     ) -> None:
         known = values_in(mechanics, states)
-        memory = memory_rates_in(mechanics, known)
+        memory = controller_rates_in(mechanics, known)
         watched: list[Guard] = []
         for place, (name, region) in enumerate(mechanics.scene.controlled.flat.items()):
             watched += made(place, region, states[name])
@@ -175,7 +178,9 @@ class ControlGuards:
             inputs=(*mechanics.variables, *memory, *mechanics.a, *forces, unknown),
             parameters=mechanics.parameters.ordered,
             time=mechanics.time,
-            timers=[mechanics.memory[timer] for timer in mechanics.scene.controlled.timers],
+            timers=[
+                mechanics.controller_state[timer] for timer in mechanics.scene.controlled.timers
+            ],
             given=known,
         )
         self._unsolved = np.full(len(mechanics.a) + len(forces), np.nan)
@@ -207,7 +212,7 @@ class ControllerState:
 
     def __init__(self, mechanics: Mechanics) -> None:
         self._mechanics = mechanics
-        self._names = tuple(mechanics.memory)
+        self._names = tuple(mechanics.controller_state)
         self._size = len(mechanics.variables)
         self._updates: dict[tuple[tuple[tuple[str, object], ...], ...], Tape] = {}
 
@@ -250,7 +255,7 @@ class ControllerState:
         tape = self._updates.get(key)
         if tape is None:
             mechanics = self._mechanics
-            values = values_after(blocks, mechanics.memory, mechanics.known)
+            values = values_after(blocks, mechanics.controller_state, mechanics.known)
             tape = self._updates[key] = mechanics.whole_tape(values)
         remembered = tape.at(state, setup.values, clock.high)
         check_updated(cause, self._names, remembered)

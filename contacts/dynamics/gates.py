@@ -34,7 +34,7 @@ PER_CONDITION = 4
 """Numbers of a condition: its margin, the first derivative in time, the sizes of their terms."""
 # At a multiple zero the terms vanish with f: they are looked at this far beside it, a power of the
 # relative round-off, so that what rounds to zero there does not.
-_BESIDE = 0.75
+_OFFSET_POWER = 0.75
 # Added to a margin by steps: a zero then counts as its relation says.
 _TIE = 1e-300
 
@@ -274,7 +274,7 @@ def conditions_at(
     for i in range(n):
         both[i], both[n + i] = state[i], max(abs(state[i]), sizes[i])
     tape_values(code, constants, outputs, both, parameters, time, found)
-    moved = relative**_BESIDE
+    moved = relative**_OFFSET_POWER
     for i in range(n):
         both[i] += moved * both[n + i]
     later = time + moved * max(abs(time), sizes[n])

@@ -38,8 +38,8 @@ from statechart.formulas.tape import Tape
 from statechart.formulas.writer import compile_tape
 
 
-class _Surroundings(NamedTuple):
-    """A surface as a point sees it."""
+class _SurfaceGeometry(NamedTuple):
+    """Geometry of a surface near a point."""
 
     # `function`, `gap`, `gap_rate`: What is zero on the surface; the distance, and its derivative
     # in time
@@ -65,8 +65,10 @@ class Mechanics(Geometry):
         controls = {n: sp.Symbol(f"c{i}", real=True) for i, n in enumerate(controlled.order)}
         # Contacts see what controllers remember as they see parameters: as numbers that do not
         # change while an instant is judged.
-        self.memory = {n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.memory)}
-        super().__init__(scene, {**symbols, **controls, **self.memory})
+        self.controller_state = {
+            n: sp.Symbol(f"w{i}", real=True) for i, n in enumerate(controlled.controller_state)
+        }
+        super().__init__(scene, {**symbols, **controls, **self.controller_state})
         self.parameters = given
         self.forces = {
             name: (sp.Symbol(f"V{i}", real=True), sp.Symbol(f"H{i}", real=True))
@@ -103,14 +105,14 @@ class Mechanics(Geometry):
         }
         # Rates and accelerations of what paths of surfaces use of the memory.
         self._led = {
-            name: (sp.Symbol(f"rate_{self.memory[name]}", real=True),
-                   sp.Symbol(f"acceleration_{self.memory[name]}", real=True))
-            for name in self.memory if name in scene.leading
+            name: (sp.Symbol(f"rate_{self.controller_state[name]}", real=True),
+                   sp.Symbol(f"acceleration_{self.controller_state[name]}", real=True))
+            for name in self.controller_state if name in scene.leading
         }  # fmt: skip
         self.carried = tuple(
             pair
             for name, (rate, acceleration) in self._led.items()
-            for pair in ((self.memory[name], rate), (rate, acceleration))
+            for pair in ((self.controller_state[name], rate), (rate, acceleration))
         )
         # Symbols that states of controllers set, each after those that its values use: coefficients
         # of contacts, the scene's controls, and how they move surfaces.
@@ -145,7 +147,7 @@ class Mechanics(Geometry):
         What controllers remember stands before the parameters; in the `whole` state, behind the
         rates.
         """
-        memory, parameters = tuple(self.memory.values()), self.parameters.ordered
+        memory, parameters = tuple(self.controller_state.values()), self.parameters.ordered
         return compile_tape(
             outputs,
             variables=(*self.variables, *(memory if whole else ()), *unknowns),
@@ -188,12 +190,12 @@ class Mechanics(Geometry):
         return sp.Add(*kinetic, *potential)
 
     @cached_property
-    def memory_rates(self) -> dict[str, sp.Expr]:
-        """Rates of what controllers remember: symbols that states set, or 0."""
+    def controller_rates(self) -> dict[str, sp.Expr]:
+        """Rates of the variables of controllers: symbols that states set, or 0."""
         flowing = self._controls.flowing
         return {
             name: sp.Symbol(f"d{symbol}", real=True) if name in flowing else sp.S.Zero
-            for name, symbol in self.memory.items()
+            for name, symbol in self.controller_state.items()
         }
 
     @cached_property
@@ -207,8 +209,8 @@ class Mechanics(Geometry):
             (x, y), angle = self.body_frame(name)
             for part, place in (("x", x), ("y", y), ("angle", angle)):
                 remembered = (
-                    sp.diff(place, symbol) * self.memory_rates[key]
-                    for key, symbol in self.memory.items()
+                    sp.diff(place, symbol) * self.controller_rates[key]
+                    for key, symbol in self.controller_state.items()
                     if symbol in place.free_symbols
                 )
                 found[f"{name}.{part}"] = place
@@ -560,8 +562,10 @@ class Mechanics(Geometry):
             point[1] - y0 - s * along - c * across,
         ), anchors
 
-    def _surroundings(self, surface: Surface, radius: sp.Expr, centre: Vector) -> _Surroundings:
-        """Return how a surface is seen from a point, at a radius from it."""
+    def _surface_geometry(
+        self, surface: Surface, radius: sp.Expr, centre: Vector
+    ) -> _SurfaceGeometry:
+        """Return the geometry of a surface near a point, at a radius from it."""
         # The surface is differentiated in its own coordinates and the point in those of its body:
         # both are short, where gap(q) and its second derivative are long.
         own = sp.Dummy("x", real=True), sp.Dummy("y", real=True)
@@ -583,7 +587,7 @@ class Mechanics(Geometry):
             return sp.Add(*(times(r, rates) * rate for r, rate in zip(rows, rates, strict=True)))
 
         unit = factor.xreplace(here)
-        return _Surroundings(
+        return _SurfaceGeometry(
             function.xreplace(here),
             unit * function.xreplace(here),
             unit * times(gradient, rates),
@@ -623,7 +627,7 @@ class Mechanics(Geometry):
             pads[self.pads[name]] = sp.S.One
         return (*normal, *pads), (*along, *self._no_pads)
 
-    def _compliance(self, contact: Contact, around: _Surroundings) -> sp.Expr | None:
+    def _compliance(self, contact: Contact, around: _SurfaceGeometry) -> sp.Expr | None:
         """Return the normal force of a compliant contact that is closed."""
         if contact.stiffness is None:
             return None
@@ -699,7 +703,7 @@ class Mechanics(Geometry):
             return self._stop(name, contact, surface)
         x, y = centre = self._in_frame(surface, self.point(contact.point))
         rim = self._rim(contact)
-        around = self._surroundings(surface, rim.radius, centre)
+        around = self._surface_geometry(surface, rim.radius, centre)
         normal, rates, drifts = around.normal, around.rates, around.drifts
         tangent = (normal[1], -normal[0])
         jacobian = list(

@@ -31,7 +31,7 @@ HELD_FORCE = "scene.held_force"
 """Parameters ``scene.held_force0`` of scenes that switch: see `contacts.dynamics.held_forces`."""
 MASS_UNIT = "scene.mass_unit"
 """Parameter of scenes with extreme masses: the power of two that modes are solved in, or 0."""
-ORDINARY = 1e-40, 1e40
+MAGNITUDES = 1e-40, 1e40
 """Masses (kg) of which determinants, with products of five and of lengths, are floats."""
 
 
@@ -121,7 +121,7 @@ def scene_parameters(scene: Scene) -> Parameters:
             found |= {f"{HELD_FORCE}{i}": sp.S.Zero for i in range(len(scene.variables))}
         values = scene.values({})
         masses = [parse(body.mass).value(values) for body in scene.bodies.values()]
-        if masses and not ORDINARY[0] <= min(masses) <= max(masses) <= ORDINARY[1]:
+        if masses and not MAGNITUDES[0] <= min(masses) <= max(masses) <= MAGNITUDES[1]:
             # Set from the scales of a run, see `contacts.dynamics.scales.mass_unit`.
             found[MASS_UNIT] = sp.S.Zero
         return found
@@ -136,7 +136,7 @@ def body_parameters(scene: Scene) -> Parameters:
     """
 
     def remembered(known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
-        return [parse(text).to_sympy(known) for text in scene.controlled.memory.values()]
+        return [parse(text).to_sympy(known) for text in scene.controlled.controller_state.values()]
 
     return Parameters(scene.parameters, partial(_derived, scene), remembered)
 
@@ -188,7 +188,7 @@ def _initial(scene: Scene, known: Mapping[str, sp.Symbol]) -> list[sp.Expr]:
         for name in body.coordinates:
             positions.append(parse(body.start.get(name, 0)).to_sympy(known))  # type: ignore[call-overload]
             rates.append(parse(body.start.get(f"d{name}", 0)).to_sympy(known))  # type: ignore[call-overload]
-    memory = [parse(text).to_sympy(known) for text in scene.controlled.memory.values()]
+    memory = [parse(text).to_sympy(known) for text in scene.controlled.controller_state.values()]
     return [*positions, *rates, *memory, *(_lever(scene, name, known) for name in scene.bodies)]
 
 

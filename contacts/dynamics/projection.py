@@ -29,7 +29,7 @@ CREEP = 2e-3
 _FREE = (0.0,) * 5
 # A step farther off a surface than this part of the scene's length counts as blind. Enclosures
 # as narrow as the gap's tolerance would take 1e5 boxes a step.
-UNSEEN = 1e-4
+BLIND_GAP = 1e-4
 # A residual that projection cannot reduce is round-off up to so many times a last bit's effect.
 _ROUNDINGS = 64.0
 # That effect is measured by a shift of so small a part of every number.
@@ -61,7 +61,7 @@ class Projection:
         self.tape = mechanics.tape(outputs, definitions=[*states.items()])
         # Of the state with what controllers remember in it.
         self._whole = self.tape
-        if mechanics.memory:
+        if mechanics.controller_state:
             self._whole = mechanics.whole_tape(outputs, definitions=[*states.items()])
         self._gaps = tuple(outputs[: 5 * len(mechanics.scene.frictional) : 5])
         self._soft = tuple(name in mechanics.pads for name in mechanics.scene.frictional)
@@ -131,8 +131,10 @@ class Projection:
             return projected
 
         # At a loose tolerance a state may be off that far without being projected.
-        room = max(UNSEEN * scales.length, tolerances["gap"])
-        constraints = Constraints(self.tape, targets, weights, project, self.unseen(flow), room)
+        room = max(BLIND_GAP * scales.length, tolerances["gap"])
+        constraints = Constraints(
+            self.tape, targets, weights, project, self.passed_over(flow), room
+        )
         return constraints._replace(tape=self._whole)
 
     def _rounding(self, state: Array, values: Array, time: float) -> Array:
@@ -145,7 +147,7 @@ class Projection:
         moves = np.abs(np.array(rows[1:]) - rows[0]).sum(axis=0)
         return (EPS / _SHIFT) * moves[5 * len(self._gaps) :].reshape(-1, 2)
 
-    def unseen(self, flow: Key) -> Tape | None:
+    def passed_over(self, flow: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen.
 
         Curved surfaces alone can be flat where a step begins and not where it ends.

@@ -46,7 +46,7 @@ class SceneSetup(Setup):
         return TIE * self.tolerances["force"] / self.scales.force
 
     @property
-    def doubtful(self) -> float:
+    def force_uncertainty(self) -> float:
         """Forces no nearer to a bound, in the scales, are on that side of it for sure."""
         return self.capture / self.scales.speed
 
@@ -56,6 +56,6 @@ def tolerated(relative: float) -> tuple[float, float, float]:
     return max(10.0 * relative, ROUNDING), max(10.0 * relative, 10.0 * ROUNDING), FORCE_BAND
 
 
-def doubtful(relative: float) -> float:
+def force_uncertainty(relative: float) -> float:
     """Return what errors that are magnified stay below, in the scales: the root of a tolerance."""
     return math.sqrt(max(relative, ROUNDING))

@@ -18,7 +18,14 @@ from contacts.dynamics.contact_law import ContactLaw
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import GAP_OFFSET, MASS_UNIT
 from contacts.dynamics.scales import Scales, ScaleTape, horizon, mass_unit, measure
-from contacts.dynamics.setup import HOLD_PART, ROUNDING, SHORT, SceneSetup, doubtful, tolerated
+from contacts.dynamics.setup import (
+    HOLD_PART,
+    ROUNDING,
+    SHORT,
+    SceneSetup,
+    force_uncertainty,
+    tolerated,
+)
 from contacts.scene.checks import check_finite, check_physical, limits
 from contacts.scene.couplings import Rolling, coupling_states
 from contacts.scene.lint import lint
@@ -54,7 +61,7 @@ class SceneNumbers:
         scene = mechanics.scene
         self.scene = scene
         self.parameters = mechanics.parameters
-        self._remembered = len(mechanics.memory)
+        self._remembered = len(mechanics.controller_state)
         # Parameter -> its place among the values.
         self.places = {name: i for i, name in enumerate(mechanics.parameters.names)}
         offsets = [self.places.get(f"{name}.{GAP_OFFSET}", -1) for name in mechanics.scene.contacts]
@@ -162,7 +169,7 @@ class SceneNumbers:
             horizon=LOOK_AHEAD * scales.length / scales.speed,
             scales=scales,
             contacts=self.contacts(values),
-            capture=doubtful(relative) * scales.speed,
+            capture=force_uncertainty(relative) * scales.speed,
             bands={
                 n: ROUNDING * abs(v) if math.isfinite(v) else 0.0
                 for n, v in zip(self.stops, margins, strict=True)

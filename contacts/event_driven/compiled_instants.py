@@ -47,7 +47,7 @@ from statechart.kernels.copies import put
 from statechart.kernels.jit import kernel
 
 # Contacts within this many tolerances of gaps may meet in a corner.
-_BESIDE = 16.0
+_CORNER_GAPS = 16.0
 TOUCHDOWN, LIFTOFF, STICK, SLIP, REVERSE, ENABLE, DISABLE = range(7)
 """Causes of changes of a contact's state, see `contacts.states.cause_of`."""
 CAUSES = ("touchdown", "liftoff", "stick", "slip", "reverse", "enable", "disable")
@@ -78,7 +78,7 @@ class SceneWatch(NamedTuple):
     gap: float
     speed: float
     tie: float
-    doubtful: float
+    force_uncertainty: float
     force: float
     acceleration: float
     short: float
@@ -92,7 +92,7 @@ class RunState(NamedTuple):
     place: Ints  # (6,): see `statechart.execution.compiled_loop.N_MODE`.
     state: Array  # shape (n,)
     series: Array  # (7 c, ..): of jumps (see `statechart.kernels.accumulation`).
-    kept: Ints  # (c,): state of every contact.
+    states: Ints  # (c,): state of every contact.
 
 
 @kernel
@@ -100,7 +100,7 @@ def rules_of(scene: SceneWatch) -> ModeRules:
     """Return what of a scene decides the modes of its contacts."""
     return ModeRules(
         scene.allowed, scene.cones, scene.near, scene.creep, scene.gap, scene.speed, scene.tie,
-        scene.doubtful, scene.force, scene.acceleration,
+        scene.force_uncertainty, scene.force, scene.acceleration,
     )  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def hit(
     code of its path, or of the states of several (`strike_group`); and these several, a bit each, 0
     where it is alone.
     """
-    state, kept = run.state, run.kept
+    state, kept = run.state, run.states
     n, contacts = state.shape[0] // 2, kept.shape[0]
     at = n * n + n + 1
     scalars = at + (2 * n + 2) * contacts
@@ -305,7 +305,7 @@ def switched(
         unsure = unsure or (found[i] != FAILS and (found[i] == UNSURE or nowhere))
         if place < 0 and taken[c] != kept[c]:
             place = c
-        close = abs(gap) <= _BESIDE * scene.gap
+        close = abs(gap) <= _CORNER_GAPS * scene.gap
         stays = stays or (close and taken[c] != OFF_CODE)
         leaves = leaves or (close and taken[c] == OFF_CODE and kept[c] != OFF_CODE)
         beside = beside or (close and taken[c] == OFF_CODE and kept[c] == OFF_CODE)
@@ -380,7 +380,7 @@ def instant(
     since the last instant. Returns what the loop does; `GOES_ON` where that can, with what is asked
     next in `place`, and in the place of the margin `fired`, if the mode goes on, else 0.
     """
-    now, place, state, kept = run.now, run.place, run.state, run.kept
+    now, place, state, kept = run.now, run.place, run.state, run.states
     contacts, n = kept.shape[0], state.shape[0] // 2
     high, mode = now[runs.T_HIGH], place[runs.N_MODE]
     numbers, taken = np.empty(scene.numbers[5]), np.empty(contacts, np.int64)
@@ -418,7 +418,7 @@ def instant(
         struck, path, group = hit(program, watch, scene, run, numbers, impulse, taken)
     target = row_of(program, taken) if found or struck >= 0 else -1
     if target == mode and struck < 0 and margin < 0:
-        place[runs.N_ASKED] = 0
+        place[runs.N_RETRY] = 0
         return GOES_ON, 0, 0.0
     if target == mode and struck < 0 and flowed and fired != 0:
         # The gates hold or fail as before: other conditions decide that from here on.
@@ -426,7 +426,7 @@ def instant(
         count = (scene.slots.shape[0] - contacts) // 2
         slot = scene.slots[fired - 1 if fired > 0 else count - fired - 1]
         if watch.bands[slot] == math.inf:
-            place[runs.N_ASKED] = 0
+            place[runs.N_RETRY] = 0
             return GOES_ON, fired, 0.0
     if target < 0 or (target == mode and struck < 0):
         put(before, state)
@@ -446,7 +446,7 @@ def instant(
     place[runs.N_MODE] = target
     place[runs.N_JUMPS] += 1
     # After an impact the state may leave the boundary of a condition another way.
-    place[runs.N_ASKED] = 1 if switches else 2 if struck >= 0 and boundary else 0
+    place[runs.N_RETRY] = 1 if switches else 2 if struck >= 0 and boundary else 0
     now[runs.T_SINCE] = high
     row = _PER_CAUSE * struck + TOUCHDOWN
     if struck < 0:

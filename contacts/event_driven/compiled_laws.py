@@ -98,7 +98,7 @@ class CompiledSceneLaws:
 
     def within(self, mode: Key) -> Tape | None:
         """Return what tells that a step passed over a bump of a surface, or a dip, unseen."""
-        return self._projection.unseen(mode)
+        return self._projection.passed_over(mode)
 
     def call(self, loop: Loop, relative: float) -> SceneLoop:
         """Return calls of the loop."""
@@ -122,7 +122,7 @@ class CompiledSceneLaws:
                     impulse = {region: (event.normal, event.tangential)}
             else:
                 path = (f"plastic {', '.join(self._modes(event))}",)
-                impulse = LazyMapping(partial(self._told, "impulse", setup, event, fired))
+                impulse = LazyMapping(partial(self._explain, "impulse", setup, event, fired))
         return Jump(
             event.t,
             event.j,
@@ -135,14 +135,14 @@ class CompiledSceneLaws:
             (fired,) if fired else (),
             impulse,
             path,
-            LazyMapping(partial(self._told, "considered", setup, event, fired)),
+            LazyMapping(partial(self._explain, "considered", setup, event, fired)),
             (event.energy_before, event.energy_after),
         )
 
-    def _told(
+    def _explain(
         self, what: str, setup: Callable[[], Setup], event: RecordedEvent, fired: str
     ) -> Mapping[str, Any]:
-        """Return what few will read of a jump: the laws themselves are asked again."""
+        """Return the explanation of a jump, by the laws themselves; few users read it."""
         numbers = setup()
         assert isinstance(numbers, SceneSetup)
         if what == "considered" and (rebound := self._rebound(numbers, event)) is not None:

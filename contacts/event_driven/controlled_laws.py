@@ -53,7 +53,7 @@ class ControlledLaws:
         self._states = Controllers(mechanics)
         self._memory = ControllerState(mechanics)
         self._held = HeldForces(mechanics)
-        variables = (*mechanics.variables, *mechanics.memory.values())
+        variables = (*mechanics.variables, *mechanics.controller_state.values())
         self._derivatives = MarginDerivatives(
             variables, mechanics.parameters.ordered, mechanics.time
         )

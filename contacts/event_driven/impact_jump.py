@@ -111,7 +111,7 @@ class _Entered(NamedTuple):
     considered: Mapping[str, str] = MappingProxyType({})
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    doubted: bool = False
+    near_bound: bool = False
 
 
 def flow_in(
@@ -183,7 +183,7 @@ def impact_jump(
     told = ("" if jam is None else str(jam), struck.result.warning, *entered.warnings)
     warning = "; ".join(filter(None, told))
     flow = flow_in(setup, target, entered.roles, rest, warning, entered.settled, entered.notes)
-    flow = flow._replace(near_bound=entered.doubted)
+    flow = flow._replace(near_bound=entered.near_bound)
     # A gap that round-off of a long flight has left below its tolerance opens from there.
     below = {
         f"{law.name}.gap": -2.0 * contact.gap

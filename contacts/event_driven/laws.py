@@ -130,7 +130,7 @@ class SceneLaws:
     def begin(self, setup: Setup) -> tuple[Flow, Array]:
         """Return the first mode, checked against the declared one."""
         assert isinstance(setup, SceneSetup)
-        flow, state = self._begun(setup, setup.initial)
+        flow, state = self._initial_flow(setup, setup.initial)
         if self.conditions.present:
             _, flow = self._switching.watched(setup, state, 0.0, (None, flow))
         if self.compliance is not None:
@@ -138,8 +138,8 @@ class SceneLaws:
             flow = flow._replace(tolerances={**flow.tolerances, **own})
         return flow, state
 
-    def _begun(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
-        """Return the first flow, and where it begins."""
+    def _initial_flow(self, setup: SceneSetup, state: Array) -> tuple[Flow, Array]:
+        """Return the first flow, and its initial state."""
         check_joints(self._mechanics, self._tape, setup, _START_DEPTH)
         snapshot = self._tape.at(setup.values, state, 0.0)
         failing = self._switching.failing(setup, snapshot, state, 0.0)
@@ -218,7 +218,7 @@ class SceneLaws:
         """Give the flow the round-off of the conditions that decide there."""
         assert isinstance(at.setup, SceneSetup)
         if made is None:
-            return self._switching.kept(at, at.setup)
+            return self._switching.continued(at, at.setup)
         jump, flow = made
         state = flow.start if jump is None else jump.after
         where = at.state if state is None else state
@@ -440,7 +440,7 @@ class SceneLaws:
             return None
         took = [name in took_part for name in self._names]
         period = jump.t - jumps[since[-1]].t
-        jump, flow, beside = self._beside(setup, clock, flow, jump)
+        jump, flow, beside = self._engage_corner(setup, clock, flow, jump)
         made = self._closed_at_once(setup, clock, flow, jump, took, period, rest)
         if made is None or not beside:
             return made
@@ -448,12 +448,12 @@ class SceneLaws:
         _, flow = self._switching.watched(setup, jump.after, clock.high, made)
         return (jump, flow) if all(flow.roles[i].captured for i in beside) else None
 
-    def _beside(
+    def _engage_corner(
         self, setup: SceneSetup, clock: Clock, flow: Flow, jump: Jump
     ) -> tuple[Jump, Flow, list[int]]:
         """Engage the contacts that are off in the corner where an impact has left their point."""
         snapshot = self._tape.at(setup.values, jump.after, clock.high)
-        beside = self._switching.beside(setup, snapshot, jump.after, clock.high, flow.mode)
+        beside = self._switching.corner_contacts(setup, snapshot, jump.after, clock.high, flow.mode)
         if beside:
             mode = tuple("free" if i in beside else now for i, now in enumerate(flow.mode))
             free = roles_in(mode)
@@ -525,7 +525,7 @@ class SceneLaws:
         Where a contact takes over is known to the round-off of its condition: falling so far gives
         a point the speed that the impact takes.
         """
-        engaged, following, beside = self._beside(setup, clock, flow, jump)
+        engaged, following, beside = self._engage_corner(setup, clock, flow, jump)
         shut = [i for i, now in enumerate(flow.mode) if now not in OPEN]
         at = partial(self._tape.at, setup.values, time=clock.high)
         if len(beside) != 1:

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contacts.dynamics.contact_law import ContactLaw
-from contacts.dynamics.projection import CREEP, DRIFT, UNSEEN
+from contacts.dynamics.projection import BLIND_GAP, CREEP, DRIFT
 from contacts.dynamics.setup import (
     FORCE_BAND,
     HOLD_PART,
     SHORT,
     TIE,
     SceneSetup,
-    doubtful,
+    force_uncertainty,
     tolerated,
 )
 from contacts.dynamics.setup_evaluation import (
@@ -63,8 +63,8 @@ from statechart.engines.compiled_flow import (
     TAPE,
     WATCHED,
     WHOLE,
+    FlowWorkspace,
     Program,
-    Scratch,
     Watch,
     evaluate,
     flow_to_event,
@@ -109,7 +109,7 @@ class SceneBatch(NamedTuple):
     # Tolerances of gaps and speeds, and what is near a bound, in the scene's scales.
     gap: float
     speed: float
-    doubtful: float
+    force_uncertainty: float
     numbers: Numbers  # Buffer: the numbers of a run.
     series: Array  # (7 c, ..): of its jumps, for every contact and cause.
 
@@ -144,14 +144,14 @@ def _watches(
                 instants.restitution[c] = value
     return Watch(
         watch.parameters, watch.kinds, watch.bands, watch.floors, watch.off, watch.targets,
-        watch.weights, max(UNSEEN * length, gap), watch.tolerance, watch.max_step, watch.allowed,
+        watch.weights, max(BLIND_GAP * length, gap), watch.tolerance, watch.max_step, watch.allowed,
     ), SceneWatch(
         instants.numbers, instants.conditions, instants.nodes, instants.slots, instants.sizes,
         scene.gap, instants.allowed,
         instants.cones, instants.restitution, instants.meanings, instants.offsets,
-        DRIFT * gap, CREEP * slow, gap, slow, TIE * weak / force, scene.doubtful, force,
+        DRIFT * gap, CREEP * slow, gap, slow, TIE * weak / force, scene.force_uncertainty, force,
         acceleration, SHORT,
-        scene.doubtful * speed,
+        scene.force_uncertainty * speed,
     )  # fmt: skip
 
 
@@ -232,10 +232,16 @@ def _other(values: Array, zeros: Bools) -> bool:
 
 @kernel
 def _record_arc(
-    block: TraceBuffer, memory: Scratch, mode: int, j: int, steps: int, high: float, low: float
+    block: TraceBuffer,
+    workspace: FlowWorkspace,
+    mode: int,
+    j: int,
+    steps: int,
+    high: float,
+    low: float,
 ) -> None:
     """Write the steps of a flow behind the others, without terms that are zero in all of them."""
-    coeffs, used = memory.coefficients, block.used
+    coeffs, used = workspace.coefficients, block.used
     n, width = coeffs.shape[1], coeffs.shape[2]
     zero = True
     while zero and width > 1:
@@ -250,7 +256,7 @@ def _record_arc(
     block.places[arc, 0], block.places[arc, 1] = at, place
     block.starts[arc, 0], block.starts[arc, 1] = high, low
     for i in range(steps + 1):
-        block.times[at + i] = memory.times[i]
+        block.times[at + i] = workspace.times[i]
     for i in range(steps):
         for v in range(n):
             for k in range(width):
@@ -300,7 +306,7 @@ def _advance(now: Array, elapsed: float) -> None:
 def _run(
     program: Program,
     watch: Watch,
-    memory: Scratch,
+    workspace: FlowWorkspace,
     scene: SceneWatch,
     block: TraceBuffer,
     run: RunState,
@@ -311,10 +317,10 @@ def _run(
     Brings `run` and `entered` up to date. Returns why it ends, the margin that fell or the series
     that accumulates, and the time to the accumulation.
     """
-    now, place, state, kept = run.now, run.place, run.state, run.kept
+    now, place, state, kept = run.now, run.place, run.state, run.states
     contacts = kept.shape[0]
-    most = memory.coefficients.shape[0]
-    most_terms = memory.coefficients.size
+    most = workspace.coefficients.shape[0]
+    most_terms = workspace.coefficients.size
     begun_steps, begun_boxes = place[runs.N_STEPS], place[runs.N_BOXES]
     decided = 0  # by what fell as a mode went on without a jump
     while True:
@@ -343,15 +349,15 @@ def _run(
             hold_conditions(program, watch, scene, state, high, decided)
         decided = 0
         verdict, margin, steps, boxes = flow_to_event(
-            program, mode, watch, memory, state, high, duration, now[runs.T_HORIZON]
+            program, mode, watch, workspace, state, high, duration, now[runs.T_HORIZON]
         )
         if verdict == IN_VAIN:
             return runs.FLOW, -1, 0.0
         place[runs.N_STEPS] += steps
         place[runs.N_BOXES] += boxes
         if steps > 0:
-            _record_arc(block, memory, mode, place[runs.N_JUMPS], steps, high, low)
-            elapsed = memory.times[steps]
+            _record_arc(block, workspace, mode, place[runs.N_JUMPS], steps, high, low)
+            elapsed = workspace.times[steps]
             _advance(now, elapsed)
             if elapsed > 0.0:
                 now[runs.T_HORIZON] = NEXT_LOOK * max(elapsed, now[runs.T_HIGH] - now[runs.T_SINCE])
@@ -367,19 +373,19 @@ def _run(
             )
             if reason != GOES_ON:
                 return reason, row, rest
-            if place[runs.N_ASKED] == 0:
+            if place[runs.N_RETRY] == 0:
                 decided = row
                 break
             asked += 1
             margin = -1
-            fired = fired if place[runs.N_ASKED] == 1 else 0
+            fired = fired if place[runs.N_RETRY] == 1 else 0
             if asked > MOST_AT_ONCE:
                 return runs.FELL, -1, 0.0
         at_stop = stands(
             program, place[runs.N_MODE], watch.parameters, watch.floors, state, now[runs.T_HIGH]
         )
         if at_stop:
-            place[runs.N_ASKED] = 1
+            place[runs.N_RETRY] = 1
             return runs.FELL, -1, 0.0
 
 
@@ -402,7 +408,7 @@ def _no_series(series: Array) -> None:
 @kernel(interpreted=False)
 def run_batch(
     program: Program,
-    memory: Scratch,
+    workspace: FlowWorkspace,
     scene: SceneBatch,
     first_watch: Watch,
     first_instants: SceneWatch,
@@ -437,7 +443,7 @@ def run_batch(
                 continue
             _tolerances(scene, numbers.scales, first_watch.kinds)
         watch, instants = _watches(scene, rows.floor, first_watch, first_instants)
-        if not rows.begun:
+        if not rows.resumed:
             put(numbers.initial, state)
             mode = _start(program, scene, watch, instants, numbers.scales, state, taken)
             if mode < 0:
@@ -452,21 +458,21 @@ def run_batch(
         pauses, run = 0, RunState(now, place, state, scene.series, kept)
         while True:
             ends[runs.REASON], ends[runs.MARGIN], now[runs.T_REST] = _run(
-                program, watch, memory, instants, block, run, found.entered[row]
+                program, watch, workspace, instants, block, run, found.entered[row]
             )
             pauses += 1
-            if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.alone:
+            if ends[runs.REASON] != runs.PAUSED or pauses == _PAUSES or rows.single:
                 break
         if ends[runs.REASON] == runs.FULL and row > 0:
             put_counts(before, used)
             return row
         how = runs.HANDED
-        if not rows.begun:
+        if not rows.resumed:
             how = _end(
                 program, ends[runs.REASON], ends[runs.MARGIN], place[runs.N_MODE],
                 found.entered[row], watch, state, now[runs.T_HIGH],
             )  # fmt: skip
-        if rows.alone and how in (runs.UNUSUAL, runs.CLOSING):
+        if rows.single and how in (runs.UNUSUAL, runs.CLOSING):
             how = runs.HANDED
         ends[runs.HOW] = how
         if how == runs.HANDED:
@@ -513,7 +519,7 @@ class SceneLoop:
         made = self._inputs[names]
         found = np.empty((len(table), len(made.fixed)))
         found[:] = made.fixed
-        for place, column in made.given:
+        for place, column in made.varied:
             found[:, place] = table[:, column]
         return made.code, made.constants, made.outputs, found
 
@@ -526,20 +532,20 @@ class SceneLoop:
         found: BatchResult,
     ) -> None:  # fmt: skip
         """Make a run of which the numbers are known."""
-        scene = self._known(setup, setup.values)
+        scene = self._write_numbers(setup, setup.values)
         scene.numbers.initial[:] = setup.initial
         ends = np.array([until], float)
-        rows = _KNOWN._replace(until=ends, most_jumps=most_jumps, floor=floor)
+        rows = _SINGLE_RUN._replace(until=ends, most_jumps=most_jumps, floor=floor)
         self._call(scene, rows, block, found)
 
     def resume(
         self, setup: Setup, floor: float, block: TraceBuffer, found: BatchResult, series: Array
     ) -> None:
         """Take a run on that has come somewhere."""
-        scene = self._known(setup, found.values[0])._replace(series=series)
-        self._call(scene, _KNOWN._replace(floor=floor, begun=True), block, found)
+        scene = self._write_numbers(setup, found.values[0])._replace(series=series)
+        self._call(scene, _SINGLE_RUN._replace(floor=floor, resumed=True), block, found)
 
-    def _known(self, setup: Setup, values: Array) -> SceneBatch:
+    def _write_numbers(self, setup: Setup, values: Array) -> SceneBatch:
         """Write the numbers of a run to the buffers."""
         assert isinstance(setup, SceneSetup)
         assert setup.sizes is not None
@@ -551,13 +557,13 @@ class SceneLoop:
         )  # fmt: skip
         numbers.bands[:] = [setup.bands[name] for name in self._setup.stops]
         watch.kinds[:] = [setup.tolerances[kind] for kind in KINDS]
-        return self._scene._replace(gap=setup.precision, doubtful=setup.doubtful)
+        return self._scene._replace(gap=setup.precision, force_uncertainty=setup.force_uncertainty)
 
     def _call(
         self, scene: SceneBatch, rows: BatchInputs, block: TraceBuffer, found: BatchResult
     ) -> int:
         loop = self.loop
-        arguments = loop.program, loop.memory, scene, *self._buffers, rows, block, found
+        arguments = loop.program, loop.workspace, scene, *self._buffers, rows, block, found
         if self._entry is None:
             self._entry = entry(run_batch, *arguments)
         return self._entry(*arguments)
@@ -569,13 +575,13 @@ class _Inputs(NamedTuple):
     code: Ints32
     constants: Array
     outputs: Ints32
-    given: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
+    varied: list[tuple[int, int]]  # Places in what it takes, and among the parameters.
     fixed: Array  # Its inputs, but for these.
 
 
-_KNOWN = BatchInputs(
+_SINGLE_RUN = BatchInputs(
     np.empty((0, 3), np.int32), np.empty(0), np.empty(0, np.int32), np.empty((1, 0)), np.zeros(1),
-    np.zeros(0, np.bool_), 0, 0.0, alone=True, begun=False, known=True,
+    np.zeros(0, np.bool_), 0, 0.0, single=True, resumed=False, known=True,
 )  # fmt: skip
 
 
@@ -612,8 +618,8 @@ def _declared(
         _starts([law.name for law in laws], numbers.scene.initial_modes),
         gap,
         speed,
-        doubtful(relative),
-        run_buffer(len(numbers.parameters.names), len(loop.memory.state), rules),
+        force_uncertainty(relative),
+        run_buffer(len(numbers.parameters.names), len(loop.workspace.state), rules),
         np.empty((max(len(CAUSES) * count, 4), WIDTH)),
     )
 
@@ -622,7 +628,7 @@ def _buffers(
     numbers: SceneNumbers, loop: Loop, laws: Sequence[ContactLaw]
 ) -> tuple[Watch, SceneWatch]:
     """Return buffers for the flows and the instants of a run."""
-    variables, parameters = len(loop.memory.state), len(numbers.parameters.names)
+    variables, parameters = len(loop.workspace.state), len(numbers.parameters.names)
     contacts, count = len(laws), int(loop.tapes[1, 5])
     watch = Watch(
         np.empty(parameters),

@@ -82,10 +82,10 @@ class Switching:
             return None if isinstance(choice, Jam) else choice.taken.roles
 
         verdicts = here.verdicts(fired, motion, on)
-        kept = self._kept_in_corners(setup, snapshot, here, near, verdicts, fired, on)
-        return here.kept_on(verdicts, kept, fired)
+        kept = self._held_in_corners(setup, snapshot, here, near, verdicts, fired, on)
+        return here.with_boundary(verdicts, kept, fired)
 
-    def _kept_in_corners(
+    def _held_in_corners(
         self,
         setup: SceneSetup,
         snapshot: Snapshot,
@@ -112,7 +112,7 @@ class Switching:
         for i, point in enumerate(points):
             if abs(contacts[i].gap) <= max(near[j] for j in every if points[j] == point):
                 corners.setdefault(point, []).append(i)
-        would = self._conditions.first(here.kept_on(verdicts, every, fired))
+        would = self._conditions.first(here.with_boundary(verdicts, every, fired))
         doubtful = [bool(why) and not then for why, then in zip(failing, would, strict=True)]
         for places in corners.values():
             if len(places) < 2 or not all(failing[i] for i in places):
@@ -186,10 +186,10 @@ class Switching:
             for why, later, contact, close in zip(failing, then, after.contacts, near, strict=True)
         )
 
-    def beside(
+    def corner_contacts(
         self, setup: SceneSetup, snapshot: Snapshot, state: Array, time: float, mode: Key
     ) -> list[int]:
-        """Return the contacts that are off in a corner where another of their point is closed.
+        """Return the contacts that are off in a corner where one of the same point is closed.
 
         Round-off alone tells there which of them is on.
         """
@@ -197,7 +197,7 @@ class Switching:
             return []
         here, points = self._conditions.at(setup, state, time), self._conditions.points
         near, every = _closed_below(setup, snapshot, here), range(len(points))
-        fails = self._conditions.first(here.kept_on(here.verdicts(), every, ()))
+        fails = self._conditions.first(here.with_boundary(here.verdicts(), every, ()))
         gaps = zip(snapshot.contacts, near, strict=True)
         met = [abs(contact.gap) <= close for contact, close in gaps]
         held = {points[i] for i in every if met[i] and mode[i] not in INACTIVE}
@@ -260,7 +260,7 @@ class Switching:
         tolerances = {**flow.tolerances, **here.tolerances()}
         return jump, flow._replace(tolerances=tolerances, settled=settled)
 
-    def kept(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
+    def continued(self, at: Instant, setup: SceneSetup) -> tuple[None, Flow] | None:
         """Let a mode that holds go on, if other conditions decide that it does; else None."""
         flow = at.flow
         here = self._conditions.at(setup, at.state, at.clock.high)

@@ -368,7 +368,7 @@ class ModeRules(NamedTuple):
     speed: float
     tie: float  # See `contacts.solvers.mode_solver.solve_modes`
     # Forces of a contact that comes to rest are no nearer to a bound (`ForceUncertainty`)
-    doubtful: float
+    force_uncertainty: float
     # `force`, `acceleration`: The scales
     force: float
     acceleration: float
@@ -513,7 +513,7 @@ def classify(
     )
     if redundant > 0 or agreeing < 0 or not verdicts[agreeing, 0] < -tie:
         return False
-    if _is_near_bound(codes, kept, closed, still, verdicts, rules.doubtful):
+    if _is_near_bound(codes, kept, closed, still, verdicts, rules.force_uncertainty):
         return False
     for c in range(contacts):
         for force in forces[agreeing, c]:
@@ -549,7 +549,7 @@ class ForceUncertainty(NamedTuple):
         """
         if not any(map(_comes_to_rest, options, self.sure)):
             return None
-        near = self.setup.doubtful
+        near = self.setup.force_uncertainty
         for one in sorted(candidates(case._replace(tie=near), options), key=openness):
             if openness(one)[:2] > openness(taken)[:2]:
                 break
@@ -574,7 +574,7 @@ class ForceUncertainty(NamedTuple):
 
     def _spread(self, case: Case, one: Candidate) -> float:
         """Return by how much, in the scales, what a mode breaks may be off."""
-        setup, near, total = self.setup, self.setup.doubtful, 0.0
+        setup, near, total = self.setup, self.setup.force_uncertainty, 0.0
         slow = setup.tolerances["speed"]
         off = slow / setup.scales.speed * np.maximum(setup.scales.sizes, np.abs(self.state))
         later = slow / setup.scales.acceleration

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from contacts.dynamics.setup import SceneSetup
 from contacts.dynamics.snapshot import Snapshot
-from contacts.solvers.dependence import GIVEN, null_space
+from contacts.solvers.dependence import USER_DIGITS, null_space
 from contacts.states import declared_state
 from statechart.arrays import Array
 from statechart.automaton.laws import Feasibility
@@ -51,7 +51,7 @@ _CONDITIONS: Mapping[str, tuple[tuple[int, int], ...]] = {
     "slip-": ((1, -1),),
 }
 # What the conditions leave to a row of length 1 counts from here on: equations that are next to
-# dependent (`GIVEN`) leave it with an error as large.
+# dependent (`USER_DIGITS`) leave it with an error as large.
 _ZERO = 1e-8
 # Entries so far below the largest of their contact are rounding, such as cos(pi/2) = 6e-17.
 # Units put entries this far apart only where lengths are below 1e-14 or angles are not radians.
@@ -225,7 +225,7 @@ def _certificate(rows: Array, conditions: list[Condition]) -> list[Condition] | 
     if sizes[at] <= _ZERO:
         return [*equations, strict[at]]
     left /= sizes[:, None]
-    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=GIVEN)[0]
+    guess = np.linalg.lstsq(left, np.ones(len(left)), rcond=USER_DIGITS)[0]
     if (left @ guess).min() > _ZERO * np.linalg.norm(guess):
         return None
     weights = _weights(left)

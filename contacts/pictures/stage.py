@@ -243,7 +243,7 @@ _ROUND = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
 _AROUND, _ROUND_ABOUT = 2.2, 6.0
 # Of an instant it is not known where bodies will go: what goes on is seen up to so many times half
 # the size of what moves away, beyond which bodies would be dots.
-_SEEN = 20.0
+_VISIBLE = 20.0
 # Followed through what a camera would not see: this part of the run.
 _SMOOTH = 0.04
 
@@ -315,7 +315,7 @@ def include_nearest_points(cloud: Array, surfaces: Sequence[Shape], poses: Array
         part = ((middle - line[:-1]) * along).sum(axis=1) / squares
         places = line[:-1] + np.clip(part, 0.0, 1.0)[:, None] * along
         away = np.hypot(*(places - middle).T)
-        if len(away) and away.min() <= _SEEN * size:
+        if len(away) and away.min() <= _VISIBLE * size:
             found.append(places[None, [int(away.argmin())]])
     return np.concatenate(found, axis=1)
 

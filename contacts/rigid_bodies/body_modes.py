@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import KINETIC, BodyNumbers, WarmStart
 from contacts.collision_detection.surfaces import LINE, PLATE
 from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
@@ -37,14 +37,14 @@ HOVERS = 2
 
 
 @kernel
-def unsettle_bodies(memory: Memory, k: int, chunk: Chunk) -> bool:
+def unsettle_bodies(warm: WarmStart, k: int, chunk: Chunk) -> bool:
     """Let bodies settle whose mode changes in step k; return whether there are."""
     found = False
-    for b in range(len(memory.shown)):
+    for b in range(len(warm.shown)):
         code = chunk.modes[k, b] = chunk.codes[k, b]
-        if memory.shown[b, 0] != code or chunk.struck[k, b]:
-            memory.shown[b, 1] = 1
-        found = found or memory.shown[b, 1] != 0
+        if warm.shown[b, 0] != code or chunk.struck[k, b]:
+            warm.shown[b, 1] = 1
+        found = found or warm.shown[b, 1] != 0
     return found
 
 
@@ -113,7 +113,7 @@ def _write_accelerations(
 @kernel
 def _remember_landing(
     numbers: BodyNumbers,
-    memory: Memory,
+    warm: WarmStart,
     space: Workspace,
     rates: Array,
     i: int,
@@ -122,9 +122,9 @@ def _remember_landing(
 ) -> None:
     """Remember how far from a surface contact i lands, where its body has landed no farther off."""
     active, b = space.active, space.active.bodies[i, 0]
-    above = active.memory[i, 3]
+    above = active.levels[i, 3]
     stops = velocity(active.bodies, active.rows, rates, i, 0) <= LEFT * h * size
-    landed = memory.landed[b]
+    landed = warm.landed[b]
     if not (active.hit[i] and stops and above > landed[0]):
         return
     p, _ = _piece_on_surface(numbers, active.keys[i, 0])
@@ -137,12 +137,12 @@ def _remember_landing(
 
 
 @kernel
-def _hovers(memory: Memory, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
+def _hovers(warm: WarmStart, space: Workspace, rates: Array, b: int, h: float, alone: bool) -> bool:
     """Return whether a corner falls over no more than the gap at which it landed.
 
     What is not `alone` is pressed elsewhere: there a corner that steps explain is closed.
     """
-    above, nx, ny, zero, u, v = memory.landed[b]
+    above, nx, ny, zero, u, v = warm.landed[b]
     mid, turning = space.mid, rates[b, 2]
     x, y = mid.places[b, 0], mid.places[b, 1]
     c, s = math.cos(mid.places[b, 2]), math.sin(mid.places[b, 2])
@@ -161,14 +161,14 @@ def _hovers(memory: Memory, space: Workspace, rates: Array, b: int, h: float, al
 
 @kernel
 def settle_bodies(
-    numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, k: int,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, k: int,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling bodies in step k.
 
     Parameters
     ----------
-    memory : Memory
+    warm : WarmStart
         Of this step. Changed in place.
     space : Workspace
         Its `local` is overwritten.
@@ -179,32 +179,32 @@ def settle_bodies(
     chunk : Chunk
         Its step k is changed in place.
     """
-    counts = space.local[: len(memory.shown)]
+    counts = space.local[: len(warm.shown)]
     _count_contacts(numbers, space.active, count, counts)
     for b in range(len(counts)):
-        if memory.shown[b, 1] == 0:
+        if warm.shown[b, 1] == 0:
             continue
-        memory.shown[b, 1] = 1
+        warm.shown[b, 1] = 1
         if counts[b] < 0:
             continue
         mode = FREE
         if counts[b] > 0:
-            mode = _body_mode(numbers, memory, space, rates, count, b, k, chunk)
-        lands = memory.shown[b, 0] != FREE and not chunk.struck[k, b]
-        if lands and _hovers(memory, space, rates, b, chunk.h, mode == FREE):
-            mode, memory.shown[b, 1] = memory.shown[b, 0], HOVERS
+            mode = _body_mode(numbers, warm, space, rates, count, b, k, chunk)
+        lands = warm.shown[b, 0] != FREE and not chunk.struck[k, b]
+        if lands and _hovers(warm, space, rates, b, chunk.h, mode == FREE):
+            mode, warm.shown[b, 1] = warm.shown[b, 0], HOVERS
         chunk.modes[k, b] = mode
 
 
 @kernel
-def finish_settling(memory: Memory, k: int, chunk: Chunk) -> None:
+def finish_settling(warm: WarmStart, k: int, chunk: Chunk) -> None:
     """End the settling of bodies whose impulses in step k agree with the modes shown."""
-    for b in range(len(memory.shown)):
-        mode = memory.shown[b, 0] = chunk.modes[k, b]
-        hovers = memory.shown[b, 1] == HOVERS
+    for b in range(len(warm.shown)):
+        mode = warm.shown[b, 0] = chunk.modes[k, b]
+        hovers = warm.shown[b, 1] == HOVERS
         if mode == chunk.codes[k, b] and not chunk.struck[k, b] and not hovers:
-            memory.shown[b, 1] = 0
-            memory.landed[b, 0] = 0.0
+            warm.shown[b, 1] = 0
+            warm.landed[b, 0] = 0.0
 
 
 @kernel
@@ -218,11 +218,11 @@ def _write_cone(
 
 @kernel
 def _body_mode(
-    numbers: BodyNumbers, memory: Memory, space: Workspace, rates: Array, count: int, b: int,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, rates: Array, count: int, b: int,
     k: int, chunk: Chunk,
 ) -> int:  # fmt: skip
     """Return the mode of body b; the workspace has `local` counts of contacts."""
-    active, h, shown, m = space.active, chunk.h, memory.shown[b, 0], 0
+    active, h, shown, m = space.active, chunk.h, warm.shown[b, 0], 0
     most = space.local[b]
     which = np.empty(most, np.int64)
     free, sizes, found = np.zeros((most, 2)), np.zeros((most, 2)), np.zeros((most, 2))
@@ -233,10 +233,10 @@ def _body_mode(
         presses = space.pressed[i, 0] > 0.0
         _write_accelerations(numbers, active, i, rates[b, 2], h, free[m], sizes[m])
         rate, left = velocity(active.bodies, active.rows, rates, i, 0), LEFT * h * sizes[m, 0]
-        above = 0.0 if active.hit[i] else active.memory[i, 3]
+        above = 0.0 if active.hit[i] else active.levels[i, 3]
         near = above <= LEFT * h * left and rate <= left
         if presses:
-            _remember_landing(numbers, memory, space, rates, i, sizes[m, 0], h)
+            _remember_landing(numbers, warm, space, rates, i, sizes[m, 0], h)
         if not (near and (presses or (shown != FREE and not active.hit[i]))):
             continue
         which[m] = i
@@ -263,7 +263,7 @@ def _body_mode(
                     for j in range(3):
                         row = active.rows[which[a], d, j] * numbers.inverse[b, j]
                         delassus[2 * a + d, 2 * c + e] += row * active.rows[which[c], e, j]
-    per_speed = ALIKE * h / max(memory.past[1], h * sizes[:m].max())
+    per_speed = ALIKE * h / max(warm.past[1], h * sizes[:m].max())
     sums, against = np.empty((m, 2)), np.zeros(m, np.bool_)
     problem = delassus, free[:m], cones[:m]
     terms, forced, directions = sizes[:m], found[:m], slides[:m]

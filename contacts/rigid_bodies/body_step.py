@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import RESISTS, ActiveContacts, velocity
-from contacts.collision_detection.body_numbers import BOTH, GREATEST, ROPE, BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import BOTH, GREATEST, ROPE, BodyNumbers, WarmStart
 from contacts.collision_detection.find_contacts import DetectionResult, find_contacts
 from contacts.collision_detection.ground import Ground
 from contacts.collision_detection.joints import add_joints, is_bound
@@ -32,11 +32,11 @@ from contacts.rigid_bodies.workspace import Workspace
 from contacts.states import FREE, PIN, SLIDE
 from contacts.time_stepping.chunk import (
     BAD_INERTIA,
-    BESIDE,
     COARSE,
     DONE,
     FULL,
     NOT_FINITE,
+    TIME_MARGIN,
     Chunk,
 )
 from statechart.arrays import Array
@@ -45,7 +45,7 @@ from statechart.kernels.jit import kernel
 from statechart.kernels.tapes import BLOCK, filled
 
 # Impacts are no later after the middle of a step than this part of it: something is after them.
-_LATEST = 0.5 - BESIDE
+_LATEST = 0.5 - TIME_MARGIN
 # In a step in which no body goes so far, in parts of the smallest one's size, none passes another
 # or is deep in it.
 _FAR = 0.1
@@ -69,7 +69,7 @@ class StepOptions(NamedTuple):
 
 @kernel
 def _store(
-    numbers: BodyNumbers, memory: Memory, space: Workspace, seen: DetectionResult, allowed: float,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, seen: DetectionResult, allowed: float,
     rates: Array, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Remember a step's contacts, and write how bodies touch."""
@@ -83,9 +83,9 @@ def _store(
         chunk.impulses[k, b, 0] = chunk.impulses[k, b, 1] = 0.0
     chunk.approach[k], chunk.closing[k] = max(seen.approach, seen.turned), seen.closing
     chunk.passed[k] = seen.passed
-    memory.many[0] = seen.contacts
-    memory.past[0], memory.past[1] = chunk.h, max(memory.past[1], seen.approach)
-    memory.past[2] = max(memory.past[2], chunk.h * seen.approach)
+    warm.n_contacts[0] = seen.contacts
+    warm.past[0], warm.past[1] = chunk.h, max(warm.past[1], seen.approach)
+    warm.past[2] = max(warm.past[2], chunk.h * seen.approach)
     for i in range(seen.contacts):
         for side in range(2):
             b = active.bodies[i, side]
@@ -95,22 +95,22 @@ def _store(
     for i in range(seen.contacts):
         pn, pt = pressed[i]
         lasts = pn > 0.0 and not space.bounces[i]
-        memory.keys[i, 0], memory.keys[i, 1] = active.keys[i]
+        warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
         closed = 0.0 if active.hit[i] else -1.0
-        memory.contacts[i, 0] = active.memory[i, 0]
-        memory.contacts[i, 1] = 1.0 if lasts else closed
-        memory.contacts[i, 2], memory.contacts[i, 3] = active.pushes[i]
+        warm.contacts[i, 0] = active.levels[i, 0]
+        warm.contacts[i, 1] = 1.0 if lasts else closed
+        warm.contacts[i, 2], warm.contacts[i, 3] = active.pushes[i]
         for d in range(2):
             pushed_by = velocity(active.bodies, active.rows, rates, i, d)
             pushed_by -= velocity(active.bodies, active.rows, space.mid.loose, i, d)
-            memory.contacts[i, 4 + d] = active.free[i, d] + pushed_by
-            memory.contacts[i, 6 + d] = active.rows[i, 0, d]
+            warm.contacts[i, 4 + d] = active.free[i, d] + pushed_by
+            warm.contacts[i, 6 + d] = active.rows[i, 0, d]
         if lasts and not active.hit[i]:
-            chunk.closing[k] = max(chunk.closing[k], active.memory[i, 1])
-        slip = memory.contacts[i, 5] + active.wanted[i, 1]
-        none = max(space.known[i], active.memory[i, 2], allowed * fall)
-        memory.contacts[i, 8] = space.known[i]
-        memory.contacts[i, 9] = 1.0 if active.ways[i] != 0 else 0.0
+            chunk.closing[k] = max(chunk.closing[k], active.levels[i, 1])
+        slip = warm.contacts[i, 5] + active.wanted[i, 1]
+        none = max(space.known[i], active.levels[i, 2], allowed * fall)
+        warm.contacts[i, 8] = space.known[i]
+        warm.contacts[i, 9] = 1.0 if active.ways[i] != 0 else 0.0
         resists = active.twins[i] == RESISTS
         sticks = active.materials[i, 1] > 0.0 and abs(slip) <= none and not resists
         for side in range(2):
@@ -137,7 +137,7 @@ def _may_land(active: ActiveContacts, law: int, count: int) -> bool:
     found = False
     for i in range(count):
         if active.hit[i]:
-            if active.memory[i, 1] <= 0.0 or (active.materials[i, 2] > 0.0 and law != PLASTIC):
+            if active.levels[i, 1] <= 0.0 or (active.materials[i, 2] > 0.0 and law != PLASTIC):
                 return False
             found = True
     return found
@@ -180,14 +180,14 @@ def _landing(
                     return 0.0
             elif space.bounces[i] != 0:
                 return 0.0
-            elif d == 0 and change * first > active.memory[i, 1]:
-                first = active.memory[i, 1] / change
+            elif d == 0 and change * first > active.levels[i, 1]:
+                first = active.levels[i, 1] / change
     return first
 
 
 @kernel
 def _store_joints(
-    numbers: BodyNumbers, memory: Memory, space: Workspace, first: int, k: int, rates: Array,
+    numbers: BodyNumbers, warm: WarmStart, space: Workspace, first: int, k: int, rates: Array,
     chunk: Chunk,
 ) -> None:  # fmt: skip
     """Remember the impulses of joints, which stand behind the contacts, and write their forces.
@@ -208,7 +208,7 @@ def _store_joints(
             for d in range(3):
                 pulled = mid.loose[b, d] - mid.old[b, d]
                 chunk.gained[k] -= 0.125 * pulled**2 / numbers.inverse[b, d]
-        memory.keys[i, 0], memory.keys[i, 1] = active.keys[i]
+        warm.keys[i, 0], warm.keys[i, 1] = active.keys[i]
         for d in range(2):
             both = active.before[i, d] + active.free[i, d]
             both += velocity(active.bodies, active.rows, rates, i, d)
@@ -217,23 +217,23 @@ def _store_joints(
         # As of contacts: a level, and whether it lasts; and whether the joint is closed.
         lasts = space.pressed[i, 0] > 0.0 and not space.bounces[i]
         bounds, closed = is_bound(holds[j]), 0.0 if active.hit[i] else -1.0
-        memory.contacts[i, 0] = active.memory[i, 0]
-        memory.contacts[i, 1] = 1.0 if lasts or not bounds else closed
-        memory.contacts[i, 9] = 1.0 if numbers.joints.on[numbers.joints.owners[j]] else 0.0
+        warm.contacts[i, 0] = active.levels[i, 0]
+        warm.contacts[i, 1] = 1.0 if lasts or not bounds else closed
+        warm.contacts[i, 9] = 1.0 if numbers.joints.on[numbers.joints.owners[j]] else 0.0
         for d in range(2):
-            memory.contacts[i, 2 + d] = space.pressed[i, d]
-            memory.contacts[i, 4 + d] = active.closing[i, 0, d]
-            memory.contacts[i, 6 + d] = active.closing[i, 1, d]
+            warm.contacts[i, 2 + d] = space.pressed[i, d]
+            warm.contacts[i, 4 + d] = active.closing[i, 0, d]
+            warm.contacts[i, 6 + d] = active.closing[i, 1, d]
             if holds[j] == GREATEST and d == 0:
                 # The couple of both limits is one force.
                 chunk.solved[k, at - 1] -= space.steady[i, d] / chunk.h
             elif d == 0 or holds[j] in (BOTH, ROPE):
                 chunk.solved[k, at] = space.steady[i, d] / chunk.h
                 at += 1
-    if space.apart[0] > 0.0:
+    if space.joint_energy[0] > 0.0:
         # The work of all impulses is within the bound: what wedges takes what joints add.
         chunk.gained[k] = 0.0
-    memory.many[0] = first + len(holds)
+    warm.n_contacts[0] = first + len(holds)
 
 
 @kernel
@@ -262,17 +262,17 @@ def _shown_approach(active: ActiveContacts, old: Array, forced: Array, count: in
 
 
 @kernel
-def _remember(memory: Memory, kept: Memory) -> None:
+def _remember(warm: WarmStart, kept: WarmStart) -> None:
     """Copy what is remembered, in place."""
-    count = memory.many[0]
+    count = warm.n_contacts[0]
     for i in range(count):
-        kept.keys[i, 0], kept.keys[i, 1] = memory.keys[i]
-    put_rows(memory.contacts[:count], kept.contacts)
-    kept.many[0] = count
-    put(memory.past, kept.past)
-    put_rows(memory.landed, kept.landed)
-    for b in range(len(memory.shown)):
-        kept.shown[b, 0], kept.shown[b, 1] = memory.shown[b]
+        kept.keys[i, 0], kept.keys[i, 1] = warm.keys[i]
+    put_rows(warm.contacts[:count], kept.contacts)
+    kept.n_contacts[0] = count
+    put(warm.past, kept.past)
+    put_rows(warm.landed, kept.landed)
+    for b in range(len(warm.shown)):
+        kept.shown[b, 0], kept.shown[b, 1] = warm.shown[b]
 
 
 @kernel
@@ -305,7 +305,7 @@ def _hurry(numbers: BodyNumbers, state: Array, poses: Array, mid: Midpoint, h: f
 @kernel
 def step_bodies(
     numbers: BodyNumbers, around: Prescribed, options: StepOptions, start: float, done: int,
-    memory: Memory, space: Workspace, chunk: Chunk,
+    warm: WarmStart, space: Workspace, chunk: Chunk,
 ) -> tuple[int, int]:  # fmt: skip
     """Take the steps of a chunk; return (steps, status).
 
@@ -315,7 +315,7 @@ def step_bodies(
         What acts on the bodies.
     start, done : float, int
         When steps began, and how many were taken before these.
-    memory : Memory
+    warm : WarmStart
         Where it has too little place the status is `FULL`. Changed in place.
     chunk : Chunk
         To be filled, per body instead of per contact; the unknowns are accelerations, and the
@@ -329,7 +329,7 @@ def step_bodies(
     registers = filled(surfaces.code, surfaces.constants, surfaces.values, 1, BLOCK)
     registers[1][1] = 0.0
     frames, still, applied = np.zeros((3, 3)), np.zeros((3, 3)), around.forces
-    width = 2 * n + around.memories.shape[1]
+    width = 2 * n + around.controller_states.shape[1]
     acting = filled(applied.code, applied.constants, applied.values, width, 1)
     linking = filled(links.code, links.constants, links.values, 2 * links.size, 1)
     steps, rates, forced = len(chunk.codes), np.empty_like(loose), np.empty_like(loose)
@@ -342,15 +342,15 @@ def step_bodies(
         ground = Ground(around.frames[k : k + 3], registers, frames, still)
         if links.bodies > 0 and not place_links(numbers, state, h, linking, space.mid):
             return k, BAD_INERTIA if k < steps else DONE
-        move_to_midpoint(numbers, state, poses, h, memory.past[0], space.mid)
+        move_to_midpoint(numbers, state, poses, h, warm.past[0], space.mid)
         if len(applied.bodies) > 0:
             time = start + (done + k + 0.5) * h
-            memories = around.memories[k + 1]
+            memories = around.controller_states[k + 1]
             apply_forces(numbers, applied, acting, memories, state, time, h, space.mid)
             for b in applied.bodies:
                 if not math.isfinite(loose[b, 0] + loose[b, 1] + loose[b, 2]):
                     return k, NOT_FINITE if k < steps else DONE
-        seen = find_contacts(numbers, ground, memory, space.mid, space.grid, h, active)
+        seen = find_contacts(numbers, ground, warm, space.mid, space.grid, h, active)
         full = seen.contacts < 0 or seen.contacts + len(numbers.joints.holds) >= len(active.hit)
         if full and k < steps:
             return k, FULL
@@ -358,20 +358,20 @@ def step_bodies(
         if deepest < math.inf and coarse:
             if k == 0 or not _hurry(numbers, state, poses, space.mid, h):
                 return k, COARSE
-            _remember(space.earlier, memory)
+            _remember(space.earlier, warm)
             return k - 1, COARSE
         if k == steps:
             break
-        _remember(memory, space.earlier)
+        _remember(warm, space.earlier)
         count, joins = seen.contacts, len(numbers.joints.holds) > 0
         if joins:
             places = around.places[k : k + 3]
-            count = add_joints(numbers, places, memory, space.mid, h, count, active)
+            count = add_joints(numbers, places, warm, space.mid, h, count, active)
         lands = _may_land(active, law, seen.contacts)
         if lands:
             _without_impacts(numbers, active, space.mid, count, early)
-        space.apart[1] = 1.0 if deepest < math.inf else 0.0
-        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.efforts[k])
+        space.joint_energy[1] = 1.0 if deepest < math.inf else 0.0
+        solve_islands(numbers, law, forces, h, space, count, allowed, chunk.stats[k])
         put_rows(loose, rates)
         put_rows(loose, forced)
         for i in range(count):
@@ -381,22 +381,22 @@ def step_bodies(
                 if forces and space.steady[i, d] != 0.0:
                     push(numbers, active, space.mid, forced, i, d, space.steady[i, d])
         carry(numbers, space.mid, rates)
-        open_joints = joins and space.apart[0] > 0.0
+        open_joints = joins and space.joint_energy[0] > 0.0
         if deepest < math.inf and (open_joints or h * fastest_turn(rates[:whole]) > math.pi):
             return k, COARSE
         if forces:
             carry(numbers, space.mid, forced)
             _shown(rates, old, forced)
         # Landing bodies have gone on as they did until they touched.
-        chunk.late[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
-        _store(numbers, memory, space, seen, allowed, rates, k, chunk)
-        if unsettle_bodies(memory, k, chunk):
-            settle_bodies(numbers, memory, space, rates, seen.contacts, k, chunk)
-        finish_settling(memory, k, chunk)
+        chunk.impact_delay[k] = _landing(space, rates, early, h, fall, count) if lands else 0.0
+        _store(numbers, warm, space, seen, allowed, rates, k, chunk)
+        if unsettle_bodies(warm, k, chunk):
+            settle_bodies(numbers, warm, space, rates, seen.contacts, k, chunk)
+        finish_settling(warm, k, chunk)
         if forces:
             chunk.approach[k] = max(chunk.approach[k], _shown_approach(active, old, forced, count))
         if joins:
-            _store_joints(numbers, memory, space, seen.contacts, k, rates, chunk)
+            _store_joints(numbers, warm, space, seen.contacts, k, rates, chunk)
         for at in range(n):
             # Rates of coordinates stand behind those of all bodies.
             b, d = (
@@ -407,7 +407,7 @@ def step_bodies(
             state[n + at] = rates[b, d]
             state[at] += 0.5 * h * rates[b, d]
             if lands:
-                state[at] += chunk.late[k] * (early[b, d] - rates[b, d])
+                state[at] += chunk.impact_delay[k] * (early[b, d] - rates[b, d])
             if not math.isfinite(state[at]):
                 return k, NOT_FINITE
         put(state, chunk.states[k + 1])

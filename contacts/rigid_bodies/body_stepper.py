@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 
 from contacts.collision_detection.body_numbers import BodyNumbers
-from contacts.dynamics.controllers import Controllers, controller, given
+from contacts.dynamics.controllers import Controllers, controlled_symbols, controller
 from contacts.dynamics.scales import Scales, check_range
 from contacts.dynamics.setup import SceneSetup
 from contacts.rigid_bodies.body_step import StepOptions
@@ -25,7 +25,7 @@ from contacts.rigid_bodies.declared_numbers import (
     link_numbers,
     touched,
 )
-from contacts.rigid_bodies.initial_penetration import check_apart, check_inside
+from contacts.rigid_bodies.initial_penetration import check_containers, check_penetration
 from contacts.rigid_bodies.mechanics import BodyMechanics
 from contacts.rigid_bodies.own_step import forced_speed, led_speed, own_step
 from contacts.rigid_bodies.prescribed_motion import Paths, PrescribedMotion
@@ -65,14 +65,14 @@ def bodies_automaton(scene: Scene) -> Automaton:
             lambda state: State(),
             BODY_EDGES,
             superstates,
-            blow=BODY_IMPACT,
+            impact_cause=BODY_IMPACT,
             default="free",
         )
         for name in declared.moving()
     )
     controllers = scene.controlled.flat
     regions = (*of_bodies, *(controller(n, r, mechanics) for n, r in controllers.items()))
-    rates = mechanics.memory_rates
+    rates = mechanics.controller_rates
 
     def stepper() -> BodyStepper:
         return BodyStepper(declared, mechanics, stops, regions)
@@ -80,8 +80,8 @@ def bodies_automaton(scene: Scene) -> Automaton:
     return Automaton(
         name=scene.name,
         declaration=scene,
-        names=(*mechanics.variable_names, *mechanics.memory),
-        variables=(*mechanics.variables, *mechanics.memory.values()),
+        names=(*mechanics.variable_names, *mechanics.controller_state),
+        variables=(*mechanics.variables, *mechanics.controller_state.values()),
         parameter_names=mechanics.parameters.names,
         parameters=mechanics.parameters.ordered,
         time=mechanics.time,
@@ -93,7 +93,7 @@ def bodies_automaton(scene: Scene) -> Automaton:
         observables=observables,
         setup=lambda overrides, _: stepper().setup(overrides),
         laws=None,
-        controls=given(mechanics),
+        controls=controlled_symbols(mechanics),
         stepper=stepper,
         own_step=lambda: stepper().own_step(),
     )
@@ -124,11 +124,11 @@ class BodyStepper(Stepper):
         self._constants = declared.constants()
         self._owners = dict(zip(mechanics.scene.bodies, mechanics.owners, strict=True))
         self._names, self._surfaces = list(mechanics.scene.bodies), touched(mechanics.scene)
-        self._unlikely = lint(declared)
+        self._warnings = lint(declared)
 
     def own_step(self) -> float:
         """Return a step by the scales: of declared parameters; see `own_step`."""
-        setup, bodies = self._made({}, DEFAULT_IMPULSES.tolerance, False)
+        setup, bodies = self._new_run({}, DEFAULT_IMPULSES.tolerance, False)
         controlled, end = self._scene.controlled, self._scene.stop.time
         each = [controlled.initial]
         for name, region in controlled.flat.items():
@@ -154,12 +154,12 @@ class BodyStepper(Stepper):
         DeclarationProblem
             If no run can start there.
         """
-        return self._made(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
+        return self._new_run(overrides, DEFAULT_IMPULSES.tolerance, False)[0]
 
     def _begin(
         self, overrides: Mapping[str, float], step: float, allowed: float, forces: bool
     ) -> RunInputs:
-        setup, bodies = self._made(overrides, allowed, forces)
+        setup, bodies = self._new_run(overrides, allowed, forces)
         size, fall = setup.scales.length, math.hypot(*bodies.numbers.gravity) * step**2
         failure = None
         if fall > DEEPEST * size:
@@ -175,7 +175,7 @@ class BodyStepper(Stepper):
             control = StepControl(self._bodies, self._controllers, setup, bodies, self._regions)
         return RunInputs(setup, bodies, free, self._replaced_laws(setup), control, failure)
 
-    def _made(
+    def _new_run(
         self, overrides: Mapping[str, float], allowed: float, forces: bool
     ) -> tuple[SceneSetup, RigidBodyRun]:
         values, remembered = self._mechanics.parameters.values(overrides)
@@ -249,7 +249,7 @@ class BodyStepper(Stepper):
             bands={},
             sizes=scales.state(remembered),
             warnings=(
-                *self._unlikely,
+                *self._warnings,
                 *implied_remarks(self._scene, bodies.joints, poses[0]),
             ),
             rounded=RELATIVE,
@@ -287,7 +287,7 @@ class BodyStepper(Stepper):
                     "has no value at the start, or an infinite one",
                     loc=("bodies", owner, "angle" if turns else "position"),
                 )
-        check_inside(scene, owners, bodies, moved, begun)
+        check_containers(scene, owners, bodies, moved, begun)
         # One-sided differences of second order: a path need not exist before the start.
         rates = np.tensordot([-1.5, 2.0, -0.5], begun.places, axes=1) / soon
         joints = closed_joints(
@@ -302,7 +302,7 @@ class BodyStepper(Stepper):
 
         near = _START_DEPTH * length
         try:
-            found = check_apart(
+            found = check_penetration(
                 detect, bodies, self._names, self._surfaces, owners, setup.initial, near
             )
         except NonFinite as error:

@@ -132,7 +132,7 @@ _HELD = {BOTH: slice(0, 2), ALONG_X: slice(0, 1), ALONG_Y: slice(1, 2)}
 def joint_numbers(scene: Scene, names: Sequence[str], known: Mapping[str, float]) -> JointNumbers:
     """Evaluate the joints of a scene whose bodies have these names, copies one by one."""
     # What joints capture is known when they close.
-    known = {**dict.fromkeys(scene.controlled.memory, 0.0), **known}
+    known = {**dict.fromkeys(scene.controlled.controller_state, 0.0), **known}
     bodies, at, rows, angles = [], [], [], []
     for j, joint in enumerate(scene.joints.values()):
         rebound = parse(joint.restitution or 0).value(known)

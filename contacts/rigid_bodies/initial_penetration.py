@@ -28,14 +28,14 @@ _MOVES = 20
 _CROWD = 20
 # Two deep bodies may be in each other.
 _PAIR = 2
-_NO_ROOM = "no small move frees it: start it elsewhere, or move what it is in"
+_STUCK = "no small move frees it: start it elsewhere, or move what it is in"
 
 
 Detect = Callable[[BodyNumbers, Array], DetectedContacts]
 """Detects the contacts of bodies with these numbers in a state (2 n + w,)."""
 
 
-def check_apart(
+def check_penetration(
     detect: Detect,
     numbers: BodyNumbers,
     names: Sequence[str],
@@ -82,7 +82,7 @@ def check_apart(
         if out and not found.is_covered(b):
             break
     else:
-        b, out = next(iter(deep)), _NO_ROOM
+        b, out = next(iter(deep)), _STUCK
     where = deepest_of(b)
     if found.is_covered(b):
         b, where, out = _covered(detect, numbers, names, surfaces, initial, b, deep[b])
@@ -235,7 +235,7 @@ def _covered(
         laws[:, np.arange(laws.shape[1]) != kind] = -1
         if as_deep(numbers._replace(laws=laws), left_with(b)):
             owner = names[moving + int(np.argmax(numbers.kinds[moving:] == kind))]
-            return b, f"body {owner!r} or a copy of it", _NO_ROOM
+            return b, f"body {owner!r} or a copy of it", _STUCK
     laws = numbers.laws.copy()
     laws[:, prescribed] = -1
     numbers = numbers._replace(laws=laws)
@@ -257,7 +257,7 @@ def _covered(
     return b, f"surfaces {listed}", far.replace("from it", "from them")
 
 
-def check_inside(
+def check_containers(
     scene: Scene, owners: Sequence[str], numbers: BodyNumbers, initial: Array, begun: Positions
 ) -> None:
     """Check that bodies that collide with a hollow circle start in it, at `initial` (2 n,).

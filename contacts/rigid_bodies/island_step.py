@@ -33,7 +33,7 @@ from contacts.solvers.contact_rows import (
     moved,
     overload,
     scale,
-    scale_beside,
+    scale_of_sum,
     slope,
 )
 from contacts.solvers.contact_solver import solve_rows
@@ -69,7 +69,7 @@ class Island(NamedTuple):
     members: Ints
     start: Array
     unforced: Array
-    asked: Array
+    wanted: Array
     chosen: Array
     sudden: Array
     rebounds: Bools
@@ -417,7 +417,7 @@ def impacts_in_turn(
         island.rebounds[a] = False
         if active.hit[i]:
             for d in range(2):
-                island.asked[a, d] = active.wanted[i, d] = 0.0
+                island.wanted[a, d] = active.wanted[i, d] = 0.0
     return done, missed, left
 
 
@@ -517,7 +517,7 @@ def _follow_arms(
                     )  # fmt: skip
                     further, fastest = further + bent, max(fastest, gone / h)
             active.wanted[i, d] += further / h
-            island.asked[a, d] = active.wanted[i, d]
+            island.wanted[a, d] = active.wanted[i, d]
             most = max(most, abs(further) / h)
             work += abs(impulses[a, d] * further) / h
     for b in range(len(numbers.sizes)):
@@ -551,7 +551,7 @@ def close_joints(
     """
     (near, bound, allowed), (missed, done, softened) = bounds, found
     least, energy, idle = math.inf, 0.0, 0
-    start, unforced, asked, chosen = island.start, island.unforced, island.asked, island.chosen
+    start, unforced, asked, chosen = island.start, island.unforced, island.wanted, island.chosen
     turns, best, first = np.empty((2, len(numbers.sizes))), np.empty_like(chosen), asked.copy()
     good, soft = missed, softened
     for b in range(len(numbers.sizes)):
@@ -564,7 +564,7 @@ def close_joints(
         if given > bound + _MOST_WORK * moving:
             # Wedged joints close, too, with unbounded work.
             work = max(work, given)
-        elif left <= allowed * max(fast, scale_beside(contacts, unforced, asked)):
+        elif left <= allowed * max(fast, scale_of_sum(contacts, unforced, asked)):
             return missed, done, softened
         idle += 1
         if work < least:
@@ -580,8 +580,8 @@ def close_joints(
     put_rows(best, chosen)
     if good > near or least <= _OPEN * energy:
         return good, done, soft
-    space.apart[0] = max(space.apart[0], least / energy)
-    if space.apart[1] == 0.0:
+    space.joint_energy[0] = max(space.joint_energy[0], least / energy)
+    if space.joint_energy[1] == 0.0:
         # Wedged joints press without bound: arms turn as before, which does no work.
         put_rows(first, asked)
         for a in range(len(chosen)):
@@ -627,14 +627,14 @@ def _change_friction(
         judged = law >= 0 and abs(old) != BEGINS and normal > 0.0
         if not judged or not has_two_coefficients(numbers.materials[law]):
             continue
-        slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
+        slip = island.unforced[a, 1] + island.wanted[a, 1] + along(contacts, a, 1, rates)
         if abs(slip) <= none or (abs(old) == 1 and slip * old > 0.0):
             continue
         if abs(old) == 1:
             changes = True
             _write_way(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
             if lasts:
-                island.asked[a, 1] -= island.start[a, 1]
+                island.wanted[a, 1] -= island.start[a, 1]
             continue
         load = overload(slip, contacts.own[a, 1], normal, contacts.cones[a])
         if abs(island.start[a, 1]) > none:
@@ -646,7 +646,7 @@ def _change_friction(
     for a in range(len(island.members)):
         if active.ways[island.members[a]] == ON_TRIAL and first in (a, -1):
             _write_way(numbers, contacts, island, a, 0, active)
-            island.asked[a, 1] += island.start[a, 1]
+            island.wanted[a, 1] += island.start[a, 1]
             changes = True
     if first >= 0:
         _write_way(numbers, contacts, island, first, way, active)
@@ -660,7 +660,7 @@ def _end_slips(contacts: ContactRows, active: ActiveContacts, island: Island, no
     moved(contacts, island.chosen, rates)
     for a in range(len(island.members)):
         i = island.members[a]
-        slip = island.unforced[a, 1] + island.asked[a, 1] + along(contacts, a, 1, rates)
+        slip = island.unforced[a, 1] + island.wanted[a, 1] + along(contacts, a, 1, rates)
         if abs(slip) <= none:
             active.ways[i] = 0
 
@@ -688,7 +688,7 @@ def solve_islands(
     active, inverse, local, order = space.active, numbers.inverse, space.local, space.order
     free = len(inverse) - numbers.links.bodies
     bodies, materials = active.bodies, active.materials
-    space.apart[0] = 0.0
+    space.joint_energy[0] = 0.0
     for j in range(len(effort)):
         effort[j] = 0.0
     effort[CONTACTS] = count
@@ -735,12 +735,12 @@ def solve_islands(
         sequential = law == SEQUENTIAL and size > 1 and quiet < size
         near, turns, left = allowed, 0, 0.0
         missed_turn, share = 0.0, 1.0
-        fast = scale_beside(contacts, unforced, asked)
+        fast = scale_of_sum(contacts, unforced, asked)
         if sequential:
             turns, missed_turn, left = impacts_in_turn(
                 numbers, active, contacts, together, h, allowed
             )
-            slow = scale_beside(contacts, unforced, asked)
+            slow = scale_of_sum(contacts, unforced, asked)
             sequential, share, near = left == 0.0, slow / fast, _near(allowed, slow, fast)
         missed, done, softened = island_impulses(
             contacts, start, unforced, asked, rebounds, chosen, near, bound, True

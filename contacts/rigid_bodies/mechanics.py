@@ -12,7 +12,7 @@ import sympy as sp
 
 from contacts.collision_detection.body_numbers import BodyNumbers
 from contacts.collision_detection.midpoint import ForceProgram
-from contacts.dynamics.controllers import flows_in, given, given_in
+from contacts.dynamics.controllers import control_values, controlled_symbols, flows_in
 from contacts.dynamics.joints import JointRow
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import body_parameters
@@ -251,11 +251,13 @@ class BodyMechanics(Mechanics):
                     )  # fmt: skip
         return tuple(rows)
 
-    def given_in(self, states: Mapping[str, str]) -> Tape:
-        """Return the values of what is `given` in these states of the controllers."""
+    def control_values(self, states: Mapping[str, str]) -> Tape:
+        """Return the values of `controlled_symbols` in these states of the controllers."""
         key = tuple(states.values())
         if key not in self._given:
-            self._given[key] = self.whole_tape(given(self), definitions=given_in(self, states))
+            self._given[key] = self.whole_tape(
+                controlled_symbols(self), definitions=control_values(self, states)
+            )
         return self._given[key]
 
     def flows_in(self, states: Mapping[str, str]) -> Tape:
@@ -264,7 +266,7 @@ class BodyMechanics(Mechanics):
         if key not in self._flows:
             self._flows[key] = compile_tape(
                 flows_in(self, states),
-                variables=tuple(self.memory.values()),
+                variables=tuple(self.controller_state.values()),
                 parameters=self.parameters.ordered,
                 time=self.time,
                 definitions=self.controlled(states),

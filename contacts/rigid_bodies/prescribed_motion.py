@@ -10,7 +10,7 @@ import numpy as np
 import sympy as sp
 
 from contacts.collision_detection.midpoint import Prescribed
-from contacts.dynamics.controllers import given
+from contacts.dynamics.controllers import controlled_symbols
 from contacts.dynamics.geometry import surface_frame
 from contacts.rigid_bodies.declared_numbers import symbols_of, touched
 from contacts.rigid_bodies.mechanics import BodyMechanics
@@ -56,7 +56,7 @@ class Paths:
         if key not in self._tapes:
             scene = self._scene
             parameters, time = symbols_of(self._names), sp.Symbol("t", real=True)
-            remembered, sets = scene.controlled.memory, dict[str, FormulaText]()
+            remembered, sets = scene.controlled.controller_state, dict[str, FormulaText]()
             memory = {name: sp.Symbol(f"w{i}", real=True) for i, name in enumerate(remembered)}
             known = {TIME: time, **memory, **dict(zip(self._names, parameters, strict=True))}
             expressions = [
@@ -107,7 +107,7 @@ class Paths:
         return Positions(frames, places, poses)
 
 
-def _at_the_look_before(now: Array, look: Array) -> Array:
+def _previous_frames(now: Array, look: Array) -> Array:
     """Return frames (m, 3) half a step before `now`, as far as they are at the `look` after it.
 
     What turns about a point continues to do so.
@@ -182,11 +182,11 @@ class PrescribedMotion:
         """Go on with controllers in other states."""
         self._states = states
         self.forces = self._mechanics.forces_at(states, self._values)
-        self._given = self._mechanics.given_in(states)
+        self._controls = self._mechanics.control_values(states)
 
     def captured(self, joint: str, remembered: Array) -> dict[str, float]:
         """Return the pose that a joint has captured as it closed: x, y and turn."""
-        known = dict(zip(self._mechanics.memory, remembered.tolist(), strict=True))
+        known = dict(zip(self._mechanics.controller_state, remembered.tolist(), strict=True))
         names = captured(joint, self._mechanics.scene.joints[joint])
         return {name.rpartition(".")[2]: known[name] for name in names}
 
@@ -199,7 +199,7 @@ class PrescribedMotion:
         """Take back the last steps."""
         self._last = self._saved
 
-    def ahead(
+    def prescribe(
         self, start: float, h: float, remembered: Array, count: int
     ) -> tuple[Prescribed, Array, int]:
         """Return what acts in the steps from an instant on, and what is remembered at their ends.
@@ -230,9 +230,9 @@ class PrescribedMotion:
         now = self._paths.at(self._known, times[:1], memories[:1], self._states)
         looks = self._paths.at(self._known, times[1::2], memories[1::2], self._states)
         before = Positions(
-            _at_the_look_before(now.frames[0], looks.frames[0])[None],
+            _previous_frames(now.frames[0], looks.frames[0])[None],
             2.0 * now.places - looks.places[:1],
-            _at_the_look_before(now.poses[0], looks.poses[0])[None],
+            _previous_frames(now.poses[0], looks.poses[0])[None],
         )
         if self._last is not None and self._last[1] == h and not self.jumped(start, remembered):
             before = self._last[0]
@@ -287,12 +287,12 @@ class PrescribedMotion:
     @property
     def count(self) -> int:
         """Number of values that controllers give."""
-        return len(given(self._mechanics))
+        return len(controlled_symbols(self._mechanics))
 
-    def given(self, start: float, h: float, states: Array) -> Array:
-        """Return what controllers give (k, c) in the middles of steps between states (k + 1, w)."""
+    def control_values(self, start: float, h: float, states: Array) -> Array:
+        """Return the controls (k, c) in the middles of steps between states (k + 1, w)."""
         times: Array = start + h * (0.5 + np.arange(len(states) - 1.0))
-        return self._given.table(0.5 * (states[:-1] + states[1:]), self._values, times)
+        return self._controls.table(0.5 * (states[:-1] + states[1:]), self._values, times)
 
     def passed(self, count: int) -> None:
         """Note how many of these steps were taken."""

@@ -19,7 +19,7 @@ from contacts.collision_detection.body_numbers import (
     ROPE,
     TURN,
     BodyNumbers,
-    Memory,
+    WarmStart,
 )
 from contacts.collision_detection.find_contacts import LANDED
 from contacts.collision_detection.surfaces import GRAPH
@@ -39,7 +39,7 @@ from contacts.time_stepping.chunk import (
     Chunk,
     SteppedSystem,
 )
-from contacts.time_stepping.stability import UNSTABLE, Held, check_followed
+from contacts.time_stepping.stability import UNSTABLE, Held, check_stiffness
 from contacts.time_stepping.step_rejection import depth_left
 from statechart import interrupts
 from statechart.arrays import Array, Bools, Ints
@@ -51,7 +51,7 @@ from statechart.tabular import several
 _DEEP = 0.1
 
 
-class _Found(NamedTuple):
+class _Deepest(NamedTuple):
     """The deepest penetration: of which body, and when."""
 
     body: int
@@ -67,7 +67,7 @@ class Penetration:
     def __init__(self, names: Sequence[str], numbers: BodyNumbers, start_depth: float) -> None:
         self._names, self._radii = names, inner_radii(numbers)[: len(numbers.inverse)]
         self._start_depth, self._part, self._size = start_depth, _DEEP, numbers.size
-        self._found: _Found | None = None
+        self._found: _Deepest | None = None
 
     def add(self, start: float, chunk: Chunk) -> None:
         """Note the deepest penetration of some steps that begin at `start`."""
@@ -80,7 +80,7 @@ class Penetration:
         # Gaps are those in the middle of a step.
         middle, n = chunk.states[k].copy(), self._size
         middle[:n] += 0.5 * chunk.h * middle[n : 2 * n]
-        self._found = _Found(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
+        self._found = _Deepest(b, float(depths[k, b]), middle, start + (k + 0.5) * chunk.h, chunk.h)
 
     def remarks(self, deepest_at: Callable[[int, Array, float], str]) -> tuple[str, ...]:
         """Return a warning of what has sunk."""
@@ -171,7 +171,7 @@ class DetectedContacts(NamedTuple):
     """Contacts and joints of bodies in one state."""
 
     gaps: Array  # (b,): the least of every body.
-    keys: Ints  # (m,): pairs; see `Memory`.
+    keys: Ints  # (m,): pairs; see `WarmStart`.
     levels: Array  # (m,): how deep contacts are.
     # (m,): which last, and which rub.
     lasts: Bools
@@ -181,17 +181,17 @@ class DetectedContacts(NamedTuple):
     joints: Held
 
     @classmethod
-    def of(cls, gaps: Array, active: ActiveContacts, memory: Memory, holds: Ints) -> Self:
+    def of(cls, gaps: Array, active: ActiveContacts, warm: WarmStart, holds: Ints) -> Self:
         """Return the contacts of a step, behind which joints stand."""
-        many = int(memory.many[0])
+        many = int(warm.n_contacts[0])
         bodies, rows, met = active.bodies[:many].copy(), active.rows, many - len(holds)
         both, firm = holds == BOTH, active.materials[met:many, 0] < 0.0
         joints = [rows[met:many][firm, 0], rows[met:many][both & firm, 1]]
         return cls(
             gaps,
             active.keys[:met, 0].copy(),
-            active.memory[:met, 0].copy(),
-            memory.contacts[:met, 1] == 1.0,
+            active.levels[:met, 0].copy(),
+            warm.contacts[:met, 1] == 1.0,
             active.materials[:met, 1] > 0.0,
             Held(bodies[:met], rows[:met, 0].copy()),
             Held(bodies[:met], rows[:met, 1].copy()),
@@ -250,10 +250,10 @@ class RigidBodyRun(SteppedSystem):
         self.surfaces, self._options = surfaces, options
         self.numbers, self._names, self._around = numbers, names, around
         count = self._moving = len(numbers.inverse)
-        self._memory = self._saved = Memory.allocate(numbers)
+        self._warm = self._saved = WarmStart.allocate(numbers)
         # As if an impact had left them there.
-        self._memory.past[2] = start_depth / LANDED
-        self._workspace = Workspace.of(self.numbers, self._memory)
+        self._warm.past[2] = start_depth / LANDED
+        self._workspace = Workspace.of(self.numbers, self._warm)
         self.least = np.full(count, np.inf)
         self._turned = self._length = 0.0
         self._parted, self._most_parts = 0, 1
@@ -319,8 +319,8 @@ class RigidBodyRun(SteppedSystem):
 
     def forget(self) -> None:
         """Take back the last steps."""
-        self._saved = self._saved.as_large(self._memory)
-        self._memory = self._saved.copy()
+        self._saved = self._saved.enlarged_to(self._warm)
+        self._warm = self._saved.copy()
         self._added, self._moved = self._before
         self._gain_error = None
         self._around.forget()
@@ -359,13 +359,13 @@ class RigidBodyRun(SteppedSystem):
 
     def detect(self, state: Array, time: float, h: float) -> DetectedContacts:
         """Return what bodies touch in a step of `h` from a state; the run goes on where it is."""
-        before, around = self._memory, self._around
-        self._memory, self._around = Memory.allocate(self.numbers), copy(around)
+        before, around = self._warm, self._around
+        self._warm, self._around = WarmStart.allocate(self.numbers), copy(around)
         chunk, status = self._taken(time, h, state, 1, math.inf)
         self._check_finite(chunk, status)
         holds, gaps = self.numbers.joints.holds, self._workspace.mid.gaps.copy()
-        found = DetectedContacts.of(gaps, self._workspace.active, self._memory, holds)
-        self._memory, self._around = before.as_large(self._memory), around
+        found = DetectedContacts.of(gaps, self._workspace.active, self._warm, holds)
+        self._warm, self._around = before.enlarged_to(self._warm), around
         return found
 
     def _deepest_at(self, body: int, state: Array, time: float) -> str:
@@ -414,7 +414,7 @@ class RigidBodyRun(SteppedSystem):
         """
         if self._around.controlled:
             # Steps after a transition of a controller are taken back.
-            self._saved, self._before = self._memory.copy(), (self._added, self._moved)
+            self._saved, self._before = self._warm.copy(), (self._added, self._moved)
         if self._gain_error is not None:
             raise self._gain_error
         self._check_forces(start, h, state)
@@ -422,11 +422,11 @@ class RigidBodyRun(SteppedSystem):
         chunk, status = self._taken(start, h, state, count, self._options.deepest)
         parts = iter(_PARTS)
         while status == COARSE and not len(chunk.codes):
-            before, most = self._memory.copy(), next(parts)
+            before, most = self._warm.copy(), next(parts)
             deepest = math.inf if most == _PARTS[-1] else self._options.deepest
             chunk, status = self._taken(start, h / most, state, most, deepest)
             if status == COARSE:
-                self._memory = before
+                self._warm = before
                 chunk = chunk.first(0)
             else:
                 self._parted, self._most_parts = self._parted + 1, max(self._most_parts, most)
@@ -475,7 +475,7 @@ class RigidBodyRun(SteppedSystem):
         if not jumped:
             return
         met = self.detect(state, start, _INSTANT * self._length)
-        landed = LANDED * float(self._memory.past[2]) + _JUMPED_INTO * self.numbers.sizes
+        landed = LANDED * float(self._warm.past[2]) + _JUMPED_INTO * self.numbers.sizes
         deep = met.gaps[: self._moving] + landed[: self._moving]
         b = int(np.argmin(deep))
         if deep[b] < 0.0:
@@ -498,7 +498,7 @@ class RigidBodyRun(SteppedSystem):
             rows = self._by_coordinates(held, state) @ energy_root(self.numbers, state)
         else:
             rows = held.scaled(self.numbers.inverse)
-        check_followed(stiff, rows, h)
+        check_stiffness(stiff, rows, h)
 
     def _taken(
         self, start: float, h: float, state: Array, count: int, deepest: float
@@ -509,7 +509,7 @@ class RigidBodyRun(SteppedSystem):
         joint_forces = int((1 + np.isin(holds, (BOTH, ROPE)) - (holds == GREATEST)).sum())
         solved = n + joint_forces
         # One step more, for the last detection.
-        ahead, remembered, known = self._around.ahead(start, h, state[2 * n :], count + 1)
+        ahead, remembered, known = self._around.prescribe(start, h, state[2 * n :], count + 1)
         count = min(count, known)
         remembered = remembered[: count + 1]
         chunk = Chunk.allocate(h, state, solved + self._around.count, bodies, count)
@@ -520,18 +520,18 @@ class RigidBodyRun(SteppedSystem):
             some = chunk.after(done).first(count - done)
             taken, status = step_bodies(
                 self.numbers, ahead.after(done), self._options._replace(deepest=deepest), start,
-                done, self._memory, self._workspace, some,
+                done, self._warm, self._workspace, some,
             )  # fmt: skip
             done += taken
             if status == FULL:
-                self._memory = self._memory.larger()
+                self._warm = self._warm.doubled()
                 worst = self._workspace.worst
-                self._workspace = Workspace.of(self.numbers, self._memory)._replace(worst=worst)
+                self._workspace = Workspace.of(self.numbers, self._warm)._replace(worst=worst)
         chunk.states[1:, 2 * n :] = remembered[:-1]
         chunk = chunk.first(done)
         if done:
             at = slice(1, done + 1)
             self._no_ground.add(start, h, chunk.states, ahead.frames[at], ahead.poses[at])
         if self._around.count:
-            chunk.solved[:, solved:] = self._around.given(start, h, chunk.states)
+            chunk.solved[:, solved:] = self._around.control_values(start, h, chunk.states)
         return chunk, status

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contacts.collision_detection.active_contacts import ActiveContacts
-from contacts.collision_detection.body_numbers import BodyNumbers, Memory
+from contacts.collision_detection.body_numbers import BodyNumbers, WarmStart
 from contacts.collision_detection.broad_phase import Grid
 from contacts.collision_detection.midpoint import Midpoint
 from contacts.solvers.contact_rows import ContactRows
@@ -41,15 +41,15 @@ class Workspace(NamedTuple):
     # (4,): what lasts: of all islands whose impulses missed what was allowed, that with the largest
     # ratio of masses: this ratio, its lightest and its heaviest body, the residual.
     worst: Array
-    earlier: Memory  # The memory before the last step.
+    earlier: WarmStart  # The memory before the last step.
     # (2,): the part of the energy of motion that joints add in a step, for which no impulses were
     # found that close them; and 1 where it can be taken in parts.
-    apart: Array
+    joint_energy: Array
 
     @classmethod
-    def of(cls, numbers: BodyNumbers, memory: Memory) -> Workspace:
+    def of(cls, numbers: BodyNumbers, warm: WarmStart) -> Workspace:
         """Return room for as many contacts as are remembered."""
-        count, most = len(numbers.sizes), len(memory.keys)
+        count, most = len(numbers.sizes), len(warm.keys)
         return cls(
             Midpoint.allocate(numbers),
             ActiveContacts.allocate(most),
@@ -58,7 +58,7 @@ class Workspace(NamedTuple):
             np.empty((most, 2)),
             np.empty(most, np.int64),
             np.empty(most),
-            ContactRows.room(most, count, numbers.padded, numbers.links.rows),
+            ContactRows.allocate(most, count, numbers.padded, numbers.links.rows),
             np.empty((5, most, 2)),
             np.empty(most, np.bool_),
             np.empty(count, np.int64),
@@ -69,6 +69,6 @@ class Workspace(NamedTuple):
             np.empty(most, np.int64),
             np.empty(count),
             np.zeros(4),
-            memory.copy(),
+            warm.copy(),
             np.zeros(2),
         )

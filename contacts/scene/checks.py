@@ -108,14 +108,16 @@ def names_for(scene: SceneFields, loc: Loc) -> frozenset[str]:
             if not scene.bodies[name].prescribed:
                 return parameters | {*scene.coordinates}
             numbered = {INDEX} if scene.bodies[name].copies is not None else set()
-            return parameters | {TIME, *scene.controlled.memory, *scene.controls} | numbered
+            return (
+                parameters | {TIME, *scene.controlled.controller_state, *scene.controls} | numbered
+            )
         case "bodies", "start" if scene.bodies[name].copies is not None:
             return parameters | {INDEX}
         case "surfaces", "height":
             return parameters | {"x"}
         case ("surfaces", "displacement" | "turn") | ("joints", "to") if loc[-1] != "at":
             # Variables of controllers may move surfaces, and joints of bodies with shapes.
-            memory = scene.controlled.memory
+            memory = scene.controlled.controller_state
             if section == "surfaces":
                 return parameters | {TIME, *memory, *(() if scene.collisions else scene.controls)}
             if loc[-1] in ("x", "y"):
@@ -176,7 +178,7 @@ def _reason(scene: SceneFields, name: str, known: Collection[str], loc: Loc) -> 
             "a control jumps, and a path must not",
             "write a variable of a region that has a flow",
         )
-    if led and name in {*scene.controls, *scene.controlled.memory}:
+    if led and name in {*scene.controls, *scene.controlled.controller_state}:
         return (
             "controllers cannot move the joints and surfaces of a scene without collisions",
             f"write a formula of {TIME}, or give bodies shapes and declare collisions",
@@ -424,7 +426,7 @@ def check_kinks(scene: SceneFields) -> None:
     for loc, text in scene_formulas(scene):
         if loc[0] not in ("surfaces", "joints") and loc[2:3] not in (("position",), ("angle",)):
             continue
-        constant = {*scene.parameters, *scene.controlled.memory, *scene.controls, INDEX}
+        constant = {*scene.parameters, *scene.controlled.controller_state, *scene.controls, INDEX}
         variables = names_for(scene, loc) - constant
         if variables:
             ground = loc[-1] == "height"
@@ -448,7 +450,7 @@ def has_switches(scene: SceneFields) -> bool:
     """Return whether what moves the scene has abs, sign, min, max or sat of what changes."""
     changing, texts = _force_formulas(scene)
     controls = scene.controlled
-    changing = {*changing, TIME, *controls.memory}
+    changing = {*changing, TIME, *controls.controller_state}
     flows = [
         text
         for name in scene.regions
@@ -710,7 +712,7 @@ def check_collisions(scene: SceneFields) -> None:
                 loc=("joints", name, "enabled"),
                 key=True,
             )
-    _check_memory(scene)
+    _check_controller_state(scene)
     _check_joined(scene)
     for name, body in scene.bodies.items():
         if not (body.prescribed or body.linked) and body.inertia is None:
@@ -856,7 +858,7 @@ def check_prescribed(scene: SceneFields, found: Findings) -> None:
                 )
 
 
-def _check_memory(scene: SceneFields) -> None:
+def _check_controller_state(scene: SceneFields) -> None:
     """Check that what controllers remember is known ahead of the steps."""
     if not any(region.variables for region in scene.regions.values()):
         return

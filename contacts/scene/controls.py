@@ -105,7 +105,7 @@ class Controls:
         return tuple(TopologicalSorter(uses).static_order())
 
     @cached_property
-    def memory(self) -> Mapping[str, FiniteText]:
+    def controller_state(self) -> Mapping[str, FiniteText]:
         """Variables of regions, and the timers of their transitions.
 
         Name -> initial value.
@@ -117,12 +117,12 @@ class Controls:
 
     @property
     def clocks(self) -> tuple[str, ...]:
-        """Those of `memory` that are instants of time."""
+        """Those of `controller_state` that are instants of time."""
         return tuple(clock for region in self.flat.values() for clock in region.clocks)
 
     @property
     def timers(self) -> tuple[str, ...]:
-        """Those of `memory` that transitions wait for times by."""
+        """Those of `controller_state` that are timers of transitions."""
         return tuple(timer for region in self.flat.values() for timer in region.timers)
 
     @cached_property
@@ -243,7 +243,7 @@ class Controls:
                 key=True,
             ) from None
 
-    def check_memory(self, known: Collection[str]) -> None:
+    def check_controller_state(self, known: Collection[str]) -> None:
         """Check that regions change variables of their own, by formulas over `known`."""
         for name, region in self.regions.items():
             check_changes(

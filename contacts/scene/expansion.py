@@ -226,7 +226,7 @@ def _start(scene: SceneFields) -> dict[str, float]:
         for c in body.coordinates:
             texts[f"{name}.{c}"] = body.start.get(c, 0)  # type: ignore[call-overload]
             texts[f"{name}.d{c}"] = body.start.get(f"d{c}", 0)  # type: ignore[call-overload]
-    texts |= scene.controlled.memory
+    texts |= scene.controlled.controller_state
     found = {name: parse(text).value(known) for name, text in texts.items()}
     return {TIME: 0.0, **known, **found}
 

@@ -390,7 +390,7 @@ class SceneFields(Declaration):
     def kinematic_names(self) -> frozenset[str]:
         """Names that formulas of controls and of forces may use."""
         rates = map(self.rate_name, self.variables)
-        memory = self.controlled.memory
+        memory = self.controlled.controller_state
         return frozenset((TIME, *self.parameters, *self.variables, *rates, *memory))
 
     @property
@@ -399,7 +399,7 @@ class SceneFields(Declaration):
         if self.collisions:
             return frozenset()
         texts = [text for s in self.surfaces.values() for text in (*s.displacement, s.turn)]
-        found, memory = set[str](), {*self.controlled.memory, *self.controls}
+        found, memory = set[str](), {*self.controlled.controller_state, *self.controls}
         while fresh := {n for text in texts for n in parse(text).names & memory} - found:
             found |= fresh
             texts = [

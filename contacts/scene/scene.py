@@ -216,7 +216,7 @@ class Scene(SceneFields):
         with found:
             self.controlled.check(self.kinematic_names)
         with found:
-            self.controlled.check_memory(self.kinematic_names)
+            self.controlled.check_controller_state(self.kinematic_names)
         # Beside what moves, a body may stand at a place.
         nothing_moves = not self.coordinates and all(
             body.position is not None for body in self.bodies.values()

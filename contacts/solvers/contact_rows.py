@@ -27,7 +27,7 @@ STEEPEST = 2.0**-12
 LAW = 9
 """Numbers that `law_of` writes."""
 
-BEST, NOW, CHANGE, ALONG, LEAST, TRIED, KEPT = range(7)
+BEST, NOW, CHANGE, ALONG, LEAST, TRIAL, SAVED = range(7)
 """What solvers have in `ContactRows.spare`: the best impulses, those of a sweep or a step, by how
 much they change, and how they went on; what is asked; impulses that are tried, and kept."""
 
@@ -45,7 +45,7 @@ _GROWN = 1.001
 
 
 class ContactRows(NamedTuple):
-    """Contacts that feel each other through what they move."""
+    """Rows of contacts that are coupled through the bodies that they move."""
 
     # (m, s): which bodies a contact moves, of three rates each, that stand side by side.
     bodies: Ints
@@ -68,7 +68,7 @@ class ContactRows(NamedTuple):
     padded: int
 
     @classmethod
-    def room(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
+    def allocate(cls, most: int, bodies: int, padded: int = 0, shared: int = 0) -> ContactRows:
         """Return place for so many contacts of so many bodies, with pads if they are `padded`.
 
         Behind these all may move `shared` blocks of coordinates.
@@ -162,7 +162,9 @@ def along(contacts: ContactRows, i: int, d: int, rates: Array) -> float:
 
 
 @kernel
-def seen(contacts: ContactRows, i: int, least: Array, rates: Array) -> tuple[float, float]:
+def contact_velocity(
+    contacts: ContactRows, i: int, least: Array, rates: Array
+) -> tuple[float, float]:
     """Return the velocity of contact i, normal and tangential."""
     bodies, rows = contacts.bodies, contacts.rows
     normal, slip = least[i, 0], least[i, 1]
@@ -257,7 +259,7 @@ def scale(contacts: ContactRows, least: Array) -> float:
 
 
 @kernel
-def scale_beside(contacts: ContactRows, free: Array, wanted: Array) -> float:
+def scale_of_sum(contacts: ContactRows, free: Array, wanted: Array) -> float:
     """Return the `scale` of the sum of both."""
     size = 0.0
     for i in range(len(free)):
@@ -277,7 +279,7 @@ def residual(
     """
     missed, own, cones = 0.0, contacts.own, contacts.cones
     for i in range(len(impulses)):
-        normal, slip = seen(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, least, rates)
         if not math.isfinite(normal + slip):
             return math.inf
         pn, pt = impulses[i]
@@ -316,7 +318,7 @@ def _sweep(
     total = most = 0.0
     own, laws = contacts.own, contacts.laws
     for i in range(len(impulses)):
-        normal, slip = seen(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, least, rates)
         before, beside = impulses[i, 0], impulses[i, 1]
         wn, wt, wx = own[i, 0], own[i, 1], own[i, 2]
         pn, pt = one_contact(

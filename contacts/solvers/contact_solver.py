@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from contacts.solvers.contact_rows import (
-    TRIED,
+    TRIAL,
     ContactRows,
     add,
     along,
@@ -82,7 +82,7 @@ def solve_rows(
     # Of coordinates they are solved anew at each step: what rests has no velocity at all.
     if not same and left <= (_AT_REST if rests else VERIFIED):
         return left, 0
-    other, done, pivots = contacts.spare[TRIED, :count], 0, count <= _LEMKE and not joined
+    other, done, pivots = contacts.spare[TRIAL, :count], 0, count <= _LEMKE and not joined
     goal = min(allowed, VERIFIED) if rests or same or count <= _SMALL else allowed
     if same:
         missed, found = math.inf, max(goal, min(allowed, _OPENS))

@@ -15,7 +15,7 @@ CANCELLING = 1e-10
 """Of rows that are solved with: nearer, the forces and accelerations are huge and cancel, and of
 the 16 digits of their terms less than 6 are left."""
 
-GIVEN = 1e-8
+USER_DIGITS = 1e-8
 """Of rows at a configuration that a user gives, and where it may be as far off as the digits
 written: a part so small is none. What they determine has an error of 1e-16 / 1e-8."""
 
@@ -78,13 +78,13 @@ def implied(rows: Array) -> Bools:
     found = np.zeros(len(rows), dtype=np.bool_)
     for i in range(len(rows)):
         kept = np.flatnonzero(~found[: i + 1])
-        found[i] = independent(rows[kept], GIVEN)[0] < len(kept)
+        found[i] = independent(rows[kept], USER_DIGITS)[0] < len(kept)
     return found
 
 
 def rank(sizes: Array) -> int:
     """Return how many singular values, the largest first, are of independent rows as given."""
-    return int(np.count_nonzero(sizes > GIVEN * sizes[0]))
+    return int(np.count_nonzero(sizes > USER_DIGITS * sizes[0]))
 
 
 def null_space(rows: Array) -> Array:
@@ -98,7 +98,7 @@ def null_space(rows: Array) -> Array:
 def least(rows: Array, right: Array) -> tuple[Array, Array]:
     """Return the least x with the least ``right - rows x``, and that."""
     scale = column_scales(rows)
-    x = np.linalg.lstsq(rows * scale, right, rcond=GIVEN)[0] * scale
+    x = np.linalg.lstsq(rows * scale, right, rcond=USER_DIGITS)[0] * scale
     return x, right - rows @ x
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contacts.solvers.contact_rows import LAW, PAIR, ContactRows, add, seen, slope
+from contacts.solvers.contact_rows import LAW, PAIR, ContactRows, add, contact_velocity, slope
 from contacts.solvers.island_impulses import island_impulses
 from statechart.arrays import Array, Bools, Ints
 from statechart.kernels.copies import put
@@ -28,8 +28,8 @@ _STOPPED = 0.5
 
 
 @kernel
-def _together(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) -> Ints:
-    """Return who takes part in the impact of a contact: what shares bodies, and is hit with it."""
+def _participants(contacts: ContactRows, pairs: Ints, next_ones: Bools, first: int) -> Ints:
+    """Return the contacts of an impact: those that share bodies and are hit with the first."""
     count = len(pairs)
     order, taken = np.empty(count, np.int64), np.zeros(count, np.bool_)
     order[0], taken[first], many, at = first, True, 1, 0
@@ -166,13 +166,13 @@ def in_turn(
         for first in range(count):
             if done[first]:
                 continue
-            chosen = _together(contacts, pairs, next_ones, first)
+            chosen = _participants(contacts, pairs, next_ones, first)
             for i in chosen:
                 done[i] = True
             steps, left = _hit(contacts, chosen, now, restitution, slow, allowed, impulses, rates)
             iterations, worst = iterations + steps, max(worst, left)
         for i in range(count):
-            now[i, 0], now[i, 1] = seen(contacts, i, start, rates)
+            now[i, 0], now[i, 1] = contact_velocity(contacts, i, start, rates)
             still = max(still, -now[i, 0] if next_ones[i] else 0.0)
         if still > _STOPPED * fastest:
             return iterations, worst, still

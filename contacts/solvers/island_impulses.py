@@ -13,8 +13,8 @@ import numpy as np
 
 from contacts.solvers.contact_rows import (
     CHANGE,
-    KEPT,
     LEAST,
+    SAVED,
     ContactRows,
     along,
     joint_work,
@@ -296,7 +296,7 @@ def island_impulses(
         pushed = pushed or _pushed(contacts, wanted, rebounds, i)
         joined = joined or slope(contacts.cones[i]) < 0.0
         stores = stores or yields(contacts, i)
-    other = contacts.spare[KEPT, :count]
+    other = contacts.spare[SAVED, :count]
     put_rows(impulses, other)
     left, done, softened = _rebounding(
         contacts, before, free, wanted, rebounds, impulses, allowed, fastest <= slowest, not pushed

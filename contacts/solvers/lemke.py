@@ -147,7 +147,7 @@ def _begin(
 
 
 @kernel
-def _made_anew(
+def _refactorised(
     matrix: Array, vector: Array, cover: Array, basic: Ints, nonbasic: Ints, column_of: Ints,
     table: Array, right: Array,
 ) -> None:  # fmt: skip
@@ -219,7 +219,7 @@ def lemke(matrix: Array, vector: Array, cover: Array) -> tuple[int, Array]:
                     z[basic[i] - size] = right[i]
             return FOUND, z
         if pivot % _ANEW == _ANEW - 1:
-            _made_anew(matrix, vector, cover, basic, nonbasic, column_of, table, right)
+            _refactorised(matrix, vector, cover, basic, nonbasic, column_of, table, right)
         c = column_of[leaving - size if leaving >= size else leaving + size]
         smallest = -_SMALLEST_PIVOT * np.abs(table[:, c]).max()
         least = math.inf

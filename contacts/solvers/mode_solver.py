@@ -13,7 +13,7 @@ from contacts.solvers.saddle_point import (
     SINGULAR,
     SOLVED,
     UNDETERMINED,
-    room,
+    saddle_workspace,
     solve_in,
 )
 from contacts.states import (
@@ -145,7 +145,7 @@ def _write_rows(
 
 
 @kernel
-def _misses(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
+def _contradicts(row: Array, constant: float, accelerations: Array, scale: float) -> bool:
     """Return whether accelerations contradict a constraint that others imply."""
     terms, missed = scale, -constant
     for i in range(len(row)):
@@ -218,7 +218,12 @@ def solve_modes(
     constants, directions = np.empty(2 * contacts), np.empty((2 * contacts, 2))
     owners, in_order = np.empty(2 * contacts, np.int64), np.arange(2 * contacts)
     size, edges = n + 2 * contacts, np.empty((contacts, 2))
-    matrix, b, x, memory = np.empty((size, size)), np.empty(size), np.empty(size), room(size)
+    matrix, b, x, memory = (
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty(size),
+        saddle_workspace(size),
+    )
     for k in range(count):
         code, verdict, force = codes[k], verdicts[k], forces[k]
         choose_edges(cones, code, edges)
@@ -275,7 +280,9 @@ def solve_modes(
         for i in range(n):
             accelerations[k, i] = x[i]
         for i in range(rank, m):
-            if _misses(rows[first[i]], constants[first[i]], accelerations[k], acceleration_scale):
+            if _contradicts(
+                rows[first[i]], constants[first[i]], accelerations[k], acceleration_scale
+            ):
                 status[k] = CONTRADICTORY
         if status[k] != SOLVED:
             continue

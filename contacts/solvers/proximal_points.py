@@ -18,11 +18,11 @@ import numpy as np
 from contacts.solvers.contact_rows import (
     HELD,
     ContactRows,
+    contact_velocity,
     moved,
     rates_of,
     residual,
     scale,
-    seen,
     slope,
 )
 from contacts.solvers.sparse_blocks import Equations, equations_of, factored, solved
@@ -182,7 +182,7 @@ def _find_status(
             # What is guided slides without friction.
             status[i], edges[i] = STICKS if mu == HELD else SLIDES, 0.0
             continue
-        normal, slip = seen(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, least, rates)
         wn, wt = contacts.own[i, 0], contacts.own[i, 1]
         press = wn * now[i, 0] - normal - compliance * wn * (now[i, 0] - centre[i, 0])
         shear = wt * now[i, 1] - slip - compliance * wt * (now[i, 1] - centre[i, 1])
@@ -203,7 +203,7 @@ def _take_step(
 ) -> None:  # fmt: skip
     """Bring impulses to where their status is exact, and their rates, in place."""
     for i in range(len(now)):
-        normal, slip = seen(contacts, i, least, rates)
+        normal, slip = contact_velocity(contacts, i, least, rates)
         away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
         equations.right[i, 0] = -normal - compliance * contacts.own[i, 0] * away
         equations.right[i, 1] = -slip - compliance * contacts.own[i, 1] * aside
@@ -238,10 +238,10 @@ def _settled(
 
 
 @kernel
-def _kept(
+def _status_margin(
     mu: float, status: int, edge: float, which: int, impulse: Array, normal: float, slip: float
 ) -> float:
-    """Return what must not fall below zero while a contact keeps its status.
+    """Return the margin that stays >= 0 while a contact keeps its status.
 
     Linear in impulse and velocity: of what is open the velocity; of what slides the normal impulse
     and the slip against friction; of what sticks how far it is from both edges.
@@ -272,7 +272,7 @@ def _change(mu: float, status: Ints, edges: Array, i: int, which: int, slip: flo
 
 
 @kernel
-def followed(
+def follow_point(
     contacts: ContactRows, equations: Equations, least: Array, now: Array, centre: Array,
     shift: Array, compliance: float, rates: Array, status: Ints, edges: Array,
 ) -> tuple[bool, int]:  # fmt: skip
@@ -301,7 +301,7 @@ def followed(
             return False, change
         moved(contacts, now, rates)
         for i in range(count):
-            normal, slip = seen(contacts, i, least, rates)
+            normal, slip = contact_velocity(contacts, i, least, rates)
             away, aside = now[i, 0] - centre[i, 0], now[i, 1] - centre[i, 1]
             equations.right[i, 0] = -normal - left * shift[i, 0] - compliance * own[i, 0] * away
             equations.right[i, 1] = -slip - left * shift[i, 1] - compliance * own[i, 1] * aside
@@ -315,11 +315,11 @@ def followed(
         moved(contacts, along, felt)
         if entered >= 0:
             i = entered
-            normal, slip = seen(contacts, i, shift, felt)
+            normal, slip = contact_velocity(contacts, i, shift, felt)
             normal += compliance * own[i, 0] * along[i, 0]
             slip += compliance * own[i, 1] * along[i, 1]
             mu = slope(contacts.cones[i])
-            opening = _kept(mu, status[i], edges[i], begins, along[i], normal, slip)
+            opening = _status_margin(mu, status[i], edges[i], begins, along[i], normal, slip)
             way = 1.0 if opening > 0.0 else -1.0
             turns += 1 if way > 0.0 else 0
         first, which, nearest = -1, _ONE, math.inf
@@ -327,18 +327,20 @@ def followed(
             mu = slope(contacts.cones[i])
             if mu < 0.0:
                 continue
-            normal, slip = seen(contacts, i, least, rates)
+            normal, slip = contact_velocity(contacts, i, least, rates)
             normal += left * shift[i, 0] + compliance * own[i, 0] * (now[i, 0] - centre[i, 0])
             slip += left * shift[i, 1] + compliance * own[i, 1] * (now[i, 1] - centre[i, 1])
-            to_normal, to_slip = seen(contacts, i, shift, felt)
+            to_normal, to_slip = contact_velocity(contacts, i, shift, felt)
             to_normal += compliance * own[i, 0] * along[i, 0]
             to_slip += compliance * own[i, 1] * along[i, 1]
             for k in range(1 if status[i] == OPEN or mu == 0.0 else 2):
                 if i == entered and k == begins:
                     continue
-                falls = -way * _kept(mu, status[i], edges[i], k, along[i], to_normal, to_slip)
+                falls = -way * _status_margin(
+                    mu, status[i], edges[i], k, along[i], to_normal, to_slip
+                )
                 if falls > 0.0:
-                    here = _kept(mu, status[i], edges[i], k, now[i], normal, slip)
+                    here = _status_margin(mu, status[i], edges[i], k, now[i], normal, slip)
                     if max(here, 0.0) < nearest * falls:
                         first, which, nearest = i, k, max(here, 0.0) / falls
         reached = way < 0.0 and nearest >= left
@@ -352,7 +354,7 @@ def followed(
             return True, change + 1
         left += way * far
         moved(contacts, now, rates)
-        _, slip = seen(contacts, first, least, rates)
+        _, slip = contact_velocity(contacts, first, least, rates)
         slip += left * shift[first, 1]
         slip += compliance * own[first, 1] * (now[first, 1] - centre[first, 1])
         mu = slope(contacts.cones[first])
@@ -382,7 +384,7 @@ def by_last_status(contacts: ContactRows, least: Array, impulses: Array) -> tupl
         for _ in range(_REFINEMENTS):
             missed = 0.0
             for i in range(count):
-                normal, slip = seen(contacts, i, least, rates)
+                normal, slip = contact_velocity(contacts, i, least, rates)
                 if status[i] != OPEN:
                     missed = max(missed, abs(normal), abs(slip) if status[i] == STICKS else 0.0)
             if not missed < _FALLS * left:
@@ -425,7 +427,7 @@ def by_proximal_points(
         if not good and is_known:
             put_rows(centre, now)
             status[:], edges[:] = known, known_edges
-            good, taken = followed(
+            good, taken = follow_point(
                 contacts, equations, least, now, centre, shift, compliance, rates, status, edges
             )
             done += taken

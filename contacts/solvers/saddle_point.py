@@ -46,8 +46,8 @@ def largest_in_column(matrix: Array, k: int) -> float:
     return largest
 
 
-class Room(NamedTuple):
-    """Memory to solve systems of up to s unknowns in."""
+class SaddleWorkspace(NamedTuple):
+    """Workspace of systems of up to s unknowns."""
 
     # of shape (s, s) each
     factors: Array
@@ -60,9 +60,9 @@ class Room(NamedTuple):
 
 
 @kernel
-def room(size: int) -> Room:
-    """Return memory for systems of up to so many unknowns."""
-    return Room(
+def saddle_workspace(size: int) -> SaddleWorkspace:
+    """Allocate the workspace of systems of up to so many unknowns."""
+    return SaddleWorkspace(
         np.empty((size, size)),
         np.empty((size, size)),
         np.empty(size),
@@ -178,11 +178,11 @@ def solve_refined(scaled: Array, b: Array, x: Array) -> int:
 
     Matrix and right side are equilibrated in place, by powers of two (exact).
     """
-    return solve_in(room(len(b)), scaled, b, x, len(b))
+    return solve_in(saddle_workspace(len(b)), scaled, b, x, len(b))
 
 
 @kernel
-def solve_in(memory: Room, scaled: Array, b: Array, x: Array, size: int) -> int:
+def solve_in(memory: SaddleWorkspace, scaled: Array, b: Array, x: Array, size: int) -> int:
     """Do what `solve_refined` does, of the first unknowns of larger arrays."""
     factors, errors, column_scale, y, residual, orders = memory
     order = orders[:size]

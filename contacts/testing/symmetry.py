@@ -122,7 +122,7 @@ class _Change:
         """Return how to read the runs of the changed scene."""
         scene = self.declared
         names = (*scene.variables, *map(scene.rate_name, scene.variables))
-        names = (*names, *scene.expanded.controlled.memory)
+        names = (*names, *scene.expanded.controlled.controller_state)
         factors = np.array([1.0 / self._factors.get(name, 1.0) for name in names])
         return Reading(factors, 1.0 / self.time, states)
 

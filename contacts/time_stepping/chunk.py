@@ -18,14 +18,14 @@ DONE, BAD_INERTIA, NOT_FINITE, FULL, COARSE = range(5)
 """End of a chunk: with its last step, before an inertia that determines no motion, a number that
 is none, more contacts than there is place for, or more motion than the step follows."""
 
-APART, LASTING, HIT = range(3)
+SEPARATED, LASTING, HIT = range(3)
 """How a contact takes part in a step."""
 
-BESIDE = 1e-6
+TIME_MARGIN = 1e-6
 """Margin of time bounds, in parts of a step: round-off of gaps and speeds must not separate corners
 that arrive together."""
 
-SLOW = 2.0 + BESIDE
+SLOW = 2.0 + TIME_MARGIN
 """Impulses of contacts that approach slower than what so many steps without contact would make of
 rest are those of a contact that lasts."""
 
@@ -67,10 +67,10 @@ class Chunk(NamedTuple):
     # (k,): where something passed another between the middle of the step before and that of this
     # one: the part of a step in which they overlapped.
     passed: Array
-    late: Array  # (k,): how long after the middle of the step its impacts are.
+    impact_delay: Array  # (k,): how long after the middle of the step its impacts are.
     # (k,): what contacts add to the energy, or would; see `contacts.time_stepping.step_contacts`.
     gained: Array
-    efforts: Array  # (k, e): what impulses took, in the columns `RESIDUAL` to `JAMMED`.
+    stats: Array  # (k, e): what impulses took, in the columns `RESIDUAL` to `JAMMED`.
 
     @classmethod
     def allocate(cls, h: float, state: Array, unknowns: int, regions: int, count: int) -> Chunk:
@@ -185,4 +185,4 @@ def arriving(
         return LASTING, level, above
     if above <= max(reached, near) and nearing > slow:
         return HIT, min(gap, 0.0), above
-    return APART, level, above
+    return SEPARATED, level, above

@@ -33,7 +33,7 @@ from statechart.automaton.trace import Jump
 from statechart.charts.guard_watch import Listening
 from statechart.errors import EventLoop, UnsolvedImpulses
 
-_TOLD = 4  # of those that follow each other for ever
+_MAX_LISTED = 4  # of those that follow each other for ever
 _MOST_TURNS = 100
 # A guard that becomes true within this part of a step after its end is true at its end: times of
 # steps, and so timeouts that end with one, are rounded.
@@ -136,7 +136,8 @@ class StepControl:
             jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
             pending, state = self._listening.pending_after(firing.pending, jump), after
         last = (
-            f"{jump.cause} -> {' '.join(jump.target)}" for jump in recorder.control_jumps[-_TOLD:]
+            f"{jump.cause} -> {' '.join(jump.target)}"
+            for jump in recorder.control_jumps[-_MAX_LISTED:]
         )
         raise EventLoop(
             f"more than {_MOST_TURNS} transitions of controllers at one instant: {', '.join(last)}"

@@ -28,7 +28,7 @@ _LITTLE = 1e-3
 # Errors, relative to the speeds of a run, from which a warning is given: of forces between the
 # midpoints of steps; of impacts (a shipped model has a tenth at its own step); of the phase of
 # springs, half a radian of the fastest motion.
-_FORCES, _IMPACTS, _AHEAD = 0.1, 0.15, 0.5
+_FORCES, _IMPACTS, _PHASE = 0.1, 0.15, 0.5
 # The same, relative to the way of a coordinate.
 _WAY = 0.2
 
@@ -84,7 +84,7 @@ class DiscretisationError:
         # Speeds that forces gave beside what steps saw: now, at most, and what is not known.
         self._drift, self._drifted, self._unknown = np.zeros(n), np.zeros(n), np.zeros(n)
         # Speeds that are off after one impact, and of springs; ways that slips that end are off.
-        self._late, self._ahead, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._velocity, self._phase, self._stopped = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def copy(self) -> DiscretisationError:
         """Return what is known so far."""
@@ -113,12 +113,12 @@ class DiscretisationError:
         struck: Bools = np.any(chunk.struck, axis=1)
         times = start + h * np.nonzero(struck)[0]
         for k in np.nonzero(struck)[0].tolist():
-            self._late = np.maximum(self._late, _off(now, chunk, start, k))
+            self._velocity = np.maximum(self._velocity, _off(now, chunk, start, k))
         spans = np.concatenate([[self._hit], times, [start + h * len(struck)]])
         self._hit = float(spans[-2])
         if swings is not None:
             off = swings.off(rates, ~struck, h, float(np.diff(spans).max()))
-            self._ahead = np.maximum(self._ahead, off)
+            self._phase = np.maximum(self._phase, off)
 
     def remarks(self, h: float) -> tuple[str, ...]:
         """Say what is missed."""
@@ -132,18 +132,18 @@ class DiscretisationError:
                 f"step {h:g} is too long for the forces: velocity error up to {forces:.2g} of "
                 f"the largest; take {0.5 * h * math.sqrt(_FORCES / forces):.1g} or less"
             )
-        late = float((self._late / fastest).max(initial=0.0))
+        late = float((self._velocity / fastest).max(initial=0.0))
         if late > _IMPACTS:
             found.append(
                 f"step {h:g} is too long for contacts that are switched on: impacts are off "
                 f"by up to {late:.2g} of the largest velocity; take "
                 f"{0.5 * h * _IMPACTS / late:.1g} or less"
             )
-        ahead = float((self._ahead / fastest).max(initial=0.0))
-        if ahead > _AHEAD:
+        ahead = float((self._phase / fastest).max(initial=0.0))
+        if ahead > _PHASE:
             found.append(
                 f"step {h:g} is too long for the springs: velocity error up to {ahead:.2g} of "
-                f"the largest; take {0.5 * h * math.sqrt(_AHEAD / ahead):.1g} or less"
+                f"the largest; take {0.5 * h * math.sqrt(_PHASE / ahead):.1g} or less"
             )
         stopped = float((np.abs(self._stopped) / way).max(initial=0.0))
         if stopped > _WAY:
@@ -170,7 +170,7 @@ class DiscretisationError:
         for k, i in np.argwhere(turned).tolist():
             first = n + source.joint_rows + 2 * i
             normal, tangential = chunk.solved[k, first : first + 2].tolist()
-            rows = source.rows(now.values, chunk.states[k], start + k * h)
+            rows = source.equations(now.values, chunk.states[k], start + k * h)
             slip, push = rows.velocities[i, 1], rows.contacts[i, n : 2 * n]
             moved = np.linalg.pinv(rows.mass) @ push
             lightness = float(push @ moved)
@@ -203,7 +203,7 @@ def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
     struck = np.nonzero(chunk.struck[k])[0]
     state, time, rates = chunk.states[k].copy(), start + (k + 0.5) * h, chunk.states[k, n : 2 * n]
     state[:n] += 0.5 * h * rates
-    rows = now.source.rows(now.values, state, time)
+    rows = now.source.equations(now.values, state, time)
     gaps, nearing = rows.gaps[struck], -rows.velocities[struck, 0]
     ago = np.zeros(len(struck))
     np.divide(-gaps, nearing, out=ago, where=nearing > 0.0)
@@ -218,7 +218,7 @@ def _off(now: Equations, chunk: Chunk, start: float, k: int) -> Array:
 def _impact(now: Equations, state: Array, time: float, struck: Ints) -> Array | None:
     """Return what impacts of these contacts add to the rates (n,) in a state."""
     source = now.source
-    n, rows = source.size, source.rows(now.values, state, time)
+    n, rows = source.size, source.equations(now.values, state, time)
     mass, contacts, joints = rows
     if not (np.isfinite(mass).all() and np.isfinite(contacts).all() and np.isfinite(joints).all()):
         return None

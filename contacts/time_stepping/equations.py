@@ -72,7 +72,7 @@ def is_coupling(scene: StepConstants, i: int) -> bool:
     return i >= len(scene.cones) - scene.couplings
 
 
-class ContactMemory(NamedTuple):
+class ContactHistory(NamedTuple):
     """Contact state that lasts from step to step."""
 
     # (c,): gap at which a contact that lasts is kept: what its landing has left, above 0 only where
@@ -100,7 +100,7 @@ class ContactMemory(NamedTuple):
     pushed: Array  # (n,): what contacts that last changed the rates by in the last step.
 
     @classmethod
-    def of(cls, off: Bools, size: int) -> ContactMemory:
+    def of(cls, off: Bools, size: int) -> ContactHistory:
         """Return that of contacts that have not touched yet, in so many coordinates."""
         count = len(off)
         return cls(
@@ -119,9 +119,9 @@ class ContactMemory(NamedTuple):
             np.zeros(size),
         )
 
-    def copy(self) -> ContactMemory:
+    def copy(self) -> ContactHistory:
         """Return it as it is now."""
-        return ContactMemory._make(array.copy() for array in self)
+        return ContactHistory._make(array.copy() for array in self)
 
 
 class TapeValues(NamedTuple):

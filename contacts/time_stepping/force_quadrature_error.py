@@ -21,7 +21,7 @@ from statechart.kernels.tapes import TapeCode
 _PLACES = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 # Pieces of a step: a force that turns more often in it is known by its range only.
-_PIECES = 128
+_MAX_INTERVALS = 128
 _NARROW = 2.0**-20  # of a step, likewise
 
 
@@ -56,7 +56,7 @@ def force_quadrature_error(tape: TapeCode, steps: Steps) -> tuple[Array, Array]:
             resolved = True
             for i in range(count):
                 resolved = resolved and jets[outputs[i], 2] == 0.0
-            if not resolved and pieces < _PIECES and b - a > _NARROW:
+            if not resolved and pieces < _MAX_INTERVALS and b - a > _NARROW:
                 m = 0.5 * (a + b)
                 lefts[top], rights[top] = m, b
                 lefts[top + 1], rights[top + 1] = a, m

@@ -66,8 +66,8 @@ def struck(
     return parts[0], parts[1]
 
 
-class Pieces(NamedTuple):
-    """The polynomials of consecutive steps: one of each, two of one with impacts."""
+class StepPolynomials(NamedTuple):
+    """Polynomials of consecutive steps: one a step, two in a step with impacts."""
 
     terms: Array  # (p, w, TERMS): coefficients.
     places: Ints  # (k + 1,): where those of each step begin.
@@ -75,10 +75,10 @@ class Pieces(NamedTuple):
     @classmethod
     def of(
         cls, states: Array, acceleration: Array, h: Array | float, late: Array, hit: Bools, n: int
-    ) -> Pieces:
+    ) -> StepPolynomials:
         """Return those of steps of length `h` between states (k + 1, w).
 
-        In those that are `hit` (k,) something strikes, so `late` (k,) after the middle; for the
+        Those that are `hit` (k,) have an impact, `late` (k,) after their middle; for the
         acceleration and `n` see `struck`.
         """
         left, right = states[:-1], states[1:]
@@ -95,7 +95,7 @@ class Pieces(NamedTuple):
 
 
 def defined(rows: Array) -> Array:
-    """Put in the place of what is not a number what the nearest row has, the later of two."""
+    """Replace NaN by the value of the nearest row, the later of two."""
     unknown = np.isnan(rows)
     if not unknown.any():
         return rows
@@ -131,10 +131,10 @@ class Steps(NamedTuple):
     states: Array  # shape (k + 1, w)
     solved: Array  # (k, u): unknowns.
     # Impulses of impacts; the regions struck. Empty where no jumps are made.
-    felt: Array  # shape (k, r, 2)
+    impulses: Array  # shape (k, r, 2)
     struck: Bools  # shape (k, r)
     hit: Bools  # (k,): which steps have impacts.
-    late: Array  # (k,): time from the middle of a step to its impacts.
+    impact_delay: Array  # (k,): time from the middle of a step to its impacts.
     places: Ints  # (k + 1,): first piece of each step.
     # (p, u): unknowns of the pieces, where they differ from those of their steps.
     halves: Array | None = None
@@ -144,7 +144,7 @@ class Steps(NamedTuple):
         """Return the steps of a chunk."""
         return cls(
             begin, ((chunk.h, len(hit)),), coordinates, _own(chunk.states), _own(chunk.solved),
-            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.late), _places(hit),
+            _own(chunk.impulses), _own(chunk.struck), hit, _own(chunk.impact_delay), _places(hit),
         )  # fmt: skip
 
     @classmethod
@@ -157,10 +157,10 @@ class Steps(NamedTuple):
             parts[0].coordinates,
             np.concatenate([*(part.states[:-1] for part in parts), parts[-1].states[-1:]]),
             np.concatenate([part.solved for part in parts]),
-            parts[0].felt[:0].copy(),
+            parts[0].impulses[:0].copy(),
             parts[0].struck[:0].copy(),
             hit,
-            np.concatenate([part.late for part in parts]),
+            np.concatenate([part.impact_delay for part in parts]),
             _places(hit),
         )
 
@@ -186,7 +186,7 @@ class Steps(NamedTuple):
     def at(self, step: int, half: int) -> Clock:
         """Return when a step begins, or its second part; all are of one length."""
         ((h, _),) = self.spans
-        late = 0.5 * h + float(self.late[step]) if half else 0.0
+        late = 0.5 * h + float(self.impact_delay[step]) if half else 0.0
         return self.begin.later(h * step + late).short
 
     @property
@@ -200,7 +200,7 @@ class Steps(NamedTuple):
         for length, count in self.spans:
             times.append(times[-1][-1] + length * np.arange(1, count + 1))
         steps = np.concatenate(times)
-        middles = steps[:-1] + (0.5 * h + self.late)
+        middles = steps[:-1] + (0.5 * h + self.impact_delay)
         return np.insert(steps, np.flatnonzero(self.hit) + 1, middles[self.hit])
 
 
@@ -210,25 +210,25 @@ def _places(hit: Bools) -> Ints:
     return places
 
 
-class Stretch(NamedTuple):
-    """Pieces of steps, from the first to before the last."""
+class StepRange(NamedTuple):
+    """A range of steps: the first, and the one behind the last."""
 
     steps: Steps
     first: int
     last: int
 
 
-class Line(NamedTuple):
-    """An arc, as stretches of steps."""
+class LazyArc(NamedTuple):
+    """An arc as ranges of steps."""
 
     mode: Key
     start: Clock
     j: int
-    stretches: tuple[Stretch, ...]
+    ranges: tuple[StepRange, ...]
 
 
-class Stroke(NamedTuple):
-    """A jump, as a step with impacts."""
+class LazyJump(NamedTuple):
+    """A jump as a step with impacts."""
 
     steps: Steps
     step: int
@@ -245,8 +245,10 @@ class _Polynomials:
 
     def __init__(self, steps: Steps, energy: Callable[[Array, Array], Array] | None) -> None:
         n, hit, h = steps.coordinates, np.asarray(steps.hit), steps.lengths
-        late, halves = np.asarray(steps.late), steps.halves
-        self.terms, _ = Pieces.of(steps.states, steps.solved[:, :n], h[:, None], late, hit, n)
+        late, halves = np.asarray(steps.impact_delay), steps.halves
+        self.terms, _ = StepPolynomials.of(
+            steps.states, steps.solved[:, :n], h[:, None], late, hit, n
+        )
         self.ends = steps.ends(h)
         self.unknowns = np.repeat(steps.solved, 1 + hit, axis=0) if halves is None else halves
         self.steps, self._energy = steps, energy
@@ -274,12 +276,12 @@ class ArcMaker:
         self._regions, self._energy = regions, energy
         self._polynomials: _Polynomials | None = None
 
-    def arc(self, kept: Line | Arc) -> Arc:
+    def arc(self, kept: LazyArc | Arc) -> Arc:
         """Return an arc, made of steps unless it is one."""
         if isinstance(kept, Arc):
             return kept
         ends, reached, terms, unknowns = [np.zeros(1)], 0.0, [], []
-        for steps, first, last in kept.stretches:
+        for steps, first, last in kept.ranges:
             whole = self._of(steps)
             ends.append(reached + (whole.ends[first + 1 : last + 1] - whole.ends[first]))
             reached = float(ends[-1][-1])
@@ -290,13 +292,13 @@ class ArcMaker:
             np.concatenate(terms), defined(np.concatenate(unknowns)),
         )  # fmt: skip
 
-    def jump(self, kept: Stroke | Jump) -> Jump:
+    def jump(self, kept: LazyJump | Jump) -> Jump:
         """Return a jump, made of a step unless it is one."""
         if isinstance(kept, Jump):
             return kept
         whole, steps = self._of(kept.steps), kept.steps
         first = int(steps.places[kept.step])
-        felt = steps.felt[kept.step]
+        felt = steps.impulses[kept.step]
         places = np.flatnonzero(felt.any(axis=1))
         impulses = {
             self._regions[i]: (normal, tangential)

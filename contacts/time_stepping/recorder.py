@@ -28,7 +28,7 @@ from contacts.states import (
     undetermined,
 )
 from contacts.time_stepping.chunk import Chunk
-from contacts.time_stepping.lazy_arcs import ArcMaker, Line, Steps, Stretch, Stroke, cut
+from contacts.time_stepping.lazy_arcs import ArcMaker, LazyArc, LazyJump, StepRange, Steps, cut
 from statechart.arrays import Array, Bools, Ints
 from statechart.automaton.clock import Clock
 from statechart.automaton.lazy import LazySequence
@@ -85,16 +85,16 @@ class Recorder:
         self.key = self._key(self.start)
         self.start_key = self.key
         self._began = self.clock
-        self._open: list[Stretch] = []
+        self._open: list[StepRange] = []
         self._size = 0
         self._tail: _Tail | None = None
         self._maker = ArcMaker(self.regions, self.energy)
-        self._arcs: list[Line | Arc] = []
-        self._jumps: list[Stroke | Jump] = []
-        self.arcs, self.jumps = self.kept(kept=False)
+        self._arcs: list[LazyArc | Arc] = []
+        self._jumps: list[LazyJump | Jump] = []
+        self.arcs, self.jumps = self.sequences(kept=False)
 
-    def kept(self, *, kept: bool) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
-        """Return all arcs and jumps up to now and later; `kept`: not made anew at every access."""
+    def sequences(self, *, kept: bool) -> tuple[LazySequence[Arc], LazySequence[Jump]]:
+        """Return all arcs and jumps up to now and later; `kept`: not recomputed at every access."""
         arcs, jumps, maker = self._arcs, self._jumps, self._maker
         return (
             LazySequence(lambda i: maker.arc(arcs[i]), lambda: len(arcs), cached=kept),
@@ -277,7 +277,7 @@ class Recorder:
         """Append pieces up to a step, or to its second part; return where those after begin."""
         last = int(steps.places[step]) + half
         if last > first:
-            self._open.append(Stretch(steps, first, last))
+            self._open.append(StepRange(steps, first, last))
             self.clock = steps.at(step, half)
             self._size += (last - first) * steps.width
         return last
@@ -292,7 +292,7 @@ class Recorder:
         cause = self._cause(int(self.row[place]), int(row[place]), True)
         source, self.row, self.key = self.key, row, self._key(row)
         self._note(
-            Stroke(
+            LazyJump(
                 steps, k, self.clock.high, self.count, self.regions[place], cause, source,
                 self.key,
             )
@@ -304,7 +304,7 @@ class Recorder:
             self._append_tail(self._tail)
         if not self._open:
             return
-        self._arcs.append(Line(self.key, self._began, self.count, tuple(self._open)))
+        self._arcs.append(LazyArc(self.key, self._began, self.count, tuple(self._open)))
         self._open, self._size, self._began = [], 0, self.clock
 
     def _change(self, row: Ints, state: Array) -> None:
@@ -327,7 +327,7 @@ class Recorder:
                 )
             )  # fmt: skip
 
-    def _note(self, jump: Stroke | Jump) -> None:
+    def _note(self, jump: LazyJump | Jump) -> None:
         self._jumps.append(jump)
         self.count += 1
 
@@ -380,8 +380,8 @@ class PoseRecorder:
 
         def arc(place: int) -> Arc:
             steps, (j, key) = blocks[place], shown[place]
-            stretch = Stretch(steps, 0, int(steps.places[-1]))
-            made = maker.arc(Line(key, steps.begin, j, (stretch,)))
+            stretch = StepRange(steps, 0, int(steps.places[-1]))
+            made = maker.arc(LazyArc(key, steps.begin, j, (stretch,)))
             last = (end - made.start.high) - made.start.low
             if place < len(blocks) - 1 or not last < made.times[-1]:
                 return made

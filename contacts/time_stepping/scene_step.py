@@ -30,7 +30,7 @@ from contacts.time_stepping.equations import (
     EDGES,
     JOINT,
     ContactForces,
-    ContactMemory,
+    ContactHistory,
     ContactRoles,
     FactoredEquations,
     StepConstants,
@@ -80,7 +80,7 @@ def _gap_between(past: Array, gap: float, rate: float, part_of: float, h: float)
 
 
 @kernel
-def _deepest(memory: ContactMemory, tape: TapeValues, i: int) -> float:
+def _deepest(memory: ContactHistory, tape: TapeValues, i: int) -> float:
     """Return the least gap that contact i has where a point comes from the surfaces it lies on.
 
     A surface that goes on from another is reached as deep as the point lies in that, at most so
@@ -125,7 +125,7 @@ def _is_at_kink(tape: TapeValues, change: Array, i: int, h: float, lies: float, 
 
 @kernel
 def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
-    """Write how deep a point is in a surface whose contact is off: see `ContactMemory`."""
+    """Write how deep a point is in a surface whose contact is off: see `ContactHistory`."""
     if off and holds:
         missed[0] = missed[0] if missed[0] > 0.0 else depth
         missed[1] = depth
@@ -137,7 +137,7 @@ def _note_missed(missed: Array, off: bool, holds: bool, depth: float) -> None:
 
 @kernel
 def switch_contacts(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Let conditions turn contacts off and on, write gaps; return False where one is nowhere.
@@ -232,7 +232,7 @@ _SWEEPS, _SETTLED = 200, 1e-14
 
 @kernel
 def hold_signs(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     state: Array, h: float, first: int,
 ) -> Array:  # fmt: skip
     """Solve for the signs in forces at the end of a step; add what they do to its change.
@@ -293,7 +293,7 @@ def hold_signs(
 
 @kernel
 def _write_forces(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, problem: ContactProblem,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, problem: ContactProblem,
     answer: ContactForces, met: ContactRoles, k: int, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Write what contacts bear in step k; return whether forces are mixed with impacts."""
@@ -339,7 +339,9 @@ def _write_held(
 
 
 @kernel
-def _flow_memory(scene: StepConstants, time: float, there: Array, h: float, state: Array) -> None:
+def _flow_controllers(
+    scene: StepConstants, time: float, there: Array, h: float, state: Array
+) -> None:
     """Let what controllers remember flow for h, in place, as fast as it does in a state `there`."""
     count = len(state) - 2 * scene.size
     if count == 0:
@@ -353,7 +355,7 @@ def _flow_memory(scene: StepConstants, time: float, there: Array, h: float, stat
 @kernel
 def _follow(
     scene: StepConstants,
-    memory: ContactMemory,
+    memory: ContactHistory,
     tape: TapeValues,
     there: Array,
     met: ContactRoles,
@@ -375,7 +377,7 @@ def _follow(
 
 @kernel
 def keep_leaving(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     instant: StepInstant, allowed: float, k: int, met: ContactRoles, chunk: Chunk,
 ) -> bool:  # fmt: skip
     """Turn contacts off that do not last as their conditions cease to hold; whether some stay on.
@@ -409,7 +411,7 @@ def keep_leaving(
                 for d in range(2):
                     there[n + j] += problem.columns[2 * a + d, j] * pushes[a, d]
             there[j] += h * there[n + j]
-    _flow_memory(scene, time, middle, h, there)
+    _flow_controllers(scene, time, middle, h, there)
     tape_values(*scene.equations, there, scene.parameters, time + h, ahead)
     for i in range(len(closed)):
         memory.off[i] = memory.off[i] or met.leaving[i]
@@ -455,7 +457,7 @@ def keep_leaving(
 
 @kernel
 def _settle(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     instant: StepInstant, k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of contacts that settle, under the velocities after the step."""
@@ -466,7 +468,7 @@ def _settle(
 
 
 @kernel
-def _age_contacts(memory: ContactMemory, active: Bools) -> None:
+def _age_contacts(memory: ContactHistory, active: Bools) -> None:
     """Let contacts grow older by a step."""
     for i in range(len(active)):
         memory.fresh[i] = max(memory.fresh[i] - 1, 0)
@@ -476,7 +478,7 @@ def _age_contacts(memory: ContactMemory, active: Bools) -> None:
 
 @kernel
 def step_scene(
-    scene: StepConstants, memory: ContactMemory, start: float, allowed: float, chunk: Chunk
+    scene: StepConstants, memory: ContactHistory, start: float, allowed: float, chunk: Chunk
 ) -> tuple[int, int]:
     """Take the steps of a chunk; return how many were taken, and the status.
 
@@ -502,7 +504,7 @@ def step_scene(
     per = 3 * n + 1 + given_count
     for k in range(len(chunk.codes)):
         middle = state.copy()
-        _flow_memory(scene, start + k * h, state, 0.5 * h, middle)
+        _flow_controllers(scene, start + k * h, state, 0.5 * h, middle)
         for i in range(n):
             middle[i] += 0.5 * h * state[n + i]
         time = start + (k + 0.5) * h
@@ -531,7 +533,7 @@ def step_scene(
         total, lasting = equations.change, equations.change.copy()
         put(-lasting[:n], memory.pushed)
         which, blurred = indices(met.active), False
-        chunk.efforts[k, CONTACTS] = len(which)
+        chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.off, forces, k, chunk)
         if len(which) > 0:
             problem = contact_problem(scene, memory, tape, equations, which, met, h)
@@ -547,9 +549,9 @@ def step_scene(
                 changes = changes or change_friction(scene, tape, problem, least, pushes)
             if unloaded > LOADED:
                 missed = max(missed, unloaded)
-            chunk.efforts[k, RESIDUAL], chunk.efforts[k, CALMED] = missed, softened
+            chunk.stats[k, RESIDUAL], chunk.stats[k, CALMED] = missed, softened
             answer = split_forces(scene, memory, problem, least, pushes, allowed)
-            chunk.efforts[k, CHOSEN], chunk.efforts[k, JAMMED] = answer.several, answer.jammed
+            chunk.stats[k, CHOSEN], chunk.stats[k, JAMMED] = answer.several, answer.jammed
             rates = state[n : 2 * n]
             made = largest_energy_gain(scene, tape, problem, answer.pushes, rates)
             chunk.gained[k] = max(chunk.gained[k], made)
@@ -557,7 +559,7 @@ def step_scene(
             _add_impulses(problem.columns, answer.steady, lasting)
             blurred = _write_forces(scene, memory, tape, problem, answer, met, k, chunk)
             ambiguous = len(which) > 1 and order_decides(scene, problem, k, chunk)
-            chunk.efforts[k, AMBIGUOUS] = ambiguous
+            chunk.stats[k, AMBIGUOUS] = ambiguous
         _write_held(scene, n, total, lasting, blurred, k, chunk)
         for i in range(n):
             memory.pushed[i] += lasting[i]
@@ -572,7 +574,7 @@ def step_scene(
         if unsettle(memory, k, chunk) and not scene.soft.any():
             _settle(scene, memory, tape, equations, StepInstant(time, state, middle), k, chunk)
         _age_contacts(memory, met.active)
-        _flow_memory(scene, time, middle, h, state)
+        _flow_controllers(scene, time, middle, h, state)
         for i in range(2 * n, len(state)):
             if not math.isfinite(state[i]):
                 return k, NOT_FINITE

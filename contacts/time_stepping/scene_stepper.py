@@ -29,7 +29,7 @@ from contacts.states import FREE, LOCKED, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
-from contacts.time_stepping.equations import ContactMemory, StepConstants
+from contacts.time_stepping.equations import ContactHistory, StepConstants
 from contacts.time_stepping.passing import passed
 from contacts.time_stepping.scene_step import step_scene
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -57,16 +57,16 @@ _CODES = {state: code for code, state in STATES.items()}
 
 
 @dataclass(eq=False)
-class _Memory:
-    """State that lasts from step to step: contacts, last modes, least values."""
+class _StepState:
+    """State between steps: contact history, last modes, least values."""
 
-    contacts: ContactMemory
+    contacts: ContactHistory
     codes: Ints
     least_gap: Array
     least: Array
 
-    def copy(self) -> _Memory:
-        return _Memory(**{name: array.copy() for name, array in vars(self).items()})
+    def copy(self) -> _StepState:
+        return _StepState(**{name: array.copy() for name, array in vars(self).items()})
 
 
 class SteppedTapes(Controllers):
@@ -105,16 +105,16 @@ class SteppedScene(SteppedSystem):
         self._speed, self._allowed = setup.scales.speed, allowed
         self._negligible = _NEGLIGIBLE * setup.scales.force * setup.scales.length
         self._use(tapes.at(tapes.initial), setup.contacts)
-        self._memory = _Memory(
-            ContactMemory.of(off, self._source.size),
+        self._step_state = _StepState(
+            ContactHistory.of(off, self._source.size),
             np.full(count, FREE),
             np.full(count, np.inf),
             np.full((count, 2), np.inf),
         )
-        self._kept = self._memory.copy()
+        self._saved = self._step_state.copy()
         self._swing = self._length = 0.0
         self._errors = DiscretisationError(setup.scales)
-        self._errors_kept = self._errors.copy()
+        self._saved_errors = self._errors.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Go on with other values of parameters; return the numbers."""
@@ -130,7 +130,7 @@ class SteppedScene(SteppedSystem):
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
             return np.zeros(0, np.int64)
-        memory, now = self._memory.contacts, self._source.contacts(self._values, after, time)
+        memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
         # Forces of compliant contacts follow whatever a surface does.
@@ -145,10 +145,10 @@ class SteppedScene(SteppedSystem):
         # What a surface strikes, or leaves, does not last.
         parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
-        opened = parts & (self._memory.codes != FREE) & ~memory.off
+        opened = parts & (self._step_state.codes != FREE) & ~memory.off
         for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
             raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[FREE])
-        self._memory.codes[opened] = memory.shown[opened] = FREE
+        self._step_state.codes[opened] = memory.shown[opened] = FREE
         return np.flatnonzero(opened)
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
@@ -168,15 +168,15 @@ class SteppedScene(SteppedSystem):
     @property
     def filled(self) -> bool:
         """True if coordinates without an inertia of their own were given one."""
-        return bool(self._memory.contacts.light[0])
+        return bool(self._step_state.contacts.light[0])
 
     def press(self, closed: Bools) -> None:
         """Let contacts (c,) be closed and slide, as if steps before had left them so."""
-        self._memory.contacts.closed[:] = self._memory.contacts.slid[:] = closed
+        self._step_state.contacts.closed[:] = self._step_state.contacts.slid[:] = closed
 
     def forget(self) -> None:
         """Take back the last steps."""
-        self._memory, self._errors = self._kept.copy(), self._errors_kept.copy()
+        self._step_state, self._errors = self._saved.copy(), self._saved_errors.copy()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -184,11 +184,11 @@ class SteppedScene(SteppedSystem):
         found: dict[str, float] = {}
         rigid = len(self._source.names) - self._source.couplings
         for i, name in enumerate(self._source.names):
-            if i >= rigid and np.isfinite(self._memory.least_gap[i]):
-                found[f"{name}.limit"] = float(self._memory.least_gap[i])
+            if i >= rigid and np.isfinite(self._step_state.least_gap[i]):
+                found[f"{name}.limit"] = float(self._step_state.least_gap[i])
             if i >= rigid:
                 continue
-            values = (self._memory.least_gap[i], *self._memory.least[i])
+            values = (self._step_state.least_gap[i], *self._step_state.least[i])
             for what, value in zip(("gap", "V", "mu V - |H|"), values, strict=True):
                 if np.isfinite(value):
                     found[f"{name}.{what}"] = float(value)
@@ -206,7 +206,7 @@ class SteppedScene(SteppedSystem):
     def _stays_off(self) -> Iterator[str]:
         """Yield a warning for each contact that has missed its surface by a small depth."""
         for name, (first, last, past) in zip(
-            self._source.names, self._memory.contacts.missed.tolist(), strict=True
+            self._source.names, self._step_state.contacts.missed.tolist(), strict=True
         ):
             depth = min(past, first) if last > first else past
             if self._near < depth <= self._nearly:
@@ -223,8 +223,8 @@ class SteppedScene(SteppedSystem):
         source, tape = self._source, self._source.tape
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
-        self._kept, self._errors_kept = self._memory.copy(), self._errors.copy()
-        memory = self._memory.contacts
+        self._saved, self._saved_errors = self._step_state.copy(), self._errors.copy()
+        memory = self._step_state.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
             source.used, self._restitution, source.plastic, source.bodies, source.pairs,
@@ -238,7 +238,7 @@ class SteppedScene(SteppedSystem):
         done, status = step_scene(scene, memory, start, self._allowed, chunk)
         if not done:
             raise _failure(status)
-        followed = self._followed(chunk.first(done), start)
+        followed = self._count_allowed(chunk.first(done), start)
         if followed < done:
             # The memory must be that of the steps that are taken.
             self.forget()
@@ -246,26 +246,26 @@ class SteppedScene(SteppedSystem):
         chunk = chunk.first(done)
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
-        self._look_between(chunk, start)
+        self._note_passed(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
-            self._errors.add(now, chunk, start, self._kept.codes, swings)
+            self._errors.add(now, chunk, start, self._saved.codes, swings)
         # Their loads are no unknowns.
         loads = n + r + 2 * np.arange(c - source.couplings, c)
         return chunk._replace(solved=np.delete(chunk.solved, loads, axis=1))
 
     def depth_left(self, state: Array, time: float) -> float:
         """Return how deep something stays, whatever moves; see `Stepped`."""
-        n, found = self._source.size, self._source.rows(self._values, state, time)
-        on = ~self._memory.contacts.off & (self._soft[:, 0] == 0.0)
+        n, found = self._source.size, self._source.equations(self._values, state, time)
+        on = ~self._step_state.contacts.off & (self._soft[:, 0] == 0.0)
         return depth_left(found.gaps[on], found.contacts[on, :n], found.joints[:, :n])[0]
 
     def _check_springs(self, chunk: Chunk, start: float) -> Swings | None:
         """Return how springs swing; raise `StepTooLarge` where steps make them, ever farther."""
         source, state = self._source, chunk.states[0]
         n = source.size
-        _, rows, joints = source.rows(self._values, state, start)
-        codes = self._memory.codes
+        _, rows, joints = source.equations(self._values, state, start)
+        codes = self._step_state.codes
         closed = (codes != FREE) & (codes != OFF_CODE)
         held = np.concatenate(
             [rows[closed, :n], rows[np.isin(codes, (PIN, LOCKED)), n : 2 * n], joints[:, :n]]
@@ -276,7 +276,7 @@ class SteppedScene(SteppedSystem):
         self._swing, self._length = max(self._swing, swing), max(self._length, chunk.h)
         return swings
 
-    def _look_between(self, chunk: Chunk, start: float) -> None:
+    def _note_passed(self, chunk: Chunk, start: float) -> None:
         """Note the first step that passed over a contact."""
         gaps, count, h = self._source.gaps, len(chunk.codes), chunk.h
         if not count:
@@ -296,7 +296,7 @@ class SteppedScene(SteppedSystem):
         lines[:, 2 * n :, 1] = lengths[:, None] * flows
         lines[:, 2 * n :, 0] = chunk.states[:-1, 2 * n :] - back[:, None] * flows
         taking = (chunk.codes != FREE) | chunk.struck
-        seen = np.vstack([self._kept.codes != FREE, taking[:-1]])
+        seen = np.vstack([self._saved.codes != FREE, taking[:-1]])
         times, begin = np.concatenate([[0.0], np.cumsum(lengths)]), start - float(back[0])
         line, _, part = passed(
             gaps.parts,
@@ -310,13 +310,13 @@ class SteppedScene(SteppedSystem):
         # entered elsewhere.
         deep = (chunk.codes != OFF_CODE) & (chunk.gaps < -self._near)
         # A contact that was off comes back no deeper than one that lasts.
-        deep &= np.vstack([self._kept.codes, chunk.codes[:-1]]) != OFF_CODE
+        deep &= np.vstack([self._saved.codes, chunk.codes[:-1]]) != OFF_CODE
         deep[1:] &= chunk.gaps[:-1] > 0.0
-        deep[0] &= ~(self._kept.contacts.past[:, 1] <= 0.0)
+        deep[0] &= ~(self._saved.contacts.past[:, 1] <= 0.0)
         for k, i in np.argwhere(deep).tolist():
             state = lines[k].sum(axis=1)
             before = gaps.values(lines[k, :, 0], self._values, begin + times[k])[i]
-            rows = self._source.rows(self._values, state, begin + times[k + 1])
+            rows = self._source.equations(self._values, state, begin + times[k + 1])
             rate = rows.velocities[i, 0]
             slow, depth = _GRAZED * self._speed, -chunk.gaps[k, i]
             approach = max(-rate, slow)
@@ -324,7 +324,7 @@ class SteppedScene(SteppedSystem):
                 chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
                 break
 
-    def _followed(self, chunk: Chunk, start: float) -> int:
+    def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return how many steps take modes that are allowed; replace a stick that only passes.
 
         Raises
@@ -333,18 +333,18 @@ class SteppedScene(SteppedSystem):
             If not even the first does.
         """
         codes, shown, h = chunk.codes, chunk.modes, chunk.h
-        before = np.vstack([self._memory.codes, codes[:-1]])
+        before = np.vstack([self._step_state.codes, codes[:-1]])
         slid = (before == SLIDE_PLUS) | (before == SLIDE_MINUS)
         # A slip that turns round in a step is at rest at its end; without friction it may stay so.
         turning = (codes == PIN) & self._undeclared[:, PIN] & (slid | (self._cones[:, 1] == 0.0))
         codes[turning] = np.where(slid, before, SLIDE_PLUS)[turning]
-        self._memory.codes = codes[-1] if len(codes) else self._memory.codes
+        self._step_state.codes = codes[-1] if len(codes) else self._step_state.codes
         places = np.arange(codes.shape[1])
         wrong = self._undeclared[places, codes] | self._negative(chunk)
         np.copyto(shown, codes, where=self._undeclared[places, shown])
         if not self._source.may_jam:
-            for k in np.flatnonzero(chunk.efforts[:, JAMMED]).tolist():
-                i = int(chunk.efforts[k, JAMMED]) - 1
+            for k in np.flatnonzero(chunk.stats[:, JAMMED]).tolist():
+                i = int(chunk.stats[k, JAMMED]) - 1
                 wrong[k, i] |= codes[k, i] != before[k, i]
         if not wrong.any():
             return len(codes)
@@ -382,7 +382,7 @@ class SteppedScene(SteppedSystem):
     def _note(self, gaps: Array, forces: Array, codes: Ints, given: Array) -> None:
         if not len(gaps):
             return
-        memory = self._memory
+        memory = self._step_state
         memory.least_gap = np.minimum(memory.least_gap, gaps.min(axis=0))
         normal, tangential = forces[..., 0], np.abs(forces[..., 1])
         cone_n, cone_t = self._cones.T
@@ -481,7 +481,7 @@ class SceneStepper(Stepper):
         here = conditions.at(within, within.initial, 0.0)
         # Both edges of a valley hold a point at the kink.
         kinks = np.flatnonzero((np.abs(measured[:, 0]) <= near) & (measured[:, 4] > 0.0)).tolist()
-        failing = conditions.first(here.kept_on(here.verdicts(), kinks, ()))
+        failing = conditions.first(here.with_boundary(here.verdicts(), kinks, ()))
         for i, (law, row) in enumerate(zip(setup.contacts, measured.tolist(), strict=True)):
             buried = row[0] < -near and self._scene.initial_modes.get(law.name) == OFF
             off[i] = failing[i] != "" or (OFF in law.states and buried)
@@ -498,18 +498,18 @@ class SceneStepper(Stepper):
         sliding = slow & ~sticks & (np.abs(measured[:, 0]) <= near) & ~off
         sliding[len(self._scene.contacts) :] = False
 
-        def tried(closed: Bools) -> tuple[SteppedScene, Chunk]:
+        def try_step(closed: Bools) -> tuple[SteppedScene, Chunk]:
             trial = SteppedScene(self._tapes, self._numbers, setup, off, allowed)
             trial.press(closed)
             return trial, trial.steps(0.0, h, setup.initial, 1)
 
-        trial, first = tried(np.zeros_like(off))
+        trial, first = try_step(np.zeros_like(off))
         codes = first.codes[0]
         # Contacts that strike at once are free before; those that jam slide before.
         resting = first.struck[0] & slow
         slides = np.where(measured[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS)
         codes = np.where(resting, slides, np.where(first.struck[0], FREE, codes))
-        if sliding.any() and tried(sliding)[1].efforts[0, CHOSEN]:
+        if sliding.any() and try_step(sliding)[1].stats[0, CHOSEN]:
             warnings.append(f"at the start {INDETERMINATE}")
         if trial.filled:
             warnings.append(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import sympy as sp
 
-from contacts.dynamics.controllers import given, values_in
+from contacts.dynamics.controllers import controlled_symbols, values_in
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.parameters import cone_edge
 from contacts.scene.couplings import Rolling
@@ -21,7 +21,7 @@ from statechart.formulas.formula import parse
 from statechart.formulas.tape import Tape
 
 
-class Rows(NamedTuple):
+class StateEquations(NamedTuple):
     """Equations in one state."""
 
     mass: Array  # shape (n, n)
@@ -53,7 +53,7 @@ class SteppedTape:
     def __init__(self, mechanics: Mechanics, states: Mapping[str, str]) -> None:
         known = values_in(mechanics, states)
         forces = [force.xreplace(known) for force in mechanics.generalised_forces]
-        set_in = [known[symbol] for symbol in given(mechanics)]
+        set_in = [known[symbol] for symbol in controlled_symbols(mechanics)]
         signs = _Signs(forces, set_in, mechanics)
         forces, set_in = signs.middle[: len(forces)], signs.middle[len(forces) :]
         outputs: list[sp.Expr] = [*mechanics.mass_matrix, *forces]
@@ -116,10 +116,11 @@ class SteppedTape:
         outputs += [*set_in, *signs.rows(len(forces))]
         used = mechanics.used_friction
         self.used = np.array(
-            [given(mechanics).index(used[n]) if n in used else -1 for n in self.names], np.int64
+            [controlled_symbols(mechanics).index(used[n]) if n in used else -1 for n in self.names],
+            np.int64,
         )
         self.tape: Tape = mechanics.whole_tape(outputs)
-        flows = [known.get(rate, rate) for rate in mechanics.memory_rates.values()]
+        flows = [known.get(rate, rate) for rate in mechanics.controller_rates.values()]
         self.flows: Tape = mechanics.whole_tape(flows)
         # Pins prescribe the velocity, slides without friction its normal component.
         none = [0] * self.couplings
@@ -154,13 +155,13 @@ class SteppedTape:
         self.plastic = mechanics.scene.simultaneous == "plastic"
         self.may_jam = mechanics.scene.paradox == "impact"
 
-    def rows(self, values: Array, state: Array, time: float) -> Rows:
-        """Return what the tape says of a state."""
+    def equations(self, values: Array, state: Array, time: float) -> StateEquations:
+        """Evaluate the equations in a state."""
         n, c, r = self.size, len(self.names), self.joint_rows
         found = self.tape.values(state, values, time)
         first = n * n + n + (n * n if self.damped else 0)
         second = first + c * (2 * n + CONTACT)
-        return Rows(
+        return StateEquations(
             found[: n * n].reshape(n, n),
             found[first:second].reshape(c, 2 * n + CONTACT),
             found[second : second + r * (n + JOINT)].reshape(r, n + JOINT),
@@ -169,7 +170,7 @@ class SteppedTape:
     def contacts(self, values: Array, state: Array, time: float = 0.0) -> Array:
         """Return gap, its rate, slip and two conditions (c, 5); see `equations.CONTACT`."""
         first = 2 * self.size + 2
-        return self.rows(values, state, time).contacts[:, first : first + 5]
+        return self.equations(values, state, time).contacts[:, first : first + 5]
 
 
 class _Signs:

@@ -29,7 +29,7 @@ from contacts.time_stepping.equations import (
     HOLDING,
     JOINT,
     LANDED,
-    ContactMemory,
+    ContactHistory,
     FactoredEquations,
     StepConstants,
     TapeValues,
@@ -58,7 +58,7 @@ ALIKE, _MOST_ALIKE = 0.1, 1e-2
 
 
 @kernel
-def unsettle(memory: ContactMemory, k: int, chunk: Chunk) -> bool:
+def unsettle(memory: ContactHistory, k: int, chunk: Chunk) -> bool:
     """Let all contacts settle where the mode of one changes; return whether they do."""
     changes = False
     for i in range(len(memory.shown)):
@@ -108,7 +108,7 @@ def _write_accelerations(
 
 
 @kernel
-def _is_near(memory: ContactMemory, tape: TapeValues, i: int, size: float, h: float) -> bool:
+def _is_near(memory: ContactHistory, tape: TapeValues, i: int, size: float, h: float) -> bool:
     """Return whether steps of an acceleration of this size explain a contact's gap and rate."""
     row, left = tape.first + tape.per * i + 2 * tape.size, LEFT * h * size
     gap, rate = tape.numbers[row + 2] - memory.level[i], tape.numbers[row + 3]
@@ -198,7 +198,7 @@ def mode_of_acceleration(
 
 @kernel
 def settle(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     k: int, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write the modes of settling contacts in step k.
@@ -280,7 +280,7 @@ def settle(
 
 
 @kernel
-def _show(memory: ContactMemory, first: int, k: int, chunk: Chunk) -> None:
+def _show(memory: ContactHistory, first: int, k: int, chunk: Chunk) -> None:
     """End the settling where the impulses of step k agree with the modes shown.
 
     Forces of contacts begin at `first` among the step's unknowns.

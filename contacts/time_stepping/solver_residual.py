@@ -42,18 +42,18 @@ class SolverResidual:
 
     def beyond(self, chunk: Chunk) -> tuple[int, SimulationError] | None:
         """Return the first step whose impulses miss by more than the bound, and why it ends."""
-        wrong = chunk.efforts[:, RESIDUAL] > self._bound
+        wrong = chunk.stats[:, RESIDUAL] > self._bound
         if not wrong.any():
             return None
         k = int(np.argmax(wrong))
         return k, UnsolvedImpulses(
-            f"the residual of the contact impulses is {chunk.efforts[k, RESIDUAL]:.2g} of the "
+            f"the residual of the contact impulses is {chunk.stats[k, RESIDUAL]:.2g} of the "
             f"fastest approach, above impulse_bound, {self._bound:g}; take a shorter step"
         )
 
     def add(self, chunk: Chunk, start: float) -> None:
         """Count steps, of which the first begins at `start`."""
-        efforts, h = chunk.efforts, chunk.h
+        efforts, h = chunk.stats, chunk.h
         total, most = efforts.sum(axis=0), efforts.max(axis=0)
         self._iterations += int(total[ITERATIONS])
         self._contacts += int(total[CONTACTS])

@@ -87,7 +87,12 @@ class StepLimits:
             else None
         )
         self._mass = mechanics.whole_tape([*mechanics.mass_matrix])
-        changing = {*mechanics.q, *mechanics.v, *mechanics.memory.values(), mechanics.time}
+        changing = {
+            *mechanics.q,
+            *mechanics.v,
+            *mechanics.controller_state.values(),
+            mechanics.time,
+        }
         varies = any(force.free_symbols & changing for force in forces)
         self._forces = mechanics.whole_tape(forces) if varies else None
 
@@ -246,7 +251,7 @@ class Held(NamedTuple):
         return csr_array((values.ravel(), places), (len(values), root.size))
 
 
-def check_followed(found: Stiffness, held: csr_array | Array, h: float) -> None:
+def check_stiffness(found: Stiffness, held: csr_array | Array, h: float) -> None:
     """Raise `StepTooLarge` where steps of this length swing ever farther under forces.
 
     `held` (r, n) are rows that contacts and joints hold.

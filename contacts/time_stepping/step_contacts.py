@@ -34,12 +34,12 @@ from contacts.states import (
     SLIP_PLUS,
 )
 from contacts.time_stepping.chunk import (
-    APART,
-    BESIDE,
     HIT,
     LASTING,
     LIVELY,
+    SEPARATED,
     SLOW,
+    TIME_MARGIN,
     Chunk,
     arriving,
 )
@@ -49,7 +49,7 @@ from contacts.time_stepping.equations import (
     JOINT,
     LANDED,
     ContactForces,
-    ContactMemory,
+    ContactHistory,
     ContactRoles,
     FactoredEquations,
     StepConstants,
@@ -162,7 +162,7 @@ _BENT = 1.01
 
 @kernel
 def close_opposed(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, h: float, met: ContactRoles
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, h: float, met: ContactRoles
 ) -> None:
     """Close both or none of two opposed contacts, such as a latch and its stop.
 
@@ -209,15 +209,15 @@ def _opposing_lever(tape: TapeValues, i: int, other: int) -> float:
 
 # Another impact that changes a velocity by less than this part of its own change is not felt: a
 # body turns within a step.
-_FELT = 1e-3
+_NEGLIGIBLE_CHANGE = 1e-3
 # A contact that lands slower than this part of what a step without contact would make of rest
 # brings no momentum that forces would tell.
-_LATE = 1e-9
+_NEGLIGIBLE_LANDING = 1e-9
 
 
 @kernel
 def _slow(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, met: ContactRoles, i: int,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, met: ContactRoles, i: int,
     h: float,
 ) -> float:  # fmt: skip
     """Return the approach velocity up to which a contact lasts, see `SLOW`.
@@ -234,7 +234,7 @@ def _slow(
 
 @kernel
 def find_active(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, change: Array, k: int,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, change: Array, k: int,
     met: ContactRoles, chunk: Chunk,
 ) -> None:  # fmt: skip
     """Write which contacts take part in step k.
@@ -266,11 +266,11 @@ def find_active(
             continue
         nearing, slow = -before[0], _slow(scene, memory, tape, met, i, h)
         bias = 0.5 * h * numbers[row + 2 * n]
-        closing, reached = h * (slow - (free[0] + bias)), BESIDE * h * nearing
+        closing, reached = h * (slow - (free[0] + bias)), TIME_MARGIN * h * nearing
         role, level[i], above = arriving(
             gap, level[i], memory.closed[i], nearing, slow, closing, reached, scene.near
         )
-        met.active[i], met.hit[i] = role != APART, role == HIT
+        met.active[i], met.hit[i] = role != SEPARATED, role == HIT
         if role == LASTING:
             met.wanted[i, 0] = above / h + bias
             if abs(free[0] + met.wanted[i, 0]) <= scene.rounding:
@@ -479,7 +479,7 @@ def change_friction(
 
 @kernel
 def contact_problem(
-    scene: StepConstants, memory: ContactMemory, tape: TapeValues, equations: FactoredEquations,
+    scene: StepConstants, memory: ContactHistory, tape: TapeValues, equations: FactoredEquations,
     which: Ints, met: ContactRoles, h: float,
 ) -> ContactProblem:  # fmt: skip
     """Return the problem of the contacts that take part; `met` loses rebounds of plastic groups."""
@@ -529,7 +529,7 @@ def contact_problem(
 
 @kernel
 def split_forces(
-    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, least: Array,
+    scene: StepConstants, memory: ContactHistory, problem: ContactProblem, least: Array,
     pushes: Array, allowed: float,
 ) -> ContactForces:  # fmt: skip
     """Return what of impulses is force; what jams is struck at an instant.
@@ -577,14 +577,14 @@ def largest_energy_gain(
 
 @kernel
 def mixed_with_impacts(
-    memory: ContactMemory, tape: TapeValues, problem: ContactProblem, pushes: Array, h: float
+    memory: ContactHistory, tape: TapeValues, problem: ContactProblem, pushes: Array, h: float
 ) -> Bools:
     """Return whose impulses (m,) of this step are not those of forces alone."""
     which, groups, m = problem.which, problem.groups, len(problem.which)
     mixed = np.zeros(m, np.bool_)
     for a in range(m):
         i, nearing = which[a], -problem.before[a, 0]
-        late = _LATE * abs(problem.free[a, 0] + nearing)
+        late = _NEGLIGIBLE_LANDING * abs(problem.free[a, 0] + nearing)
         bias = 0.5 * h * tape.numbers[tape.first + tape.per * i + 2 * tape.size]
         arrives = nearing > late or abs(problem.wanted[a, 0] - bias) > late
         arrives = arrives and not problem.yields[a]
@@ -629,7 +629,7 @@ def _round_off(
 
 @kernel
 def write_modes(
-    scene: StepConstants, memory: ContactMemory, problem: ContactProblem, answer: ContactForces,
+    scene: StepConstants, memory: ContactHistory, problem: ContactProblem, answer: ContactForces,
     met: ContactRoles, k: int, chunk: Chunk,
 ) -> Ints:  # fmt: skip
     """Write modes and impulses of step k, and who lasts; return the modes (m,) under forces."""
@@ -697,7 +697,7 @@ def coupled_order_matters(
                     moved = 0.0
                     for e in range(2):
                         moved += delassus[2 * b + d, 2 * a + e] * impulses[a, e]
-                    if _share_body(bodies, a, b) and abs(moved) > _FELT * own:
+                    if _share_body(bodies, a, b) and abs(moved) > _NEGLIGIBLE_CHANGE * own:
                         return True
     return False
 
@@ -750,7 +750,7 @@ def shared_impulses(
 
 @kernel
 def share_forces(
-    memory: ContactMemory, problem: ContactProblem, modes: Ints, steady: Array, k: int,
+    memory: ContactHistory, problem: ContactProblem, modes: Ints, steady: Array, k: int,
     chunk: Chunk,
 ) -> Array:  # fmt: skip
     """Write whose forces the motion does not determine; return them shared out."""

@@ -90,7 +90,7 @@ class SqueezeCheck:
         # How deep the deepest was in a step without help, and how deep something stayed then.
         self._deepest, self._left = -math.inf, -math.inf
 
-    def found(
+    def find(
         self, chunk: Chunk, start: float, fastest: float, left: Callable[[Array, float], float]
     ) -> Rejection | None:
         """Return a step whose impulses are of no help, where something sinks.
@@ -99,7 +99,7 @@ class SqueezeCheck:
         any more, and by a step at the approach of these steps less than when they were first of no
         help: an approach that a run has once seen says nothing of what is squeezed later.
         """
-        helpless = chunk.efforts[:, RESIDUAL] > _HELPLESS
+        helpless = chunk.stats[:, RESIDUAL] > _HELPLESS
         if not helpless.any():
             return None
         depths: Array = -np.min(_gaps(chunk), axis=1, initial=math.inf)
@@ -110,7 +110,7 @@ class SqueezeCheck:
             name = self._name(chunk, k)
             return Rejection(k, UnsolvedImpulses(
                 f"no impulses keep {name} out of what it touches: it is {depths[k]:.3g} deep, with "
-                f"a residual of {chunk.efforts[k, RESIDUAL]:.2g} of the fastest approach. A body "
+                f"a residual of {chunk.stats[k, RESIDUAL]:.2g} of the fastest approach. A body "
                 "that moves as prescribed may squeeze it, or masses may differ too much"
             ), name)  # fmt: skip
         stuck = np.flatnonzero(helpless)
@@ -132,23 +132,23 @@ class SqueezeCheck:
         stuck = stuck[stuck <= k]
         k = int(stuck[bisect_left(stuck, True, key=lambda i: stays(int(i)) > allowed)])
         name = self._name(chunk, k)
-        return Rejection(k, _no_room(name, stays(k)), name)
+        return Rejection(k, _squeeze_error(name, stays(k)), name)
 
     def _name(self, chunk: Chunk, k: int) -> str:
         """Return which region is the deepest in a step."""
         return self._regions[int(np.argmin(_gaps(chunk)[k]))]
 
 
-def _no_room(name: str, depth: float) -> UnsolvedImpulses:
+def _squeeze_error(name: str, depth: float) -> UnsolvedImpulses:
     return UnsolvedImpulses(
         f"{name} cannot get out of what it touches: some penetration of {depth:.3g} always "
         "remains; prescribed motions or constraints leave it no room"
     )
 
 
-def no_room(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
+def squeezed(name: str, depth: float, size: float) -> UnsolvedImpulses | None:
     """Return the error of a region that gets too deep wherever it moves, or None."""
-    return _no_room(name, depth) if depth > _SHALLOW * size else None
+    return _squeeze_error(name, depth) if depth > _SHALLOW * size else None
 
 
 def depth_left(gaps: Array, rows: Array, held: Array) -> tuple[float, Array]:

@@ -37,7 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contacts.dynamics.controllers import Controllers, given
+from contacts.dynamics.controllers import Controllers, controlled_symbols
 from contacts.dynamics.mechanics import Mechanics
 from contacts.dynamics.setup import SceneSetup
 from contacts.scene.lint import replaced
@@ -51,7 +51,7 @@ from contacts.time_stepping.step_rejection import (
     Rejection,
     SqueezeCheck,
     as_slice,
-    no_room,
+    squeezed,
     too_large,
 )
 from contacts.time_stepping.stop_conditions import StopConditions, StopTapes
@@ -118,7 +118,7 @@ class Span(NamedTuple):
 # A clock would make the last bits of instants depend on what else the machine does.
 _CHUNK, _WORK = 512, 3_000_000
 # Bytes of the polynomials of steps at once: more would be much beside what a run keeps.
-_ROOM = 2**23
+_CHUNK_BYTES = 2**23
 # More steps no float can count, and no trace can hold.
 _COUNTED = 2.0**53
 # After so many steps it is known what each takes.
@@ -150,7 +150,7 @@ class SteppedRun:
         self.state = self.setup.initial
         self.time, self.taken, self.fastest, self.size = 0.0, 0, 0.0, 0
         self.outcome, self.message = Outcome.HORIZON, ""
-        self.effort = SolverResidual(span.impulses)
+        self.solver_residual = SolverResidual(span.impulses)
         self._squeeze = SqueezeCheck(stepper.regions, span.step, inputs.setup.start_depth)
         poses = record is Record.POSES
         self._poses = PoseRecorder(len(stepper.angles)) if poses else None
@@ -194,7 +194,7 @@ class SteppedRun:
         else:
             # Forces are impulses over a step: in a very short one they would be rounding.
             counts = [(whole - 1, step), (2, 0.5 * (step + rest))]
-        largest = max(1, min(_CHUNK, _ROOM // (TERMS * self.state.nbytes)))
+        largest = max(1, min(_CHUNK, _CHUNK_BYTES // (TERMS * self.state.nbytes)))
         most = min(largest, max(1, _CHUNK // max(1, len(self.stepper.regions))))
         each = max(1, round(min(self.span.every / step, _COUNTED)))
         for count, h in counts:
@@ -213,7 +213,7 @@ class SteppedRun:
                 due = False
                 if self.control is not None:
                     chunk, due = self.control.cut(chunk, begin, self.recorder)
-                work = float(chunk.efforts[:, WORK].sum())
+                work = float(chunk.stats[:, WORK].sum())
                 if due:
                     # Steps after a transition are taken in vain, and the next may be as far off.
                     most = max(1, len(chunk.codes))
@@ -242,7 +242,7 @@ class SteppedRun:
         if refused is not None:
             failure = refused.why
             chunk = chunk.first(refused.step)
-        missed = self.effort.beyond(chunk) or self._squeeze.found(
+        missed = self.solver_residual.beyond(chunk) or self._squeeze.find(
             chunk, start, self.fastest, self.system.depth_left
         )
         if missed is not None:
@@ -256,7 +256,7 @@ class SteppedRun:
                 f"the guard {lost[1]} has no finite value one step of {chunk.h:g} later"
             )
             chunk = chunk.first(lost[0])
-        stopped = self.stops.met(chunk, start, self.recorder.controls)
+        stopped = self.stops.first_met(chunk, start, self.recorder.controls)
         if stopped is not None:
             chunk = chunk.first(stopped[0] + 1)
         if len(chunk.codes):
@@ -267,7 +267,7 @@ class SteppedRun:
                     chunk, recorder.clock, len(recorder.control_jumps), recorder.controls
                 )
             self.recorder.add(chunk)
-            self.effort.add(chunk, start)
+            self.solver_residual.add(chunk, start)
             self.fastest = max(self.fastest, float(chunk.approach.max()))
         self.taken += len(chunk.codes)
         self.state = chunk.states[-1]
@@ -326,7 +326,7 @@ class SteppedRun:
             return found
         k = found.step
         depth = self.system.depth_left(chunk.states[k], start + k * chunk.h)
-        return found._replace(why=no_room(found.deep, depth, size) or found.why)
+        return found._replace(why=squeezed(found.deep, depth, size) or found.why)
 
     def _stop(self, condition: int) -> None:
         name = self.stepper.stops.names[condition]
@@ -347,7 +347,7 @@ class SteppedRun:
         self._hand_on()
         if record is Record.MODES:
             # Arcs of a long run are made anew when read: they take some times as much.
-            return self._trace(record, *recorder.kept(kept=TERMS * self.size <= LARGEST))
+            return self._trace(record, *recorder.sequences(kept=TERMS * self.size <= LARGEST))
         # The end comes after all jumps, those that were not recorded, too.
         outputs = {} if watch is None else watch.end(self._trace(Record.MODES, (), ()))
         if self._poses is None:
@@ -367,7 +367,7 @@ class SteppedRun:
         # A contact lands within a step, and stays as deep as it has landed, or started.
         landed = self.setup.start_depth + self.span.step * self.fastest
         tolerances["gap"] = max(tolerances["gap"], landed)
-        tolerances["impulse"] = self.effort.residual
+        tolerances["impulse"] = self.solver_residual.residual
         return Trace(
             name=stepper.name,
             regions=regions,
@@ -390,7 +390,7 @@ class SteppedRun:
             warnings=(
                 *self.setup.warnings,
                 *warnings,
-                *self.effort.remarks,
+                *self.solver_residual.remarks,
                 *self.system.remarks,
                 *recorder.remarks,
             ),
@@ -400,7 +400,7 @@ class SteppedRun:
                 "boxes": 0,
                 "jumps": recorder.count,
                 "modes_built": 0,
-                **self.effort.counts,
+                **self.solver_residual.counts,
             },
             step=self.span.step,
             margins=self.system.margins,
@@ -435,12 +435,12 @@ class Stepper(ABC):
         self._mechanics, self._scene, self._regions = mechanics, mechanics.scene, regions
         self.name = mechanics.scene.name
         self._controllers, self.controls = controllers, controllers.initial
-        self.names = (*mechanics.variable_names, *mechanics.memory)
+        self.names = (*mechanics.variable_names, *mechanics.controller_state)
         self.parameter_names = mechanics.parameters.names
         self.regions = tuple(region.name for region in regions)
         self.again, self.forces, self.sticks = again, forces, sticks
         self.angles = np.array([name.endswith(".angle") for name in mechanics.names])
-        unknowns = (*mechanics.a, *mechanics.unknown_forces, *given(mechanics))
+        unknowns = (*mechanics.a, *mechanics.unknown_forces, *controlled_symbols(mechanics))
         self.stops = StopTapes(mechanics, stops, unknowns, regions)
         self.energy: Tape = mechanics.whole_tape([mechanics.energy])
 

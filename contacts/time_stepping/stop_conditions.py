@@ -64,7 +64,9 @@ class StopTapes:
         self.margins: Tape = mechanics.whole_tape(self._conditions, unknowns=unknowns)
         flowing = mechanics.scene.controlled.flowing
         still = {*mechanics.parameters.ordered}
-        still |= {symbol for name, symbol in mechanics.memory.items() if name not in flowing}
+        still |= {
+            symbol for name, symbol in mechanics.controller_state.items() if name not in flowing
+        }
         stays = np.array([not atom.strict for atom in atoms], np.bool_)
         jumps = np.array([atom.expression.free_symbols <= still for atom in atoms], np.bool_)
         self.counts: Bools = np.stack([stays, stays & jumps])
@@ -74,7 +76,7 @@ class StopTapes:
     def _of_terms(self) -> Tape:
         """Sizes of the margins' terms, over inputs and the sizes of inputs."""
         mechanics = self._mechanics
-        inputs = (*mechanics.variables, *mechanics.memory.values(), *self._unknowns)
+        inputs = (*mechanics.variables, *mechanics.controller_state.values(), *self._unknowns)
         sizes = {symbol: sp.Symbol(f"size_{symbol}", real=True) for symbol in inputs}
         return mechanics.whole_tape(
             [rounding_scale(condition, sizes) for condition in self._conditions],
@@ -117,10 +119,10 @@ class StopConditions:
             return None
         rows = np.concatenate([state, self.unknown(state)])[None]
         atoms = self._met(rows, self._margins(rows, 0.0), np.zeros(1))
-        below = self._whole(atoms, recorder.start[None], recorder.controls)[0]
+        below = self._truths(atoms, recorder.start[None], recorder.controls)[0]
         return int(np.argmax(below)) if below.any() else None
 
-    def met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
+    def first_met(self, chunk: Chunk, start: float, controls: Key) -> tuple[int, int] | None:
         """Return (step, condition) of the first condition met, by the steps' ends.
 
         `controls` are the states of the controllers in these steps.
@@ -128,14 +130,14 @@ class StopConditions:
         if not self._names:
             return None
         atoms = self._met(*self._ends(chunk, start), chunk.ends(start))
-        below = self._whole(atoms, chunk.codes, controls)
+        below = self._truths(atoms, chunk.codes, controls)
         if not below.any():
             return None
         k = int(np.argmax(below.any(axis=1)))
         self._modes = chunk.codes[k : k + 1], controls
         return k, int(np.argmax(below[k]))
 
-    def _whole(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
+    def _truths(self, atoms: Bools, codes: Ints, controls: Key) -> Bools:
         """Return which conditions (k, s) hold, from their atoms (k, a)."""
         active = self._tapes.active.at(codes, controls)
         parts = self._parts(atoms)

@@ -301,7 +301,7 @@ class Region:
     listed: tuple[str, ...] = ()
     # Cause that its jumps have where it is struck, besides that of its change: impact; "" where
     # what strikes it changes it, as a contact.
-    blow: str = ""
+    impact_cause: str = ""
     # Declared nesting of states.
     nesting: Nesting = field(default_factory=Nesting)
     # Unknowns that are zero for others while the region is captured (see `Role`).
@@ -479,14 +479,14 @@ def raised(regions: Sequence[Region], jump: Jump) -> tuple[Raised, ...]:
 
 
 def _causes(region: Region, jump: Jump, before: str, after: str) -> tuple[str, ...]:
-    if region.name == jump.region and jump.cause != region.blow:
+    if region.name == jump.region and jump.cause != region.impact_cause:
         return tuple(jump.cause.split("+"))  # Transitions taken together, see `FlatTransition`.
     felt = region.name in jump.impulse
     if before == after and not felt:
         return ()
     causes = [e.cause for e in region.edges if (e.source, e.target) == (before, after)]
-    hit = (region.blow,) if felt and region.blow in causes else ()
-    others = [cause for cause in causes if cause != region.blow]
+    hit = (region.impact_cause,) if felt and region.impact_cause in causes else ()
+    others = [cause for cause in causes if cause != region.impact_cause]
     return (*hit, jump.cause) if jump.cause in others else (*hit, *others[:1])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from statechart.arrays import Array, Bools, Ints32
-from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, LOOKS, NEAR
+from statechart.engines.engine import FIRST_CHUNK, GROWTH, LONGEST_CHUNK, MAX_DEFECT_BOXES, NEAR
 from statechart.engines.event_location import BOXES
 from statechart.engines.taylor_loop import ORDERS, STRAY, call_step, expand, let_pass, stray
 from statechart.kernels.boxes import Along, Steps
@@ -55,8 +55,8 @@ FIXED = 6
 WATCHED = FIXED + TAPE
 RATES = WATCHED + TAPE
 WITHIN = RATES + TAPE
-LIFT = WITHIN + TAPE
-ANCHORS = LIFT + TAPE
+RECONSTRUCTION = WITHIN + TAPE
+ANCHORS = RECONSTRUCTION + TAPE
 PLACES_AT = ANCHORS + TAPE
 COLUMNS = PLACES_AT + 1
 """Columns of a mode in a table. Address of heyoka's step; how many parameters it takes, the time
@@ -109,8 +109,8 @@ def stands(
 ) -> bool:
     """Return whether a flow may begin on the boundary of a stop condition, and is to be judged.
 
-    See `statechart.execution.standing`; `floors` (n,) are small for the variables, and more than
-    what they are off by.
+    See `statechart.execution.initial_stop_conditions`; `floors` (n,) are small for the variables,
+    and exceed their errors.
     """
     row = program.modes[mode]
     first, margins = row[STOPS], row[MARGINS]
@@ -133,8 +133,8 @@ def stands(
     return near
 
 
-class Scratch(NamedTuple):
-    """Buffers of a flow: its steps, as in `statechart.engines.engine.Path`, and what makes them."""
+class FlowWorkspace(NamedTuple):
+    """Workspace of a flow: its steps, as in `statechart.engines.engine.Path`, and buffers."""
 
     # The steps, the first of which begins at time 0.
     times: Array  # shape (s + 1,)
@@ -151,20 +151,20 @@ class Scratch(NamedTuple):
     # (n,): of a step, see `statechart.engines.taylor_loop.stray`.
     offs: Array
     sizes: Array
-    doubtful: Bools  # (s,): steps.
+    unresolved: Bools  # (s,): steps.
     # (m,): of margins; at least as many as any mode has, likewise for what follows.
     tolerances: Array
-    searched: SearchWorkspace
-    whole: Array  # (r, 6): ranges over a step.
+    search: SearchWorkspace
+    ranges: Array  # (r, 6): ranges over a step.
 
 
-def scratch(
+def flow_workspace(
     steps: int, terms: int, modes: NDArray[np.int64], variables: int, parameters: int
-) -> Scratch:
-    """Return memory for flows of so many steps, in modes as those of a `Program`."""
+) -> FlowWorkspace:
+    """Allocate the workspace of flows of so many steps, in modes as those of a `Program`."""
     _, operations, _, constants, _, outputs = modes[:, WATCHED : WATCHED + 6].max(axis=0).tolist()
     registers = variables + 1 + parameters + constants + operations
-    return Scratch(
+    return FlowWorkspace(
         np.zeros(steps + 1),
         np.empty((steps, variables, terms)),
         np.empty(variables),
@@ -194,7 +194,7 @@ class Watch(NamedTuple):
     # (k,): of the constraints.
     targets: Array
     weights: Array
-    room: float  # Depth to which the outputs of `WITHIN` may fall below zero.
+    max_depth: float  # Depth to which the outputs of `WITHIN` may fall below zero.
     # Tolerances of the engine, see `statechart.engines.engine.Pace`.
     tolerance: float
     max_step: float
@@ -202,7 +202,7 @@ class Watch(NamedTuple):
 
 
 @kernel
-def usual_tolerances(
+def write_tolerances(
     program: Program, row: NDArray[np.int64], watch: Watch, tolerances: Array
 ) -> None:
     """Write the tolerance of every margin: its own, or that of its kind."""
@@ -246,28 +246,28 @@ def _enter(
     program: Program,
     row: NDArray[np.int64],
     watch: Watch,
-    memory: Scratch,
+    workspace: FlowWorkspace,
     state: Array,
     now: float,
 ) -> None:
     """Let the integrator begin in a state."""
-    memory.clock[:] = 0.0
-    put(state, memory.state)
+    workspace.clock[:] = 0.0
+    put(state, workspace.state)
     if row[PARS] > 0:
-        memory.pars[0] = now
+        workspace.pars[0] = now
         fixed = row[FIXED : FIXED + TAPE]
-        evaluate(program, fixed, state, watch.parameters, now, memory.pars[1 : row[PARS]])
+        evaluate(program, fixed, state, watch.parameters, now, workspace.pars[1 : row[PARS]])
 
 
 @kernel
-def _following(
+def _reconstruction(
     program: Program, row: NDArray[np.int64], watch: Watch, state: Array, start: float
 ) -> Following:
-    """Return what follows from other variables in a flow that begins in a state."""
+    """Return the program that reconstructs dependent variables in a flow from a state."""
     anchored = row[ANCHORS : ANCHORS + TAPE]
     anchors = np.empty(anchored[5])
     evaluate(program, anchored, state, watch.parameters, start, anchors)
-    code, constants, outputs, _, _ = tape_of(program, row[LIFT : LIFT + TAPE])
+    code, constants, outputs, _, _ = tape_of(program, row[RECONSTRUCTION : RECONSTRUCTION + TAPE])
     places = program.ints[row[PLACES_AT] : row[PLACES_AT] + outputs.shape[0]]
     return reconstruction_program(
         code, constants, outputs, places, anchors, watch.parameters, state.shape[0]
@@ -299,7 +299,7 @@ def flow_to_event(
     program: Program,
     mode: int,
     watch: Watch,
-    memory: Scratch,
+    workspace: FlowWorkspace,
     initial: Array,
     start: float,
     duration: float,
@@ -313,33 +313,33 @@ def flow_to_event(
     the number of steps that stand in the memory, and the boxes looked at.
     """
     row = program.modes[mode]
-    times, coeffs, ended = memory.times, memory.coefficients, memory.ended
-    state, clock, series = memory.state, memory.clock, memory.series
+    times, coeffs, ended = workspace.times, workspace.coefficients, workspace.ended
+    state, clock, series = workspace.state, workspace.clock, workspace.series
     address = row[ADDRESS]
     tape = tape_of(program, row[WATCHED : WATCHED + TAPE])
-    pars, h = memory.pars[: row[PARS]], memory.length
+    pars, h = workspace.pars[: row[PARS]], workspace.length
     margins, n = row[MARGINS], initial.shape[0]
     guards, rates = tape.outputs[:margins], tape.outputs[margins:]
-    tolerances, powers, jets = memory.tolerances, memory.powers, memory.whole
+    tolerances, powers, jets = workspace.tolerances, workspace.powers, workspace.ranges
     usual, begun = np.empty(margins), np.empty(margins)
-    usual_tolerances(program, row, watch, usual)
+    write_tolerances(program, row, watch, usual)
     first_tolerances(program, row, watch, initial, start, usual, begun, tolerances)
     made, boxes, pending, length = 0, 0, False, 0.0
     end = min(horizon, duration)
     chunk, chunk_end, base, total, left = FIRST_CHUNK, FIRST_CHUNK, 0.0, 0.0, end
     found = (NONE, -1, 0, 0.0, 0.0, 0.0, 0)
-    follows = _following(program, row, watch, initial, start)
+    follows = _reconstruction(program, row, watch, initial, start)
     reconstruct_any(follows, initial, start)
-    ready = prepare_tape(tape, Steps(times, coeffs, watch.parameters, start), memory.searched)
+    ready = prepare_tape(tape, Steps(times, coeffs, watch.parameters, start), workspace.search)
     _level(ready, ready[0][1] + tape.code.shape[0], jets)
-    _enter(program, row, watch, memory, initial, start)
+    _enter(program, row, watch, workspace, initial, start)
     while True:
         if chunk_end > coeffs.shape[0]:
             return IN_VAIN, -1, 0, boxes
         h[0] = min(left, watch.max_step)
         reconstruct_any(follows, state, start + times[made])
         call_step(address, state, pars, clock, h, series)
-        if pending and _strays(ready[0], rates, watch, memory, made - 1, length):
+        if pending and _strays(ready[0], rates, watch, workspace, made - 1, length):
             return IN_VAIN, -1, 0, boxes
         length = h[0]
         expand(series, length, coeffs[made], powers)
@@ -365,13 +365,13 @@ def flow_to_event(
         if last or found[0] != NONE:
             # No step follows whose series would begin with the rates.
             _rates_at_end(ready, rates, made - 1, series)
-            if _strays(ready[0], rates, watch, memory, made - 1, length):
+            if _strays(ready[0], rates, watch, workspace, made - 1, length):
                 return IN_VAIN, -1, 0, boxes
             if found[0] != NONE or end == duration:
                 break
             horizon *= GROWTH
             end = min(times[made] + horizon, duration)
-            _enter(program, row, watch, memory, ended, start + times[made])
+            _enter(program, row, watch, workspace, ended, start + times[made])
             base, total, left, pending = times[made], 0.0, end - times[made], False
             chunk = min(chunk + chunk // 2, LONGEST_CHUNK)
             chunk_end = made + chunk
@@ -382,7 +382,7 @@ def flow_to_event(
     verdict, guard, step, place, at, crossed, _ = found
     if verdict not in (NONE, CROSSING) or _missed(
         program, row, watch, times, coeffs, start,
-        memory.doubtful[: made if verdict == NONE else step + 1],
+        workspace.unresolved[: made if verdict == NONE else step + 1],
     ):  # fmt: skip
         return IN_VAIN, -1, 0, boxes
     if verdict == NONE:
@@ -409,15 +409,15 @@ def flow_to_event(
 
 @kernel
 def _strays(
-    along: Along, rates: Ints32, watch: Watch, memory: Scratch, step: int, length: float
+    along: Along, rates: Ints32, watch: Watch, workspace: FlowWorkspace, step: int, length: float
 ) -> bool:
     """Return whether a step ends off its rates; note whether it may have been on its way."""
-    offs, sizes = memory.offs, memory.sizes
-    off = stray(memory.coefficients[step], length, memory.series, offs, sizes)
+    offs, sizes = workspace.offs, workspace.sizes
+    off = stray(workspace.coefficients[step], length, workspace.series, offs, sizes)
     if off > max(STRAY, ORDERS * watch.tolerance):
         return True
-    followed = _followed(along, rates, watch, offs, sizes, length, memory.whole)
-    memory.doubtful[step] = not followed
+    followed = _follows_rates(along, rates, watch, offs, sizes, length, workspace.ranges)
+    workspace.unresolved[step] = not followed
     return False
 
 
@@ -431,7 +431,7 @@ def _rates_at_end(ready: PreparedTape, rates: Ints32, step: int, series: Array) 
 
 
 @kernel
-def _followed(
+def _follows_rates(
     along: Along,
     rates: Ints32,
     watch: Watch,
@@ -467,7 +467,7 @@ def _missed(
     within = tape_of(program, row[WITHIN : WITHIN + TAPE])
     steps = Steps(times, coeffs, watch.parameters, start)
     if within.outputs.shape[0] > 0:
-        rooms = np.full(within.outputs.shape[0], watch.room)
+        rooms = np.full(within.outputs.shape[0], watch.max_depth)
         if search(within, rooms, steps, 0, doubtful.shape[0], BOXES)[0] != NONE:
             return True
     rates = tape_of(program, row[RATES : RATES + TAPE])
@@ -477,7 +477,9 @@ def _missed(
         while last < doubtful.shape[0] and doubtful[last]:
             last += 1
         if last > first:
-            found = find_defect(rates, steps, first, last, watch.floors, watch.allowed, LOOKS)
+            found = find_defect(
+                rates, steps, first, last, watch.floors, watch.allowed, MAX_DEFECT_BOXES
+            )
             if found[0] >= 0:
                 return True
         first = last + 1

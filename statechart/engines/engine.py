@@ -32,8 +32,8 @@ class Allowance:
         """Count from now on."""
         self._until = self.clock() + self.seconds
 
-    def lift(self) -> None:
-        """Count no more."""
+    def remove_limit(self) -> None:
+        """Remove the limit."""
         self._until = math.inf
 
     def check_for(self, seconds: float) -> None:
@@ -52,8 +52,8 @@ class Allowance:
             )
 
 
-# Steps that a path has room for at first.
-_ROOM = 64
+# Initial capacity of a path in steps.
+_MIN_CAPACITY = 64
 
 
 class Path:
@@ -68,8 +68,8 @@ class Path:
         self.coefficients: Array = np.empty((0, 0, 0))
         self.count = 0
 
-    def room(self, steps: int, variables: int, terms: int) -> None:
-        """Make room for so many steps more, of at least so many terms.
+    def reserve(self, steps: int, variables: int, terms: int) -> None:
+        """Reserve capacity for so many more steps, of at least so many terms.
 
         Raise `TooLong` if a trace may not take as much memory, `StepFailure` if there is none.
         """
@@ -79,7 +79,7 @@ class Path:
             return
         if self.count > 0:
             terms = max(terms, width)
-        capacity = capacity if needed <= capacity else max(2 * capacity, needed, _ROOM)
+        capacity = capacity if needed <= capacity else max(2 * capacity, needed, _MIN_CAPACITY)
         if 8 * self.count * variables * terms > LARGEST:
             raise TooLong(
                 f"{self.count} steps in one mode take {LARGEST >> 20} MB, the largest trace "
@@ -100,7 +100,7 @@ class Path:
     def append(self, duration: float, coefficients: Array) -> None:
         """Add a step; its polynomials (n, d + 1) may be of any degree."""
         variables, terms = coefficients.shape
-        self.room(1, variables, terms)
+        self.reserve(1, variables, terms)
         self.coefficients[self.count, :, :terms] = coefficients
         self.coefficients[self.count, :, terms:] = 0.0
         self.times[self.count + 1] = self.times[self.count] + duration
@@ -116,7 +116,7 @@ LONGEST_CHUNK = 64
 """Steps are made in chunks that grow by half, so that little is dropped behind an early event."""
 GROWTH = 16.0
 """By which the look-ahead in time grows."""
-LOOKS = 256
+MAX_DEFECT_BOXES = 256
 """Boxes in which a step is looked at for what it missed of its rates."""
 NEAR = 0.05
 """A state may be this far off the constraints, in tolerances, before it is projected."""

@@ -184,7 +184,7 @@ class Taylor(Engine):
         assert isinstance(stepper, _Stepper)
         first = path.count
         reached = path.times.item(first)
-        path.room(count, *stepper.shape)
+        path.reserve(count, *stepper.shape)
         start = watch.start + reached
         if begin is not Begin.ON:
             stepper.enter(state, watch, start)

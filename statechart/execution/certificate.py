@@ -17,7 +17,7 @@ from statechart.kernels.boxes import Steps
 from statechart.kernels.enclosed_defect import MOMENTS, enclosed_defect
 
 # Most pieces of a step.
-_PIECES = 4096
+_MAX_BOXES = 4096
 # Variables are as large as this part of their sizes at least, as where steps are checked.
 _MIN_SIZE = 1e-6
 # The rounding of rates, bounded operation by operation, is up to so many times what it is: a step
@@ -94,7 +94,7 @@ class Certificate:
                 Steps(arc.times, arc.coefficients, self._setup.values, arc.start.high),
                 scale,
                 self._allowed,
-                _PIECES,
+                _MAX_BOXES,
             )
             # A step begins where the last one was brought back onto its constraints.
             shifts = np.zeros_like(bounds)
@@ -139,7 +139,7 @@ class Certificate:
 
     def _jumped(self, instant: Instant, jump: Jump) -> Array:
         """Return where a state next to that of a jump goes."""
-        found = _made(self._laws, instant, jump)
+        found = _jump_target(self._laws, instant, jump)
         if found is not None and np.abs((found - jump.after) / self._scale).max() < _FAR:
             return found
         # If another jump follows, the displacement stays as it is.
@@ -247,8 +247,8 @@ class Certificate:
         return float(above - below) / (2.0 * step)
 
 
-def _made(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
-    """Return where a jump leads from an instant next to its own; None if another one is made."""
+def _jump_target(laws: Laws, instant: Instant, jump: Jump) -> Array | None:
+    """Return the state after a jump from a nearby instant; None if another jump is made there."""
     for _ in range(_PATIENCE):
         try:
             made = laws.jump(instant)

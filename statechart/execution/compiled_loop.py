@@ -23,9 +23,9 @@ from statechart.engines.compiled_flow import (
     KINDS,
     LAWS_AT,
     TAPE,
+    FlowWorkspace,
     Program,
-    Scratch,
-    scratch,
+    flow_workspace,
 )
 from statechart.engines.engine import Engine, Entry, Pace
 from statechart.execution.compiled_modes import CompiledMode
@@ -39,7 +39,7 @@ counted; they accumulate."""
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
 """Columns of `BatchResult.now`: the clock, the end of the run, the horizon, the time of the last
 jump, and the time to an accumulation as the loop ends."""
-N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_ASKED = range(6)
+N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_RETRY = range(6)
 """Columns of `BatchResult.place`: the row of its mode, the number of jumps, the most of them, steps
 and boxes so far; 1 if an instant is under way, and the laws are asked again."""
 
@@ -70,8 +70,8 @@ class BatchInputs(NamedTuple):
     zeros: Bools  # (p,): which parameters are exactly zero.
     most_jumps: int
     floor: float  # Smaller magnitudes count as so large.
-    alone: bool  # The one run is handed over as far as it has come.
-    begun: bool  # The one run goes on from where it is.
+    single: bool  # The one run is handed over as far as it has come.
+    resumed: bool  # The one run goes on from where it is.
     known: bool  # The numbers of the one run are known.
 
 
@@ -105,7 +105,7 @@ class Batch(NamedTuple):
     """Runs that have gone through a loop; valid until the next ones do."""
 
     rows: NDArray[np.intp]  # (m,): which they are.
-    found: BatchResult  # Their results.
+    result: BatchResult  # Their results.
     block: TraceBuffer  # Holds their arcs and events, and others.
     kinds: tuple[Kind, ...]  # Kinds of the modes.
     modes: LoopModes
@@ -115,15 +115,15 @@ class Batch(NamedTuple):
     @property
     def stopped(self) -> Bools:
         """Mask (m,) of the runs that a stop has ended."""
-        return np.asarray(self.found.ends[:, HOW] == STOPPED)
+        return np.asarray(self.result.ends[:, HOW] == STOPPED)
 
     def outcome(self, row: int) -> Outcome:
         """Return why a run ended."""
-        return Outcome.STOPPED if self.found.ends[row, HOW] == STOPPED else Outcome.HORIZON
+        return Outcome.STOPPED if self.result.ends[row, HOW] == STOPPED else Outcome.HORIZON
 
     def entered(self) -> list[tuple[Kind, CompiledMode]]:
         """Return the modes that the one run has been in."""
-        been = zip(self.kinds, self.found.entered[0].tolist(), strict=True)
+        been = zip(self.kinds, self.result.entered[0].tolist(), strict=True)
         return [(kind, self.modes.compiled(kind)) for kind, entered in been if entered]
 
 
@@ -133,22 +133,22 @@ _WORTH = 2000
 _STEPS, _PART = 512, 1 << 17
 
 
-class _Worth:
-    """Decides whether compiled code pays: it lies on disk, or was asked for often.
+class _CompilationPolicy:
+    """Decides whether compiled code pays: it is on disk, or many flows could use it.
 
     To look on the disk takes as long as a short run: that is done when twice as much was asked for.
     """
 
     def __init__(self, compiled: Callable[[], bool]) -> None:
-        self._compiled, self._asked, self._found = compiled, 0, False
+        self._compiled, self._requests, self._on_disk = compiled, 0, False
 
-    def asked(self, count: int = 1) -> bool:
-        """Return whether it does, for so many more."""
-        before = self._asked.bit_length()
-        self._asked += count
-        if not self._found and self._asked.bit_length() > before:
-            self._found = self._compiled()
-        return self._found or self._asked > _WORTH
+    def pays(self, count: int = 1) -> bool:
+        """Return whether it pays for so many more flows."""
+        before = self._requests.bit_length()
+        self._requests += count
+        if not self._on_disk and self._requests.bit_length() > before:
+            self._on_disk = self._compiled()
+        return self._on_disk or self._requests > _WORTH
 
 
 class LoopModes:
@@ -167,7 +167,10 @@ class LoopModes:
         self._entries: dict[Kind, Entry] = {}
         self._bands: dict[str, int] = {}
         self._call: Any = None  # as `CompiledLaws.call` returns it
-        self._worth, self._batch_worth = _Worth(laws.ready), _Worth(laws.compiled)
+        self._worth, self._batch_worth = (
+            _CompilationPolicy(laws.ready),
+            _CompilationPolicy(laws.compiled),
+        )
 
     def compiled(self, kind: Kind) -> CompiledMode:
         """Return a mode that was added."""
@@ -199,9 +202,9 @@ class LoopModes:
 
     def batch(self, count: int) -> Any:
         """Return what starts so many runs; None where nothing can, or it is not worth compiling."""
-        if not self._batch_worth.asked(count) or not self._compiled:
+        if not self._batch_worth.pays(count) or not self._compiled:
             return None
-        call = self._made()
+        call = self._calls()
         return call if call.starts else None
 
     def follows(self, setup: Callable[..., Setup]) -> bool:
@@ -244,10 +247,10 @@ class LoopModes:
         kind, floor = (flow.mode, flow.roles), self._engine.floor
         if not self.laws.takes(setup, flow, state, now.item(T_HIGH)):
             return None
-        if kind not in self._compiled or not self._worth.asked():
+        if kind not in self._compiled or not self._worth.pays():
             return None
         assert isinstance(floor, float)
-        call = self._made()
+        call = self._calls()
         kinds = call.loop.kinds
         found = BatchResult.empty(1, len(setup.values), len(state), len(kinds))
         found.now[0], found.final[0] = now, state
@@ -256,7 +259,7 @@ class LoopModes:
         call.resume(setup, floor, buffer, found, series)
         return Batch(np.zeros(1, np.intp), found, buffer, kinds, self, zeros, series)
 
-    def _made(self) -> Any:
+    def _calls(self) -> Any:
         """Return the calls of a loop over all modes known."""
         if self._call is None:
             self._call = self.laws.call(self._loop(), self._engine.tolerance)
@@ -298,7 +301,7 @@ class LoopModes:
         # All modes have one engine, and so one order.
         pace, n = entry.pace, len(self._automaton.variables)
         steps = max(min(_STEPS, _PART // (n * pace.terms)), 1)
-        memory = scratch(steps, pace.terms, rows, n, len(self._automaton.parameters))
+        memory = flow_workspace(steps, pace.terms, rows, n, len(self._automaton.parameters))
         return Loop(
             packed.program(rows), tapes, pace, memory, tuple(self._bands), tuple(self.kinds)
         )
@@ -319,7 +322,7 @@ class Loop(NamedTuple):
     program: Program
     tapes: NDArray[np.int64]  # (t, 9): the laws' own.
     pace: Pace
-    memory: Scratch
+    workspace: FlowWorkspace
     margins: tuple[str, ...]  # Whose tolerances a run may set one by one, in their order.
     kinds: tuple[Kind, ...]  # Kinds of the rows of the program.
 

@@ -17,7 +17,7 @@ from statechart.automaton.regions import Mode, whole_margins
 from statechart.automaton.switches import Switches, switches_of
 from statechart.automaton.trace import Key, Role, Roles
 from statechart.engines.engine import Engine
-from statechart.execution.standing import StandingStops
+from statechart.execution.initial_stop_conditions import InitialStopConditions
 from statechart.formulas.tape import Tape
 
 
@@ -63,7 +63,7 @@ class SolvedModes:
 
     def __init__(self, automaton: Automaton) -> None:
         self.automaton = automaton
-        self.standing = StandingStops(automaton)
+        self.stops = InitialStopConditions(automaton)
         self._modes: dict[tuple[Roles, frozenset[int]], Mode] = {}
         self._taped: dict[Mode, TapedMode] = {}
         self._switches: dict[Mode, Switches | None] = {}
@@ -155,7 +155,7 @@ class CompiledModes:
     def __init__(self, solved: SolvedModes, engine: Engine) -> None:
         self.automaton, self.mode, self.taped = solved.automaton, solved.mode, solved.taped
         self.switches = solved.switches
-        self.standing = solved.standing
+        self.stops = solved.stops
         self.engine = engine
         self.solved = solved
         self._compiled: dict[tuple[Roles, frozenset[int]], CompiledMode] = {}

@@ -29,7 +29,7 @@ from statechart.tabular import several
 _ONE_INSTANT = 4.0
 _ULP = float(np.finfo(float).eps)
 # Longer runs do not keep arcs and jumps that were read: each is as large as the whole.
-_KEPT = 1 << 12
+_MAX_CACHED = 1 << 12
 
 
 class _Part:
@@ -66,8 +66,8 @@ class _Part:
         local = min(max(between(arc.start, time), 0.0), arc.duration)
         return arc.states(np.array([local]))[0]
 
-    def beside(self, count: int, time: Clock) -> Array:
-        """Return its state at a jump of others, after so many of its own."""
+    def state_at(self, count: int, time: Clock) -> Array:
+        """Return its state at a jump of another component, after so many own jumps."""
         near = _ONE_INSTANT * _ULP * time.high
         if count and time.high - self.times[count - 1] <= near:
             return self.trace.jumps[count - 1].after
@@ -144,8 +144,8 @@ class MergedRun:
         proved = all(trace.certified for _, trace in named)
         return automaton.trace(
             self._setup.values,
-            arcs=LazySequence(self._arc, lambda: len(self._spans), cached=jumps < _KEPT),
-            jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _KEPT),
+            arcs=LazySequence(self._arc, lambda: len(self._spans), cached=jumps < _MAX_CACHED),
+            jumps=LazySequence(self._jump, lambda: jumps, cached=jumps < _MAX_CACHED),
             initial=self._state([part.trace.initial for part in parts]),
             final=self._state(finals),
             start_mode=self._key([part.trace.start_mode for part in parts]),
@@ -200,7 +200,7 @@ class MergedRun:
         after = [jumps[k].target if k in jumps else key for k, key in enumerate(before)]
         now = Clock(time)
         beside = {
-            k: part.beside(counts[k], now) for k, part in enumerate(self._parts) if k not in jumps
+            k: part.state_at(counts[k], now) for k, part in enumerate(self._parts) if k not in jumps
         }
         states = [beside[k] if k in beside else jumps[k].before for k in range(len(before))]
         left = [beside[k] if k in beside else jumps[k].after for k in range(len(before))]

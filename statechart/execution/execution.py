@@ -24,7 +24,7 @@ from statechart.execution import compiled_loop as runs
 from statechart.execution.compiled_loop import LOOK_AHEAD, Batch, LoopModes
 from statechart.execution.compiled_modes import CompiledMode, CompiledModes
 from statechart.execution.filippov import Filippov
-from statechart.execution.finding import alone, closing, from_here
+from statechart.execution.finding import closing, from_here, only_stops
 from statechart.execution.flow import FOLLOWED, UNFOLLOWED, Advance
 from statechart.execution.livelock import JUMPS_AT_ONCE, Livelock, check_pace, looping
 from statechart.execution.outcome import Progress, error_of
@@ -60,7 +60,7 @@ class Execution:
     loop: LoopModes | None = None
     # Takes all flows and jumps, where the run is made again to prove its motion.
     certificate: Certificate | None = None
-    begun: Batch | None = None  # The part of the run that a loop has made from its start.
+    batch_start: Batch | None = None  # The part of the run that a loop has made from its start.
     clock: Clock = field(default_factory=Clock)
     outcome: Outcome = Outcome.HORIZON
     message: str = ""
@@ -82,8 +82,8 @@ class Execution:
         self.evaluations = self.engine.evaluations
         self._progress = Progress(self.until)
         self.accumulation = Accumulation(() if self.loop is None else self.loop.jumps)
-        if self.begun is not None:
-            self.accumulation.series = self.begun.series.copy()
+        if self.batch_start is not None:
+            self.accumulation.series = self.batch_start.series.copy()
         self._livelock = Livelock(min(self.horizon, self.until))
         self._filippov = Filippov(self.modes) if self.automaton.switching else None
         self._switched: tuple[Any, ...] = ()  # of the flow under way: see `_switch`
@@ -161,8 +161,8 @@ class Execution:
 
     def begin(self) -> bool:
         """Find the mode at the start; whether the run ends there."""
-        if self.begun and self.loop:
-            kind = self.begun.kinds[self.begun.found.ends.item(runs.FIRST_MODE)]
+        if self.batch_start and self.loop:
+            kind = self.batch_start.kinds[self.batch_start.result.ends.item(runs.FIRST_MODE)]
             self.flow = self.loop.flow(self.setup, kind, self.state, 0.0)
         else:
             self.flow, self.state = self.automaton.laws_of_events.begin(self.setup)
@@ -190,7 +190,7 @@ class Execution:
         None where the flow that the run has come to is to be made step by step.
         """
         while True:
-            made, self.begun = self.begun, None
+            made, self.batch_start = self.batch_start, None
             jumps, arcs = 0, 0
             if made is None:
                 jumps, arcs = len(self.record.jumps), len(self.record.arcs)
@@ -203,7 +203,7 @@ class Execution:
                 if made is None:
                     return None
             self._reached(loop, made, jumps, arcs)
-            reason, margin = made.found.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
+            reason, margin = made.result.ends[0, runs.REASON : runs.MARGIN + 1].tolist()
             if reason in (runs.FULL, runs.PAUSED):
                 continue
             if reason == runs.OVER:
@@ -214,7 +214,9 @@ class Execution:
                 return self.fell(loop.compiled((self.flow.mode, self.flow.roles)), margin)
             if reason == runs.ACCUMULATES:
                 # The loop has seen that jumps accumulate, see `Accumulation.found`.
-                self._skip_by(self.accumulation.found(margin, made.found.now.item(0, runs.T_REST)))
+                self._skip_by(
+                    self.accumulation.sum_from(margin, made.result.now.item(0, runs.T_REST))
+                )
             if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
                 return ()
             if not self.flow.settled and self.settle():
@@ -223,12 +225,12 @@ class Execution:
     def _reached(self, loop: LoopModes, made: Batch, jumps: int, arcs: int) -> None:
         """Go to where the loop has come, from where there were so many jumps and arcs."""
         record, flow = self.record, self.flow
-        now, place, ends = made.found.now[0], made.found.place[0], made.found.ends[0]
+        now, place, ends = made.result.now[0], made.result.place[0], made.result.ends[0]
         for (_, roles), compiled in made.entered():
             self.entered.setdefault(roles, compiled)
         if ends[runs.REASON] == runs.FULL:
             record.seal()
-        self.clock, self.state = Clock(*now[: runs.T_LOW + 1].tolist()), made.found.final[0]
+        self.clock, self.state = Clock(*now[: runs.T_LOW + 1].tolist()), made.result.final[0]
         self.horizon = now.item(runs.T_HORIZON)
         self.steps += place.item(runs.N_STEPS)
         self.boxes += place.item(runs.N_BOXES)
@@ -238,8 +240,8 @@ class Execution:
         if jumped:
             kind = made.kinds[place[runs.N_MODE]]
             flow = loop.flow(self.setup, kind, self.state, self.clock.high)
-            values = made.found.values[0]
-            flow = flow._replace(settled=bool(place[runs.N_ASKED] == 0), values=values)
+            values = made.result.values[0]
+            flow = flow._replace(settled=bool(place[runs.N_RETRY] == 0), values=values)
         if ends[runs.REASON] == runs.OVER or (
             ends[runs.REASON] == runs.FELL and ends[runs.MARGIN] >= 0
         ):
@@ -385,10 +387,10 @@ class Execution:
         if stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
             at, laws = self._instant(margin.name), self.automaton.laws_of_events
-            if met := self.modes.standing.met(taped.mode, taped.guards, at):
+            if met := self.modes.stops.judge_fall(taped.mode, taped.guards, at):
                 # Other events of this instant come first.
                 at = self._instant()
-                made = None if alone(compiled, at, count) else laws.jump(at)
+                made = None if only_stops(compiled, at, count) else laws.jump(at)
                 if made is None or made[0] is None:
                     self._stop(met)
         return (margin.name,)
@@ -487,9 +489,9 @@ class Execution:
 
     def _stands(self) -> bool:
         """Return whether the run ends here, on the boundary of a stop condition."""
-        if standing := self.modes.standing:
+        if standing := self.modes.stops:
             taped = self.modes.taped(self.flow.moving, self.zeros)
-            met, self.flow = standing.judged(taped.mode, taped.guards, self._instant())
+            met, self.flow = standing.judge_start(taped.mode, taped.guards, self._instant())
             if met:
                 self._stop(met)
         return self.outcome is Outcome.STOPPED

@@ -139,19 +139,21 @@ class Filippov:
         value = taped.guards.values(at.state, at.setup.values, at.clock.high).item(place)
         if name.startswith(SLIDE_ON):
             return abs(value) <= _EDGE
-        return abs(value) <= _room(at, taped.guards, place, at.state)
+        return abs(value) <= _round_off(at, taped.guards, place, at.state)
 
     def _tolerances(self, at: Instant, roles: Roles, zeros: frozenset[int]) -> dict[str, float]:
         """Return the round-off of the margins of switches."""
         taped = self._modes.taped(roles, zeros)
         return {
-            name: _room(at, taped.guards, place, at.state)
+            name: _round_off(at, taped.guards, place, at.state)
             for place, name in enumerate(taped.names)
             if is_of_switch(name)
         }
 
 
-def _room(at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None) -> float:
+def _round_off(
+    at: Instant, tape: Tape, place: int, state: Array, signs: Array | None = None
+) -> float:
     """Return the round-off of an output of a tape."""
     sizes = flow_sizes(at.setup, at.flow, at.state)
     if signs is not None:
@@ -206,7 +208,7 @@ class _Surface:
         found = self.switches.tape.values(
             np.concatenate([at.state, own]), values, at.clock.high
         ).item(place)
-        return found, _room(at, self.switches.tape, place, at.state, own)
+        return found, _round_off(at, self.switches.tape, place, at.state, own)
 
     def onto(self, i: int, state: Array) -> Array:
         """Return a state (n,) moved onto a surface, by its nearest way in sizes of the state."""

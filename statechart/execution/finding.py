@@ -127,8 +127,8 @@ def closing(
     return closed, tolerances
 
 
-def alone(compiled: CompiledMode, at: Instant, stops: int) -> bool:
-    """Return whether nothing but stops, which stand last, is on its boundary at an instant."""
+def only_stops(compiled: CompiledMode, at: Instant, stops: int) -> bool:
+    """Return whether only stop conditions, which stand last, are on their boundary."""
     margins = compiled.guards.values(at.state, at.setup.values, at.clock.high).tolist()
     usual, special = at.setup.tolerances, at.flow.tolerances
     watched = zip(compiled.watched[: len(margins) - stops], margins, strict=False)

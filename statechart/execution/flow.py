@@ -15,7 +15,7 @@ from statechart.engines.engine import (
     FIRST_CHUNK,
     GROWTH,
     LONGEST_CHUNK,
-    LOOKS,
+    MAX_DEFECT_BOXES,
     NEAR,
     Begin,
     Engine,
@@ -59,7 +59,7 @@ _BEYOND = (0.0, 1.0, 2.0, 4.0)
 # Part of the way to the place where a step left its constraints unseen, or missed its rates.
 _NEARER = 0.5
 # So many steps tell how many the rest takes; of more than this, days at a microsecond each.
-_LOOKED_AT, _TOO_MANY = 4096, 1e12
+_PACE_STEPS, _TOO_MANY = 4096, 1e12
 # Over so many steps a drift varies by a few times its extent, an oscillation by some at every
 # step. What moves less, in parts of its size, may be round-off.
 _DRIFTS, _STILL = 16.0, 1e-9
@@ -95,14 +95,14 @@ class Advance:
     failure: SimulationError | KeyboardInterrupt | None = None  # The error that stopped the flow.
     unfollowed: float | None = None  # From when on it is not known whether steps follow the rates.
     # Steps that are proved, and the local time that they reach.
-    _kept: int = field(init=False)
+    _proved: int = field(init=False)
     _reached: float = field(init=False)
     # The next chunk: its steps, where it has to end, how it follows from the last.
     _count: int = field(init=False)
     _end: float = field(init=False)
     _begin: Begin = field(init=False)
     # Distance by which the last repeated step was off; steps and time at the last check of pace.
-    _seen: float = field(init=False)
+    _last_defect: float = field(init=False)
     _mark: tuple[int, float] = field(init=False)
     # Start of the last step that missed its rates, the place and the amount; the defect known to be
     # round-off; the number of steps whose defect has no bound.
@@ -120,21 +120,21 @@ class Advance:
         except (SimulationError, KeyboardInterrupt) as error:
             self.failure = error
         path, watch = self.path, self.watch
-        path.count = self._kept
+        path.count = self._proved
         reached = watch.start + path.times.item(path.count)
         self.state = watch.reconstruction.onto(self.state, reached)
         return self
 
     def _start(self) -> None:
-        self.state, self._kept, self._reached = self.initial, 0, 0.0
+        self.state, self._proved, self._reached = self.initial, 0, 0.0
         self._count, self._begin = FIRST_CHUNK, Begin.NEW
         self._end = min(self.horizon, self.duration)
-        self._seen, self._mark = math.inf, (0, 0.0)
+        self._last_defect, self._mark = math.inf, (0, 0.0)
         self._missed, self._rounded, self._unknown = (-1.0, 0.0, 0.0), 0.0, 0
 
     def _chunk(self) -> None:
         """Make steps and prove them; then go on, end at an event, or make them again."""
-        watch, path, first = self.watch, self.path, self._kept
+        watch, path, first = self.watch, self.path, self._proved
         path.count, ended = first, np.empty(len(self.state))
         tolerances = first_tolerances(self.compiled, watch, self.state, self._reached)
         if self.engine.allowance is not None:
@@ -162,9 +162,9 @@ class Advance:
         self.boxes += found.boxes
         if found.verdict is not Verdict.NONE:
             found = judge(found, self.engine, self.compiled, watch, path, tolerances, last)
-        blind = _blind(watch, path, first, last, found) or self._unseen(first, last, found)
-        if _BLIND < off <= _STAYS * self._seen and watch.constraints.within is not None:
-            blind, self._seen = (first, local), off
+        blind = _blind(watch, path, first, last, found) or self._find_missed(first, last, found)
+        if _BLIND < off <= _STAYS * self._last_defect and watch.constraints.within is not None:
+            blind, self._last_defect = (first, local), off
         if blind is not None:
             self._retreat(*blind, ended)
         elif found.verdict is Verdict.NONE:
@@ -175,7 +175,7 @@ class Advance:
     def _retreat(self, step: int, blind: float, ended: Array) -> None:
         """Go on from before a step: the integrator did not see what it ran into, and when."""
         path = self.path
-        self._kept, self._reached = step, path.times.item(step)
+        self._proved, self._reached = step, path.times.item(step)
         self.horizon = _NEARER * (blind - self._reached)
         self._end = self._reached + self.horizon
         if not self._end > self._reached:
@@ -187,7 +187,7 @@ class Advance:
         self.state = ended if left > 0 else self.initial
         self._count, self._begin = 1, Begin.BACK
 
-    def _unseen(self, first: int, last: int, found: Search) -> tuple[int, float] | None:
+    def _find_missed(self, first: int, last: int, found: Search) -> tuple[int, float] | None:
         """Return the step, up to what was found in them, that misses its rates, and where."""
         watch, path, rates = self.watch, self.path, self.compiled.rates
         where = found.crossing or found.undecided
@@ -199,7 +199,7 @@ class Advance:
                 last if where is None else where.step + 1,
                 floors(self.engine, len(self.initial)),
                 max(self.engine.allowed, self._rounded),
-                LOOKS,
+                MAX_DEFECT_BOXES,
             )
             if step < 0:
                 return None
@@ -272,20 +272,20 @@ class Advance:
     def _cut(self, at: float, ended: Array) -> None:
         """Keep what was flown up to a local time; its state is written to `ended`."""
         path = self.path
-        self._kept = cut_steps(path.times, path.coefficients, path.count, at, ended)
-        self.state = ended if self._kept > 0 else self.initial
+        self._proved = cut_steps(path.times, path.coefficients, path.count, at, ended)
+        self.state = ended if self._proved > 0 else self.initial
 
     def _go_on(self, following: Array, finished: bool, *, moved: bool) -> None:
         """Keep the steps made; `moved` says whether their end was brought onto its constraints."""
         path, duration = self.path, self.duration
-        self._kept, self._reached = path.count, path.times.item(path.count)
-        self.state, self._seen = following, math.inf
+        self._proved, self._reached = path.count, path.times.item(path.count)
+        self.state, self._last_defect = following, math.inf
         steps, since = self._mark
-        if self._kept - steps >= _LOOKED_AT:
+        if self._proved - steps >= _PACE_STEPS:
             if self.engine.gives_way:
-                self._check_stiffness(self._kept - steps, self._reached - since)
-            _check_pace(self._kept - steps, self._reached - since, duration - self._reached)
-            self._mark = self._kept, self._reached
+                self._check_stiffness(self._proved - steps, self._reached - since)
+            _check_pace(self._proved - steps, self._reached - since, duration - self._reached)
+            self._mark = self._proved, self._reached
         if self.on_steps is not None:
             self.on_steps(self._reached, self.steps)
         if finished:
@@ -304,9 +304,9 @@ class Advance:
         """
         series, at = self.path.coefficients, self.watch.start + self._reached
         room = LARGEST // (8 * series.shape[1] * series.shape[2])
-        if self._kept + steps * (self.duration - self._reached) / took < room:
+        if self._proved + steps * (self.duration - self._reached) / took < room:
             return
-        states = series[self._kept - steps : self._kept, :, 0]
+        states = series[self._proved - steps : self._proved, :, 0]
         variation, extent = np.abs(np.diff(states, axis=0)).sum(axis=0), np.ptp(states, axis=0)
         moves = extent > _STILL * np.abs(states).max(axis=0)
         if (variation[moves] <= _DRIFTS * extent[moves]).all():

@@ -53,12 +53,12 @@ class _Once:
 
     def __init__(self, make: Callable[[], Setup]) -> None:
         self._make = make
-        self._found: Setup | None = None
+        self._value: Setup | None = None
 
     def __call__(self) -> Setup:
-        if self._found is None:
-            self._found = self._make()
-        return self._found
+        if self._value is None:
+            self._value = self._make()
+        return self._value
 
 
 class Simulator:
@@ -109,7 +109,7 @@ class Simulator:
         if rows is None:
             rows = self._rows[names] = BatchRunner(self, names)
         values = np.fromiter(parameters.values(), float, len(names))
-        batch = rows.alone(values, until, max_jumps)
+        batch = rows.run_single(values, until, max_jumps)
         return self._finish(batch, _Once(partial(self._setup, dict(parameters))), until, max_jumps)
 
     def _finish(
@@ -121,7 +121,7 @@ class Simulator:
         warnings: Sequence[str] | None = None,
     ) -> Trace:
         """Return the trace of a run that a loop has made, or take it on from where that came."""
-        if batch is None or batch.found.ends.item(runs.HOW) == runs.HANDED:
+        if batch is None or batch.result.ends.item(runs.HOW) == runs.HANDED:
             return self._execution(setup(), until, max_jumps, batch).run()
         return self._trace_of(batch, setup, warnings)
 
@@ -132,7 +132,7 @@ class Simulator:
 
         `warnings` are those of its numbers; by default those of all runs of the model.
         """
-        automaton, engine, found = self.automaton, self.engine, batch.found
+        automaton, engine, found = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
         place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
         first, last = kinds[found.ends.item(runs.FIRST_MODE)][0], kinds[place[runs.N_MODE]]
@@ -277,7 +277,7 @@ class Simulator:
         record = TraceRecorder(variables, kinds, self.buffer, jump, begun=batch is not None)
         return Execution(
             self.modes, self.path, record, setup, zeros, until, max_jumps, self.progress, loop,
-            begun=batch,
+            batch_start=batch,
         )  # fmt: skip
 
     def known(self) -> list[tuple[frozenset[int], LoopModes]]:
@@ -332,23 +332,23 @@ class BatchRunner:
                 if batch is None:
                     others.append(left[done:])
                     break
-                how = batch.found.ends[:, runs.HOW]
+                how = batch.result.ends[:, runs.HOW]
                 done += len(how)
                 others.append(batch.rows[how == runs.OTHER])
                 kept = np.flatnonzero(self._judged(batch, table[batch.rows]))
                 if kept.size:
-                    found = BatchResult._make([array[kept] for array in batch.found])
-                    yield batch._replace(rows=batch.rows[kept], found=found)
+                    found = BatchResult._make([array[kept] for array in batch.result])
+                    yield batch._replace(rows=batch.rows[kept], result=found)
             left = np.concatenate(others)
 
-    def alone(self, values: Array, until: float, max_jumps: int) -> Batch | None:
+    def run_single(self, values: Array, until: float, max_jumps: int) -> Batch | None:
         """Make one run, as far as a loop takes it."""
         row = np.zeros(1, np.intp)
         for zeros, modes in self.simulator.known():
             batch = self._called(
                 modes, zeros, row, values[None], np.array([until], float), max_jumps, alone=True
             )
-            how = runs.OTHER if batch is None else batch.found.ends.item(runs.HOW)
+            how = runs.OTHER if batch is None else batch.result.ends.item(runs.HOW)
             if how != runs.OTHER:
                 return None if how == runs.UNUSUAL else batch
         return None
@@ -379,7 +379,7 @@ class BatchRunner:
         code, constants, outputs, inputs = call.inputs(self._names, table)
         asked = BatchInputs(
             code, constants, outputs, inputs, until, gone, max_jumps, engine.floor, alone,
-            begun=False, known=False,
+            resumed=False, known=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
@@ -390,7 +390,7 @@ class BatchRunner:
 
     def _judged(self, batch: Batch, table: Array) -> Bools:
         """Return which rows (m,) have gone through: nothing just happens as they end."""
-        how = batch.found.ends[:, runs.HOW]
+        how = batch.result.ends[:, runs.HOW]
         kept = np.asarray((how == runs.ENDED) | (how == runs.STOPPED))
         for row in np.flatnonzero(how == runs.CLOSING).tolist():
             kept[row] = not self._closing(batch, row, table[row])
@@ -398,7 +398,7 @@ class BatchRunner:
 
     def _closing(self, batch: Batch, row: int, values: Array) -> bool:
         """Return whether an event may be happening as a row ends (see `closing`)."""
-        found, block, simulator = batch.found, batch.block, self.simulator
+        found, block, simulator = batch.result, batch.block, self.simulator
         setup = self.setup(values)
         kind = batch.kinds[found.place[row, runs.N_MODE]]
         terms = None
@@ -414,7 +414,7 @@ class BatchRunner:
 
     def jump(self, batch: Batch, table: Array, row: int, j: int) -> Jump:
         """Return a jump of a row of a batch, of the values `table`, before which there were `j`."""
-        event = event_of(batch.block, int(batch.found.spans[row, EVENTS]) + j, j, batch.kinds)
+        event = event_of(batch.block, int(batch.result.spans[row, EVENTS]) + j, j, batch.kinds)
         return batch.modes.jump(partial(self.setup, table[row]), event)
 
     def setup(self, values: Array) -> Setup:

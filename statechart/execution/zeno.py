@@ -75,7 +75,7 @@ class Accumulation:
         rest = add_jump(row, clock.high, clock.low, flowed, short)
         return None if rest < 0.0 else _summed(row, rest)
 
-    def found(self, place: int, rest: float) -> float:
+    def sum_from(self, place: int, rest: float) -> float:
         """Return it where the last ratio of a series of those known first gives `rest`."""
         return _summed(self.series[place], rest)
 

@@ -191,7 +191,7 @@ class AtomsAt:
         still = bool(self._still) and self._still[k]
         return still or (self.near(k) and self.way(k) == 0.0)
 
-    def _touches(self, k: int) -> bool:
+    def _holds_now(self, k: int) -> bool:
         """Return whether an atom holds at this very instant."""
         return self._margins[k] <= (self.tolerances[k] if self._closed[k] else -self.tolerances[k])
 
@@ -201,7 +201,7 @@ class AtomsAt:
 
     def touched(self, condition: Condition, first: int, active: Active) -> bool:
         """Return whether a condition holds at this very instant."""
-        return bool(condition.truth(lambda k: self._touches(first + k), active))
+        return bool(condition.truth(lambda k: self._holds_now(first + k), active))
 
     def certificate(self, condition: Condition, first: int, active: Active) -> frozenset[int]:
         """Return the places of atoms that decide a condition; of all where it is open."""

@@ -16,9 +16,11 @@ NEG, SQUARE, POWI, SQRT, EXP, LOG, SIN, COS, TAN, ASIN, ACOS, ATAN = range(9, 21
 SINH, COSH, TANH, ABS, SIGN, FLOOR = range(21, 27)
 
 _BINARY = ("add", "sub", "mul", "div", "min", "max", "atan2", "hypot", "pow")
-_USUAL = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
-_OTHERS = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign", "floor")
-OPCODES: dict[str, int] = {name: index for index, name in enumerate([*_BINARY, *_USUAL, *_OTHERS])}
+_INLINE = ("neg", "square", "powi", "sqrt", "exp", "log", "sin", "cos", "tan")
+_LIBRARY = ("asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "sign", "floor")
+OPCODES: dict[str, int] = {
+    name: index for index, name in enumerate([*_BINARY, *_INLINE, *_LIBRARY])
+}
 
 SKIP = -1
 """In the place of an operation that is not to be run."""

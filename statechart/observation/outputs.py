@@ -167,7 +167,7 @@ class Outputs:
         key = True, batch.zeros, len(batch.kinds)
         if key not in self._tapes:
             self._tapes[key] = self._taped(batch.kinds, mode)
-        block, found = batch.block, batch.found
+        block, found = batch.block, batch.result
         marks = self._marks(batch, jump_of)
         values = self.empty_values(len(found.ends), len(marks))
         self.compute(self._tapes[key], block, block.coefficients, found, marks, values)
@@ -247,7 +247,7 @@ class Outputs:
 
         Verdicts are stored by what decides them: modes, the regions struck, and what these do.
         """
-        block, found = batch.block, batch.found
+        block, found = batch.block, batch.result
         verdicts = self._verdicts.setdefault(batch.zeros, {})
         spans, ends = found.spans.tolist(), found.ends.tolist()
         marks: list[tuple[int, ...]] = []
@@ -317,12 +317,16 @@ class Outputs:
                     columns[place, : len(active.places)] = active.places
             return made, columns
 
-        def apart(formulas: Sequence[Formula]) -> Ints:
+        def separate_tapes(formulas: Sequence[Formula]) -> Ints:
             found = [tapes([formula], ((),))[0] for formula in formulas]
             return np.array(found, np.int64).reshape(len(found), len(kinds) + 1, TAPE)
 
-        at = apart([output.value for _, output, _ in self.at])
-        points = apart([*self.start.values()]), apart([*self.end.values()]), apart(self._watched)
+        at = separate_tapes([output.value for _, output, _ in self.at])
+        points = (
+            separate_tapes([*self.start.values()]),
+            separate_tapes([*self.end.values()]),
+            separate_tapes(self._watched),
+        )
         integrals = [output.integral for output in self.integrals.values()]
         over = tapes(integrals, wanted([output.during for output in self.integrals.values()]))
         waits = [(self._waits.index(moment.events), output.before) for _, output, moment in self.at]

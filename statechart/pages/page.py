@@ -267,7 +267,7 @@ def _chart(
     none: dict[str, Any] = {"svg": "", "nodes": [[]] * len(samples.modes), "states": []}
     place = np.zeros(len(samples.t), dtype=np.intp)
     if diagram is not None:
-        diagram, active = _followed(automaton, diagram, samples.modes)
+        diagram, active = _complete_diagram(automaton, diagram, samples.modes)
     if diagram is None or not 0 < len(diagram.nodes) <= _NODES:
         return {**none, "place": _packed(place, np.uint8)}
     with tempfile.TemporaryDirectory() as folder:
@@ -304,7 +304,7 @@ def _visits(path: Sequence[str], entered: Sequence[tuple[str, ...]]) -> NDArray[
     return np.array([order[:k].count(order[k]) for k in places], dtype=np.intp)
 
 
-def _followed(
+def _complete_diagram(
     automaton: Automaton, diagram: Diagram, modes: Sequence[Key]
 ) -> tuple[Diagram, Callable[[Key], tuple[str, ...]]]:
     """Return a diagram that has every mode, and the nodes of it that are active in one.

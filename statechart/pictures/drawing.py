@@ -46,7 +46,7 @@ class Drawing:
         ax.set_aspect("equal", adjustable="box")
         ax.set_axis_off()
         self._limits: tuple[tuple[float, float], ...] = ()
-        self._look(0)
+        self._move_window(0)
         self._scenery = Scenery(ax, film)
         paper = points_of(film.unit, ax)
         self._points, self._thin = paper / film.unit, thinner(paper)
@@ -64,7 +64,7 @@ class Drawing:
     def show(self, instant: int) -> None:
         """Show an instant, by its number."""
         film = self._film
-        self._look(instant)
+        self._move_window(instant)
         self._scenery.show(instant)
         for line, frame in zip(self._trails, film.trails, strict=True):
             since = 0.0 if self._trail is None else film.times[instant] - self._trail
@@ -85,7 +85,7 @@ class Drawing:
         still = set(self._scenery.still) if stands else set()
         return [*dropwhile(lambda artist: artist in still, ordered)]
 
-    def _look(self, instant: int) -> None:
+    def _move_window(self, instant: int) -> None:
         (x, y), (width, height) = self._film.centres[instant], self._film.half
         limits = (x - width, x + width), (y - height, y + height)
         # To set them, though they are the same, places everything anew.

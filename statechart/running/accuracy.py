@@ -634,7 +634,7 @@ class RunPlanner:
         if ended or isinstance(simulator, SteppingSimulator):
             return trace
         if self._allowance is not None:
-            self._allowance.lift()
+            self._allowance.remove_limit()
         return simulator.certified(trace, overrides, until=end, max_jumps=self._max_jumps)
 
     def _once(

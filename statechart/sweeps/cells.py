@@ -194,7 +194,7 @@ class _Cells:
             found.outcome[here[batch.stopped]] = Outcome.STOPPED.name
             found.message[here] = ""
             found.certified[here] = True
-            found.t_end[here] = batch.found.now[:, T_HIGH]
+            found.t_end[here] = batch.result.now[:, T_HIGH]
             texts = map(structure.sequence, _modes_of(batch))
             found.modes[here] = [codes.setdefault(text, len(codes)) for text in texts]
         if done:
@@ -370,8 +370,8 @@ def _modes_of(batch: Batch) -> list[tuple[Key, ...]]:
     sequences: dict[tuple[int, bytes], tuple[Key, ...]] = {}
     found = []
     targets = batch.block.events[:, TARGET]
-    firsts = batch.found.ends[:, FIRST_MODE].tolist()
-    spans = batch.found.spans[:, EVENTS : EVENTS_END + 1].tolist()
+    firsts = batch.result.ends[:, FIRST_MODE].tolist()
+    spans = batch.result.spans[:, EVENTS : EVENTS_END + 1].tolist()
     for first, (begin, end) in zip(firsts, spans, strict=True):
         entered = targets[begin:end]
         code = first, entered.tobytes()

@@ -206,7 +206,7 @@ _UNIFORM, _FEWEST, _ALL = 256, 16, 100_000
 # Distances to an end, each half of the one before, and as many places about every event.
 _HALVINGS = 36
 # An event may be late by this part of the run: some units in the last place of time.
-_LATE = 2.0 * STATE_ROUND_OFF
+_TIME_ERROR = 2.0 * STATE_ROUND_OFF
 # A solved force or acceleration is off by this part of it.
 _SOLVED = 1e-9
 
@@ -284,7 +284,7 @@ def _grids(trace: Trace) -> Iterator[tuple[Arc, Array]]:
 
     None is as near to an end as an event may be late.
     """
-    late = _LATE * trace.t_end
+    late = _TIME_ERROR * trace.t_end
     count = int(np.clip(_ALL // max(len(trace.arcs), 1), _FEWEST, _UNIFORM))
     even = (np.arange(count) + 0.5) / count
     halved = 0.5 ** np.arange(1, min(count, _HALVINGS) + 1)
@@ -315,7 +315,7 @@ class _Judge:
 
     def __init__(self, subject: Subject, trace: Trace) -> None:
         self._subject, self._trace = subject, trace
-        self._errors, self._late = _state_errors(trace), _LATE * trace.t_end
+        self._errors, self._late = _state_errors(trace), _TIME_ERROR * trace.t_end
         self._sides: dict[Claim, tuple[Term, list[sp.Expr], bool]] = {}
 
     def unexplained(self, claim: Claim, arc: Arc, tau: Array) -> Array:

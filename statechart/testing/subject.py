@@ -286,14 +286,16 @@ class Case:
     def shorter(self, until: float) -> Trace:
         """Return the run of the most accurate engine up to `until`."""
         simulator = next(iter(self.subject.observers.values())).simulator
-        return self._made(simulator, self.parameters, until)
+        return self._uninterrupted(simulator, self.parameters, until)
 
     def loosened(self, relative: float) -> Trace:
         """Return the run of the most accurate engine whose modes are chosen as at `relative`."""
         subject = self.subject
-        return self._made(subject.loosened(relative), self.parameters, subject.end(self.parameters))
+        return self._uninterrupted(
+            subject.loosened(relative), self.parameters, subject.end(self.parameters)
+        )
 
-    def _made(
+    def _uninterrupted(
         self,
         simulator: Simulator | SteppingSimulator,
         parameters: Mapping[str, float],
@@ -309,7 +311,7 @@ class Case:
     def _run(self, name: str, parameters: Mapping[str, float]) -> Trace | None:
         subject = self.subject
         simulator = subject.observers[name].simulator
-        trace = self._made(simulator, parameters, subject.end(parameters))
+        trace = self._uninterrupted(simulator, parameters, subject.end(parameters))
         if trace.outcome is not Outcome.UNSUPPORTED:
             return trace
         # Taylor series do not exist for every formula.

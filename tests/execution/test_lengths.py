@@ -163,7 +163,7 @@ def test_single_mode_of_too_many_steps_ends_as_too_long(
 
 @pytest.mark.parametrize("w", [1e100, 1e300])
 def test_steps_far_too_short_for_the_run_end_it(w: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(advance, "_LOOKED_AT", 200)
+    monkeypatch.setattr(advance, "_PACE_STEPS", 200)
     text = read_text(CHART.format(x="cos(w*time)"))
     made = run(text, engine="scipy", parameters={"w": w}, throw=False).trace
     assert made.outcome is Outcome.TOO_LONG

@@ -1,6 +1,6 @@
 """Choice of the compiled loop: cached on disk, or worth compiling."""
 
-from statechart.execution.compiled_loop import _WORTH, _Worth
+from statechart.execution.compiled_loop import _WORTH, _CompilationPolicy
 
 
 def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
@@ -10,12 +10,12 @@ def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
         looked.append(len(looked) > 5)
         return looked[-1]
 
-    worth = _Worth(look)
-    assert [worth.asked() for _ in range(100)] == [False] * 63 + [True] * 37
+    worth = _CompilationPolicy(look)
+    assert [worth.pays() for _ in range(100)] == [False] * 63 + [True] * 37
     assert len(looked) == 7
 
 
 def test_loop_is_compiled_after_enough_requests() -> None:
-    worth = _Worth(lambda: False)
-    assert not worth.asked(_WORTH)
-    assert worth.asked()
+    worth = _CompilationPolicy(lambda: False)
+    assert not worth.pays(_WORTH)
+    assert worth.pays()

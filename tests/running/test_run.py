@@ -270,9 +270,9 @@ def test_a_result_saves_its_run(tmp_path: Path) -> None:
 
 def test_steps_that_fill_the_memory_are_an_outcome() -> None:
     path = Steps()
-    path.room(10, 3, 4)
+    path.reserve(10, 3, 4)
     with pytest.raises(StepFailure, match="fill the memory"):
-        path.room(10**15, 3, 20)
+        path.reserve(10**15, 3, 20)
     path.append(0.5, np.ones((3, 4)))
     assert path.arc()[0].tolist() == [0.0, 0.5]
 

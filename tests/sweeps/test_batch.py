@@ -82,7 +82,7 @@ def compared(
     sweep_cells._cells.cache_clear()
     with monkeypatch.context() as patch:
         patch.setattr(sweep_cells, "_MAX_BATCH", 1)
-        patch.setattr(BatchRunner, "alone", lambda *_: None)
+        patch.setattr(BatchRunner, "run_single", lambda *_: None)
         run_block(plan.task, table)  # modes are made known
         alone = run_block(plan.task, table)
         (structure,) = sweep_cells._cells(plan.task)._structures.values()

@@ -66,6 +66,6 @@ def test_steps_of_a_chunk_that_ends_early_hold_their_own_memory() -> None:
     """A buffer for 500 steps of which 3 were taken keeps only these."""
     chunk = Chunk.allocate(1e-3, np.zeros(12), 6, 2, 500).first(3)
     steps = Steps.of(chunk, np.zeros(3, np.bool_), 6, Clock())
-    for rows in (steps.states, steps.solved, steps.felt, steps.struck):
+    for rows in (steps.states, steps.solved, steps.impulses, steps.struck):
         owner = rows if rows.base is None else rows.base
         assert owner.nbytes <= 2 * rows.nbytes

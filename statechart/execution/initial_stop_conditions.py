@@ -14,7 +14,7 @@ from statechart.formulas.series import sizes_at
 from statechart.formulas.tape import Tape
 
 
-class StandingStops:
+class InitialStopConditions:
     """Judges stop conditions where a flow begins, as guards are (`statechart.charts.guard_watch`).
 
     Within the rounding of its terms a margin is on its boundary, and the way that it goes in the
@@ -32,7 +32,7 @@ class StandingStops:
     def __bool__(self) -> bool:
         return bool(self._automaton.stops)
 
-    def judged(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
+    def judge_start(self, mode: Mode, guards: Tape, at: Instant) -> tuple[str | None, Flow]:
         """Return the condition that ends the run here, and the flow that begins where none does.
 
         The flow has room for the conditions that begin on their boundary and do not fall; it is
@@ -60,7 +60,7 @@ class StandingStops:
             flow = flow._replace(tolerances={**flow.tolerances, **tolerances})
         return None, flow
 
-    def met(self, mode: Mode, guards: Tape, at: Instant) -> str | None:
+    def judge_fall(self, mode: Mode, guards: Tape, at: Instant) -> str | None:
         """Return the condition that holds where a flow came to the fall of one of its margins."""
         (fired,) = at.fired
         fallen = self._automaton.stop_of[fired]
