@@ -154,8 +154,10 @@ class BodyNumbers(NamedTuple):
     def inertia(self, states: Array) -> tuple[Array, Array]:
         """Return mass matrices (k, c, c) and forces (k, c) of the coordinates in states."""
         size = self.links.size
-        found = self.table(states)[:, -size * (2 * size + 1) :]
-        return found[:, : size * size].reshape(-1, size, size), found[:, -size:]
+        found = self.table(states)
+        forces = found.shape[1] - size
+        masses = found[:, forces - 2 * size * size : forces - size * size]
+        return masses.reshape(len(found), size, size), found[:, forces:]
 
     def whole(self, rows: Array, state: Array) -> Array:
         """Return rows (r, 3 m) of all bodies that move as rows (r, n) of the coordinates."""

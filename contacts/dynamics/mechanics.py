@@ -409,8 +409,8 @@ class Mechanics(Geometry):
 
         Of rolling resistance, those over the normal force of its contact.
         """
-        static, kinetic = map(self._formula, self.scene.couplings[name].bounds)
-        return static, kinetic
+        static, kinetic = self.scene.couplings[name].bounds
+        return self._formula(static, **self.placed), self._formula(kinetic, **self.placed)
 
     def coupling(self, name: str) -> CouplingSymbols:
         """Return the quantities of a coupling."""

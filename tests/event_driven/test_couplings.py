@@ -740,3 +740,19 @@ def test_brake_holds_where_static_friction_of_a_clutch_would_move_it_at_a_revers
     last = 0.05 + (0.8 - 0.05) * math.cos(math.sqrt(10) * (2.5 - 2 * half))
     assert found.outputs["wheel"] == pytest.approx(last, abs=2 * within)
     assert found.outputs["hub"] == pytest.approx(0, abs=1e-12)
+
+
+def test_limit_knows_the_angle_of_a_body_that_a_formula_places() -> None:
+    # The limit grows as the couple of a spring, which stops the wheel in a quarter of its period.
+    text = """
+kind: scene
+name: spool
+coordinates: {phi: {rate: 2}}
+bodies: {wheel: {mass: 1, inertia: 1, position: [0, 0], angle: phi}}
+couplings: {brake: {bodies: [wheel], limit: 3*wheel.angle}}
+stop: {time: 2}
+outputs: {locks: {value: time, at: first brake.lock}, angle: {value: phi}}
+"""
+    outputs = run(text).outputs
+    assert outputs["locks"] == pytest.approx(math.pi / 2 / math.sqrt(3), abs=EXACT)
+    assert outputs["angle"] == pytest.approx(2 / math.sqrt(3), abs=EXACT)
