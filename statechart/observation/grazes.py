@@ -103,8 +103,8 @@ def grazes(observer: Observer, trace: Trace) -> tuple[Graze, ...]:
             found += look.beyond(ends)
             for graze in look.turned_back(ends):
                 same = _SAME * max(graze.t, 1.0)
-                first, last = graze.t - same, graze.t + same
-                now = trace.jumps[bisect_left(times, first) : bisect_right(times, last)]
+                begin = bisect_left(times, graze.t - same)
+                now = trace.jumps[begin : bisect_right(times, graze.t + same)]
                 if graze.guard.split(".")[0] not in {jump.region for jump in now}:
                     found.append(graze)
     return tuple(sorted(found, key=lambda one: one.t))
