@@ -202,11 +202,11 @@ def test_the_least_margin_of_an_invariant_counts_the_states_that_it_asks_for(
     ("where", "invariant", "message"),
     [
         ("RUN", "not in(gate.open) or x <= -0.5", ""),
-        ("RUN", "not in(gate.open) or x <= -1", "i is -0."),
+        ("RUN", "not in(gate.open) or x <= -1", "the margin of 'i' is -0."),
         ("RUN", "not in(gate.fast)", "i does not hold from t = 1.8"),
         ("RUN", "count != 1", "i does not hold at t = 1"),
         ("STATE", "not in(gate.open) or x <= -0.5", ""),
-        ("STATE", "not in(gate.open) or x <= -1", "m.i is -0."),
+        ("STATE", "not in(gate.open) or x <= -1", "the margin of 'm.i' is -0."),
         ("STATE", "not in(gate.open)", "m.i does not hold from t = 1.5"),
     ],
 )
