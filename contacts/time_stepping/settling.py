@@ -208,7 +208,7 @@ def settle(
     c, n, h = len(scene.cones), tape.size, chunk.h
     moving = _free_accelerations(scene, tape, equations)
     free, sizes = np.zeros((c, 2)), np.zeros((c, 2))
-    closed, near = np.zeros(c, np.bool_), np.zeros(c, np.bool_)
+    closed, near, landed = np.zeros(c, np.bool_), np.zeros(c, np.bool_), False
     for i in range(c):
         _write_accelerations(tape, i, moving, free[i], sizes[i])
         if is_coupling(scene, i):
@@ -217,6 +217,7 @@ def settle(
             near[i] = _is_near(memory, tape, i, sizes[i, 0], h)
             lasts = near[i] and memory.shown[i] != FREE and memory.shown[i] != OFF_CODE
             closed[i] = lasts or chunk.codes[k, i] != FREE
+            landed = landed or (closed[i] and memory.settling[i] == LANDED)
     which = indices(closed)
     m = len(which)
     modes = chunk.modes[k]
@@ -239,7 +240,7 @@ def settle(
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
             # What an impact leaves of the slip of a brake is judged by the forces.
-            brakes[a] = is_coupling(scene, i) and scene.carriers[i] < 0
+            brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))
         loads = coupling_loads(scene, which, columns, moving, forces, 1.0)

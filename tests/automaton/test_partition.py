@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,15 @@ MOVING = ("bodies", "contacts", "joints", "regions")
 REGIONS = ("contacts", "regions")
 
 
-def parts(**sections: Any) -> list[list[str]]:
+@pytest.fixture
+def schema(tmp_path: Path) -> Path:
+    """A schema whose only word is "mass"."""
+    file = tmp_path / "schema.json"
+    file.write_text('{"properties": {"mass": {}}}')
+    return file
+
+
+def parts(schema: Path, **sections: Any) -> list[list[str]]:
     """Return the names in every part."""
     data: Data = {
         "bodies": {"p": {"mass": 1}, "q": {"mass": 1}},
@@ -23,14 +32,14 @@ def parts(**sections: Any) -> list[list[str]]:
         },
         **sections,
     }
-    return [sorted(names.values()) for _, names in split(data, MOVING, REGIONS, tuple)]
+    return [sorted(names.values()) for _, names in split(data, MOVING, REGIONS, schema)]
 
 
 APART = [["one", "p"], ["q", "two"]]
 
 
-def test_bodies_that_nothing_couples_are_apart() -> None:
-    assert parts() == APART
+def test_bodies_that_nothing_couples_are_apart(schema: Path) -> None:
+    assert parts(schema) == APART
 
 
 @pytest.mark.parametrize(
@@ -43,32 +52,32 @@ def test_bodies_that_nothing_couples_are_apart() -> None:
         {"stop": {"conditions": {"met": "p.x > q.x"}}},
     ],
 )  # fmt: skip
-def test_entities_that_read_two_bodies_couple_them(sections: Data) -> None:
-    assert parts(**sections) == []
+def test_entities_that_read_two_bodies_couple_them(schema: Path, sections: Data) -> None:
+    assert parts(schema, **sections) == []
 
 
-def test_a_condition_of_one_goes_with_it() -> None:
+def test_a_condition_of_one_goes_with_it(schema: Path) -> None:
     data = {"conditions": {"far": "q.x > 1", "late": "time > 3"}}
-    assert parts(stop=data) == APART
+    assert parts(schema, stop=data) == APART
 
 
-def test_uncoupled_free_body_joins_the_first_component() -> None:
-    found = parts(bodies={"p": {}, "q": {}, "free": {"mass": 1}})
+def test_uncoupled_free_body_joins_the_first_component(schema: Path) -> None:
+    found = parts(schema, bodies={"p": {}, "q": {}, "free": {"mass": 1}})
     assert found == [["free", "one", "p"], ["q", "two"]]
 
 
-def test_names_that_are_words_of_the_document_are_not_replaced() -> None:
+def test_names_that_are_words_of_the_document_are_not_replaced(schema: Path) -> None:
     data: Data = {
         "bodies": {"mass": {}, "q": {}},
         "contacts": {"one": {"point": {"body": "mass"}}, "two": {"point": {"body": "q"}}},
     }
-    (one, names), (other, _) = split(data, MOVING, REGIONS, lambda: ("mass",))
+    (one, names), (other, _) = split(data, MOVING, REGIONS, schema)
     assert names["mass"] == "mass"
     assert one["bodies"].keys() == {"mass"}
     assert other["bodies"].keys() != {"q"}
 
 
-def test_parts_are_written_in_neutral_names() -> None:
+def test_parts_are_written_in_neutral_names(schema: Path) -> None:
     data: Data = {
         "bodies": {"p": {"start": {"x": "L"}}, "q": {"start": {"x": "L"}}},
         "contacts": {
@@ -77,6 +86,6 @@ def test_parts_are_written_in_neutral_names() -> None:
         },
         "parameters": {"L": 1},
     }
-    (one, _), (other, names) = split(data, MOVING, REGIONS, tuple)
+    (one, _), (other, names) = split(data, MOVING, REGIONS, schema)
     assert one == other
     assert set(names.values()) == {"q", "two"}
