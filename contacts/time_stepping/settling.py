@@ -12,7 +12,7 @@ with the velocities after the step, until its impulses say the same. What a few 
 accelerations explain counts as zero: gaps up to ``16 h^2 a`` and their rates, slips against the
 mode of the step before up to ``4 h a`` while the contact bears, and slips that end within four
 steps; accelerations of the order ``h a`` only after an impact or against the impulses. Slips of
-couplings count as zero up to ``4 h a`` with the sizes a of all terms of their accelerations.
+couplings count as zero, where a contact has landed, up to ``4 h a`` with the sizes a of all terms.
 """
 
 from __future__ import annotations
