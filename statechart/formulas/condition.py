@@ -14,7 +14,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cache, partial, reduce
+from functools import partial, reduce
 from math import inf, isnan
 from typing import TYPE_CHECKING, Any
 
@@ -167,15 +167,27 @@ class AtomsAt:
         self.tolerances = tolerances
         self._margins, self._closed, self._still = margins, closed, still
         self._fell, self._sure = fell, {*fell}.intersection(alone)
-        self.way = cache(way)
-        self.holds = cache(self._holds)
+        self._find_way = way
+        self._ways: dict[int, float] = {}
+        self._truths: dict[int, bool | None] = {}
+
+    def way(self, k: int) -> float:
+        """Return the sign of an atom's first derivative that is not zero."""
+        if k not in self._ways:
+            self._ways[k] = self._find_way(k)
+        return self._ways[k]
 
     def near(self, k: int) -> bool:
         """Return whether an atom is on its boundary."""
         return abs(self._margins[k]) <= self.tolerances[k]
 
-    def _holds(self, k: int) -> bool | None:
+    def holds(self, k: int) -> bool | None:
         """Return whether an atom holds from here on; None if it has no value."""
+        if k not in self._truths:
+            self._truths[k] = self._judge(k)
+        return self._truths[k]
+
+    def _judge(self, k: int) -> bool | None:
         margin, near, fell = self._margins[k], self.near(k), k in self._fell
         if margin < -self.tolerances[k]:
             return True
