@@ -724,9 +724,8 @@ def choose(
         refused = _verdicts(case, tried, None)
         only = "Lemke's algorithm tried only these modes" if many else ""
         why = "; ".join(filter(None, (*_listed(refused), only)))
-        message = f"no mode of the contacts agrees with the state: {why}"
         advice = "; ".join(_advice(laws, closed, tried))
-        raise NoConsistentMode(". ".join(filter(None, (message, advice))), considered=refused)
+        raise NoConsistentMode(". ".join(filter(None, (why, advice))), considered=refused)
     taken, warning = _rivals(_continuing(agreeing, tried, case, before), case, before)
     doubted = None if many or uncertainty is None else uncertainty.sticking(case, options, taken)
     if doubted is not None:
