@@ -73,7 +73,7 @@ class LinkNumbers(NamedTuple):
 
     @classmethod
     def none(cls) -> LinkNumbers:
-        """Return those of a scene whose bodies are free."""
+        """Return the numbers of a scene whose bodies are free."""
         nothing = np.zeros((0, 3), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros(0)
         return cls(0, 0, np.zeros(0, np.int64), *nothing)
 
@@ -144,7 +144,7 @@ class BodyNumbers(NamedTuple):
         return found
 
     def levers(self, state: Array) -> Array:
-        """Return how far each coordinate (c,) moves what it moves farthest, by its unit; not 0."""
+        """Return the largest displacement of a body per unit of a coordinate (c,), 1 for 0."""
         if not self.links.bodies:
             return np.zeros(0)
         found = self.linked(state[None])[1].reshape(-1, 3, self.links.size)[:, :2]

@@ -334,11 +334,8 @@ def near_obstacles(
     """
     pieces, surfaces, (one, touched_by) = numbers.pieces, numbers.surfaces, pair
     all_pieces, many = len(pieces.sizes), 1
-    others, covering, count_others = (
-        near_pieces.others,
-        near_pieces.covering,
-        near_pieces.n_others[0],
-    )
+    others, covering = near_pieces.others, near_pieces.covering
+    count_others = near_pieces.n_others[0]
     covering[0] = one
     plate = one >= all_pieces
     body = -1 if plate else pieces.bodies[one]

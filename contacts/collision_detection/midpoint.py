@@ -58,7 +58,7 @@ TOUCH_TOLERANCE = 1e-12
 
 
 class LinkMotion(NamedTuple):
-    """How linked bodies move at a midpoint."""
+    """Gradients and compliance of linked bodies at a midpoint."""
 
     gradients: Array  # (l, 3, c): derivatives of the poses by the coordinates.
     # (c, c): inverse of M - h/2 df/dq': forces of inertia are those at the mean of the rates.
@@ -66,7 +66,7 @@ class LinkMotion(NamedTuple):
 
     @classmethod
     def allocate(cls, links: LinkNumbers) -> LinkMotion:
-        """Return place for it."""
+        """Allocate its arrays."""
         return cls(np.zeros((links.bodies, 3, links.size)), np.zeros((links.size, links.size)))
 
 
@@ -110,7 +110,7 @@ class Midpoint(NamedTuple):
 
 @kernel
 def carry(numbers: BodyNumbers, mid: Midpoint, rates: Array) -> None:
-    """Write the rates of linked bodies that those of their coordinates make, in place."""
+    """Write the rates G q' of linked bodies, in place."""
     count, size, whole = numbers.links.bodies, numbers.links.size, len(numbers.sizes)
     free, gradients = len(numbers.inverse) - count, mid.links.gradients
     for i in range(count):
@@ -191,7 +191,7 @@ def place_links(
 
 @kernel
 def _pull(numbers: BodyNumbers, mid: Midpoint, b: int) -> float:
-    """Return how fast the energy of what changes the rates of a body makes it without turning."""
+    """Return the speed of a body that has the energy of its change of rates and does not turn."""
     sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
     turned, inverse = mid.loose[b, 2] - mid.old[b, 2], numbers.inverse[b]
     return math.sqrt(sped**2 + turned**2 * inverse[0] / inverse[2])
@@ -293,7 +293,7 @@ def apply_forces(
 
 @kernel
 def _extend_reach(numbers: BodyNumbers, mid: Midpoint, b: int, h: float) -> None:
-    """Extend what a body reaches under forces."""
+    """Extend the reach of a body by its motion under forces."""
     sped = norm(mid.loose[b, 0] - mid.old[b, 0], mid.loose[b, 1] - mid.old[b, 1])
     turned = abs(mid.loose[b, 2] - mid.old[b, 2])
     for p in range(numbers.pieces.begins[b], numbers.pieces.begins[b + 1]):

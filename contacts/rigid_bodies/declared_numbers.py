@@ -366,7 +366,7 @@ class LinkedMechanics(Mechanics):
 
     @cached_property
     def program(self) -> Tape:
-        """What `LinkNumbers` list."""
+        """The tape of `LinkNumbers`."""
         frames = [self.body_frame(name) for name in self.scene.bodies]
         poses = [part for (x, y), angle in frames for part in (x, y, angle)]
         gradients = [part for pose in poses for part in self.gradient(pose)]

@@ -65,7 +65,7 @@ def check_penetration(
     np.minimum.at(cores, numbers.pieces.bodies, numbers.pieces.cores)
     cores, gaps = cores[: len(numbers.inverse)], found.gaps[: len(numbers.inverse)]
     too_deep = np.flatnonzero(gaps < -np.maximum(near, _LEFT * cores)).tolist()
-    # What coordinates place is moved by these.
+    # Placed bodies move with their coordinates.
     too_deep = [b for b in too_deep if b < numbers.free] or too_deep
     deep = {b: float(gaps[b]) for b in too_deep}
     if not deep:

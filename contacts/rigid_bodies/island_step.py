@@ -594,7 +594,7 @@ def close_joints(
 
 
 @kernel
-def _write_way(
+def _write_island_friction(
     numbers: BodyNumbers, contacts: ContactRows, island: Island, a: int, way: int,
     active: ActiveContacts,
 ) -> None:  # fmt: skip
@@ -632,7 +632,7 @@ def _change_friction(
             continue
         if abs(old) == 1:
             changes = True
-            _write_way(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
+            _write_island_friction(numbers, contacts, island, a, ON_TRIAL if lasts else 0, active)
             if lasts:
                 island.wanted[a, 1] -= island.start[a, 1]
             continue
@@ -645,11 +645,11 @@ def _change_friction(
         return True
     for a in range(len(island.members)):
         if active.ways[island.members[a]] == ON_TRIAL and first in (a, -1):
-            _write_way(numbers, contacts, island, a, 0, active)
+            _write_island_friction(numbers, contacts, island, a, 0, active)
             island.wanted[a, 1] += island.start[a, 1]
             changes = True
     if first >= 0:
-        _write_way(numbers, contacts, island, first, way, active)
+        _write_island_friction(numbers, contacts, island, first, way, active)
     return changes or first >= 0
 
 

@@ -49,9 +49,9 @@ class Forces(NamedTuple):
         return ForceProgram(self.bodies, tape.code, tape.constants, tape.outputs, self.values)
 
     def stiffness(self, numbers: BodyNumbers, h: float, state: Array, time: float) -> Stiffness:
-        """Return how they change in a step; see `contacts.time_stepping.stability.stiffness`.
+        """Return the stiffness of the forces; see `contacts.time_stepping.stability.stiffness`.
 
-        Those of coordinates, and of what places bodies, with them: by differences of each one.
+        Where coordinates place bodies, forces are differentiated by each variable that they read.
         """
         size = float(numbers.sizes[: len(numbers.inverse)].max())
         n, first = numbers.size, 3 * numbers.free

@@ -239,7 +239,7 @@ def settle(
             lasts = memory.shown[i] != FREE and memory.fresh[i] != HOLDING
             lasts = lasts and chunk.codes[k, i] != FREE
             against[a] = lasts and _direction(memory.shown[i]) != slides[a]
-            # What an impact leaves of the slip of a brake is judged by the forces.
+            # Forces decide the slip that an impact leaves to a brake.
             brakes[a] = landed and is_coupling(scene, i) and scene.carriers[i] < 0
             against[a] = against[a] or brakes[a]
         ended, solved, forces = False, False, np.zeros((m, 2))

@@ -289,7 +289,7 @@ class ChartLaws:
         watch = self._watch(setup, flow)
         sizes = flow_sizes(setup, flow, state)
         if flow.sizes is not None:
-            # What is set to zero leaves it by what the time at hand can resolve.
+            # A variable set to zero moves away by as much as the round-off of the time gives.
             sizes = np.maximum(sizes, flow.sizes)
         rows = watch.at(setup, state, sizes, clock.high)
         if (name := watch.valueless(rows)) is not None:

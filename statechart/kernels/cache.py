@@ -31,7 +31,7 @@ class Compilable:
 
     @property
     def inner(self) -> Any:
-        """What numba made of it, for calls from kernels."""
+        """Numba's dispatcher for calls from kernels."""
         raise NotImplementedError
 
 

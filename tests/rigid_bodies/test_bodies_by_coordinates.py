@@ -360,7 +360,7 @@ outputs: {turned: {value: time, at: first motor.turn}}
         ),
     ],
 )
-def test_what_cannot_mix_is_refused(old: str, new: str, words: str) -> None:
+def test_scenes_that_cannot_mix_are_refused(old: str, new: str, words: str) -> None:
     assert old in RAM
     with pytest.raises(DeclarationError, match=words):
         _run(RAM.replace(old, new))
