@@ -272,7 +272,7 @@ OF_CHARTS = {
     "priority": ("guard: T", "priority: 1, guard: T", "of those that are due the first is taken"),
     "controls": ("stop:", "controls: {u: 0}\nstop:",
                  "10:1: unknown key 'controls'; write variables: {u: 0}, and entry: {u: 1}"),
-    "sets": ("{T: 1}}", "{T: 1}, sets: {n: 1}}", "7:35: unknown key 'sets'; write entry: {u: 1}"),
+    "sets": ("{T: 1}}", "{T: 1}, sets: {n: 1}}", "7:34: unknown key 'sets'; write entry: {u: 1}"),
     "transitions in a state": ("off: {", "off: {after: 2, ",
                                "unknown key 'after'; write transitions: [{name: go"),
     "parallel": ("off: {", "off: {type: parallel, ", "write regions: {NAME: ...} in it"),
