@@ -21,7 +21,6 @@ from statechart.documents.outputs import Event, EventText, check_event, parse_ev
 from statechart.errors import DeclarationProblem, Loc, undeclared
 from statechart.formulas.formula import parse
 
-
 _OUTSIDE = "transitions: [{name: go, from: STATE, to: STATE, on: EVENT}] beside `states`"
 
 

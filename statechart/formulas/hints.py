@@ -60,6 +60,7 @@ def no_name(text: str) -> str:
     return next(filter(None, advice), _LETTERS)
 
 
+_CHOICE = "write min and max, or a state or transition for each case"
 TOKENS: Mapping[str, str] = {
     "^": "write a power as **",
     "=": "a formula is a value, not an assignment; compare with <=, <, >= or >",
@@ -70,13 +71,13 @@ TOKENS: Mapping[str, str] = {
     "(": "write a product as a*b",
     ")": "there is no ( before it that it could close",
     **dict.fromkeys(("and", "or", "not", "in"), "comparisons stand on both sides of `and`, `or`"),
-    **dict.fromkeys(("if", "else", "then"), "write min and max, or a state or transition for each case"),
+    **dict.fromkeys(("if", "else", "then"), _CHOICE),
     "deg": "angles are in radians: 30*pi/180",
 }
 """Part of a formula that cannot stand where it does -> what to write."""
 
 _PROGRAMS: Mapping[str, str] = {
-    r"\s*if\b|.*\?": TOKENS["if"],
+    r"\s*if\b|.*\?": _CHOICE,
     r".*(\+\+|--)\s*$|\s*[-+*/]=": "write the new value, such as n + 1",
 }
 
