@@ -718,8 +718,8 @@ def check_collisions(scene: SceneFields) -> None:
         if not (body.prescribed or body.linked) and body.inertia is None:
             raise DeclarationProblem(
                 "a free body that collides needs an inertia",
-                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; or "
-                "place it by coordinates, or lead it along a path without a mass",
+                advice="write inertia: m*r**2/2 of a disc, m*(width**2 + height**2)/12 of a box; "
+                "or place it by coordinates, or lead it along a path without a mass",
                 loc=("bodies", name),
             )
         if body.linked and body.copies is not None:
