@@ -6,24 +6,15 @@ Where s is zero the force is any up to the limit, as that of a locked coupling (
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from contacts.scene.modes import SignFriction
 from statechart.formulas.linear import Definition
 
 if TYPE_CHECKING:
     from contacts.dynamics.mechanics import Mechanics
-
-
-class SignFriction(NamedTuple):
-    """Dry friction by a sign, as expressions."""
-
-    name: str
-    slip: sp.Expr  # The rate in the sign.
-    bias: sp.Expr  # Its derivative where nothing accelerates.
-    limit: sp.Expr
-    row: tuple[sp.Expr, ...]  # (n,): derivatives of the slip by the rates.
 
 
 def sign_frictions(

@@ -12,7 +12,8 @@ import sympy as sp
 
 from contacts.dynamics.joints import OFF_ROW, JointGroup, JointNumbers, joint_groups, motions
 from contacts.dynamics.mechanics import Mechanics
-from contacts.dynamics.sign_friction import SignFriction, sign_frictions
+from contacts.dynamics.sign_friction import sign_frictions
+from contacts.scene.modes import SignFriction
 from contacts.solvers.saddle_point import INEXACT, SINGULAR, saddle
 from statechart.arrays import Array
 from statechart.errors import SingularMode
@@ -172,8 +173,8 @@ class SnapshotTape:
             outputs += mechanics.limits(name)
         self._end = len(outputs)
         self.signs = sign_frictions(mechanics, mechanics.controlled(states))
-        for _, *numbers, row in self.signs:
-            outputs += [*numbers, *row]
+        for sign in self.signs:
+            outputs += [sign.slip, sign.bias, sign.limit, *sign.row]
         self.tape: Tape = mechanics.tape(outputs, definitions=mechanics.controlled(states))
 
     def at(self, values: Array, state: Array, time: float) -> Snapshot:

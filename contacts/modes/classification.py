@@ -21,11 +21,10 @@ import numpy as np
 from contacts.dynamics.contact_law import ContactLaw, bounds, carriers, cones
 from contacts.dynamics.scales import Scales
 from contacts.dynamics.setup import SceneSetup
-from contacts.dynamics.sign_friction import SignFriction
 from contacts.dynamics.snapshot import EDGES, SCALARS, PerContact, Snapshot
 from contacts.modes.load_sharing import Share, bearing, prestressed_contacts, rank, share
 from contacts.modes.signs_at_rest import laws_of, signs_at_rest, with_signs
-from contacts.scene.modes import OWN
+from contacts.scene.modes import OWN, SignFriction
 from contacts.solvers.lemke import delassus_matrix, forces_by_lemke
 from contacts.solvers.mode_solver import (
     AGAINST,

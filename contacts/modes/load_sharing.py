@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from contacts.dynamics.sign_friction import SignFriction
 from contacts.dynamics.snapshot import Snapshot
-from contacts.scene.modes import OWN, Bearing
+from contacts.scene.modes import OWN, Bearing, SignFriction
 from contacts.solvers.dependence import independent
 from contacts.solvers.mode_solver import is_coupling, judge_forces, write_limits
 from contacts.solvers.redundancy import mode_columns, sharing

@@ -49,7 +49,7 @@ def _extended(
 ) -> Snapshot:
     jacobians = np.stack([np.zeros_like(rows), rows], axis=1)
     contacts = [
-        PerContact(*[0.0] * 8, bias, jacobian)
+        PerContact(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, bias, jacobian)
         for bias, jacobian in zip(biases.tolist(), jacobians, strict=True)
     ]
     return snapshot._replace(

@@ -16,8 +16,6 @@ from statechart.documents.fields import Part
 if TYPE_CHECKING:
     import sympy as sp
 
-    from contacts.dynamics.sign_friction import SignFriction
-
 FORCE_MARGINS = _LOAD, _UPPER, _LOWER = "V", "mu V - H", "mu V + H"
 """Names of a closed contact's force margins: its load, and distances to the cone's two edges."""
 INSIDE, OUTSIDE = "inside", "outside"
@@ -143,6 +141,16 @@ class Pin(Part):
 def off(contact: ContactSymbols, back: tuple[Margin, ...]) -> State:
     """Return the state of a contact that is off: no force, until it may come `back`."""
     return State((contact.V, contact.H), back, values=contact.friction.used.get(0, {}))
+
+
+class SignFriction(NamedTuple):
+    """Dry friction by a sign, as expressions."""
+
+    name: str  # As in formulas, without spaces.
+    slip: sp.Expr  # The rate in the sign.
+    bias: sp.Expr  # Its derivative where nothing accelerates.
+    limit: sp.Expr
+    row: tuple[sp.Expr, ...]  # (n,): derivatives of the slip by the rates.
 
 
 class Bearing(NamedTuple):
