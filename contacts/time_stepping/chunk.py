@@ -137,10 +137,13 @@ class SteppedSystem(ABC):
         """Take back the last steps."""
 
     @abstractmethod
-    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+    def switch(
+        self, states: Mapping[str, str], at: tuple[Array, Array, float]
+    ) -> tuple[Ints, bool]:
         """Go on with controllers in other states; `at`: from a state, to another, at a time.
 
-        Return which regions are free from then on, as what they touched was moved away.
+        Return which regions are free from then on, as what they touched was moved, and whether
+        one of them is struck at once.
         """
 
     @abstractmethod

@@ -123,13 +123,15 @@ class SteppedScene(SteppedSystem):
         self._use(self._source, setup.contacts)
         return setup
 
-    def switch(self, states: Mapping[str, str], at: tuple[Array, Array, float]) -> Ints:
+    def switch(
+        self, states: Mapping[str, str], at: tuple[Array, Array, float]
+    ) -> tuple[Ints, bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
         was, (before, after, time) = self._source, at
         contacts = self._numbers.contacts(self._values, states)
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), False
         memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
@@ -149,7 +151,7 @@ class SteppedScene(SteppedSystem):
         for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
             raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[FREE])
         self._step_state.codes[opened] = memory.shown[opened] = FREE
-        return np.flatnonzero(opened)
+        return np.flatnonzero(opened), bool((opened & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""

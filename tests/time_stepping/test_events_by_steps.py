@@ -342,3 +342,39 @@ def test_a_warning_names_a_brake_that_decides_how_feet_share_the_load() -> None:
     # Any couple within the limit agrees, and gives the foot with friction another load.
     warnings = Runner(interpret(read_text(BRAKED_BAR % 0.3))).run().warnings
     assert any("share the load changes the motion" in warning for warning in warnings)
+
+
+# A plate sinks under a point, stops, and sinks again: in the instant in which it stops it strikes
+# the point, and that comes before a guard that holds all the time.
+STOPPING_PLATE = """
+kind: scene
+name: stopping_plate
+gravity: 9.81
+stop: {time: 0.15}
+controls: {u: 0}
+regions:
+  plate:
+    initial: sinks
+    variables: {p: 0, n: 0}
+    states: {stands: {sets: {u: 0}}, sinks: {sets: {u: 1}, flows: {p: 0.5}}}
+    transitions:
+    - {name: stop, from: sinks, to: stands, after: 0.1}
+    - {name: hit, from: stands, to: sinks, on: c.touchdown, updates: {n: n + 1}}
+    - {name: held, from: stands, to: sinks, guard: time >= 0}
+bodies: {b: {mass: 1, start: {dx: 0.2, dy: -0.5}}}
+surfaces: {plate: {line: [[0, 0], [1, 0]], displacement: [0, -p]}}
+contacts: {c: {point: {body: b}, surface: plate, friction: 0, restitution: 0}}
+outputs: {n: {value: n}}
+"""
+
+
+@pytest.mark.parametrize("h", [1e-3, 2.5e-4])
+def test_a_surface_that_stops_strikes_before_guards_are_asked(h: float) -> None:
+    model = interpret(read_text(STOPPING_PLATE, "f.yaml"))
+    exact, found = by_events(model), by_steps(model, h)
+    stopped = [("plate", "stop"), ("c", "touchdown"), ("plate", "hit")]
+    for run, late in (exact, 0.0), (found, 2 * h):
+        assert [(j.region, j.cause) for j in run.trace.jumps] == stopped
+        assert run.outputs["n"] == 1.0
+        fallen = -0.05 - 9.81 * 0.05**2 / 2
+        assert run.trace.final[1] == pytest.approx(fallen, abs=1e-9 + 0.5 * late)
