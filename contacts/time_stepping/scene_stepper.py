@@ -24,8 +24,20 @@ from contacts.dynamics.starting import (
 )
 from contacts.scene.lint import NEARLY_MEETING, stays_off
 from contacts.solvers.contact_rows import STEEPEST
+from contacts.solvers.dependence import independent
+from contacts.solvers.redundancy import mode_columns
 from contacts.solvers.step_impulses import smoothed
-from contacts.states import FREE, LOCKED, OFF, OFF_CODE, PIN, SLIDE_MINUS, SLIDE_PLUS, STATES
+from contacts.states import (
+    FREE,
+    LOCKED,
+    OFF,
+    OFF_CODE,
+    OPEN_CODE,
+    PIN,
+    SLIDE_MINUS,
+    SLIDE_PLUS,
+    STATES,
+)
 from contacts.time_stepping.chunk import BAD_INERTIA, CHOSEN, JAMMED, Chunk, SteppedSystem
 from contacts.time_stepping.control import StepControl
 from contacts.time_stepping.discretisation_error import DiscretisationError, Equations
@@ -115,6 +127,9 @@ class SteppedScene(SteppedSystem):
         self._swing = self._length = 0.0
         self._errors = DiscretisationError(setup.scales)
         self._saved_errors = self._errors.copy()
+        # Modes, and what is said of their loads.
+        self._loads: dict[bytes, str] = {}
+        self._saved_loads = self._loads.copy()
 
     def change(self, values: Mapping[str, float]) -> SceneSetup:
         """Go on with other values of parameters; return the numbers."""
@@ -179,6 +194,7 @@ class SteppedScene(SteppedSystem):
     def forget(self) -> None:
         """Take back the last steps."""
         self._step_state, self._errors = self._saved.copy(), self._saved_errors.copy()
+        self._loads = self._saved_loads.copy()
 
     @property
     def margins(self) -> dict[str, float]:
@@ -202,6 +218,7 @@ class SteppedScene(SteppedSystem):
         return (
             *remarks(self._swing, self._length),
             *self._errors.remarks(self._length),
+            *filter(None, self._loads.values()),
             *self._stays_off(),
         )
 
@@ -226,6 +243,7 @@ class SteppedScene(SteppedSystem):
         n, c, r = source.size, len(source.names), source.joint_rows
         chunk = Chunk.allocate(h, state, n + r + 2 * c + source.given, c, count)
         self._saved, self._saved_errors = self._step_state.copy(), self._errors.copy()
+        self._saved_loads = self._loads.copy()
         memory = self._step_state.contacts
         scene = StepConstants(
             tape.program, source.flows.program, n, source.damped, self._values, self._cones,
@@ -249,6 +267,7 @@ class SteppedScene(SteppedSystem):
         forces = chunk.solved[:, n + r : n + r + 2 * c].reshape(len(chunk.codes), c, 2)
         self._note(chunk.gaps, forces, chunk.codes, chunk.solved[:, n + r + 2 * c :])
         self._note_passed(chunk, start)
+        self._note_loads(chunk, start)
         if len(chunk.codes):
             now = Equations(source, self._values, self._cones, self._restitution)
             self._errors.add(now, chunk, start, self._saved.codes, swings)
@@ -325,6 +344,36 @@ class SteppedScene(SteppedSystem):
             if before > 0.0 and (rate > slow or depth > _LANDED * h * approach):
                 chunk.passed[k] = max(chunk.passed[k], min(1.0, h * approach / depth))
                 break
+
+    def _note_loads(self, chunk: Chunk, start: float) -> None:
+        """Note the first mode in which how contacts share a load changes the motion.
+
+        Constraints that depend on each other leave their forces open, and where contacts slide
+        under friction these need not act alike.
+        """
+        n, modes, source = self._source.size, chunk.modes, self._source
+        changed = np.any(modes != np.vstack([modes[:1] - 1, modes[:-1]]), axis=1)
+        for k in np.flatnonzero(changed).tolist():
+            key, bears = modes[k].tobytes(), ~np.isin(modes[k], (FREE, OFF_CODE, OPEN_CODE))
+            if key in self._loads or bears.sum() < 2 or any(self._loads.values()):
+                continue
+            time = start + (k + 1) * chunk.h
+            _, rows, joints = source.equations(self._values, chunk.states[k + 1], time)
+            jacobians = rows[bears, : 2 * n].reshape(-1, 2, n)
+            smooth, self._loads[key] = self._cones[bears] * (1.0, 0.0), ""
+
+            def spare(cones: Array, left_out: int = -1) -> int:
+                columns, _ = mode_columns(modes[k, bears], cones, jacobians, left_out)
+                rows = np.vstack([columns, joints[:, :n]])
+                return len(rows) - independent(rows)[0]
+
+            if spare(smooth) > spare(self._cones[bears]):
+                names = np.array(source.names)[bears]
+                shared = [i for i in range(len(names)) if spare(smooth, i) < spare(smooth)]
+                self._loads[key] = (
+                    f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
+                    "the motion, and nothing determines it: another engine or step may differ"
+                )
 
     def _count_allowed(self, chunk: Chunk, start: float) -> int:
         """Return how many steps take modes that are allowed; replace a stick that only passes.
