@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -360,16 +361,12 @@ class SteppedScene(SteppedSystem):
             time = start + (k + 1) * chunk.h
             _, rows, joints = source.equations(self._values, chunk.states[k + 1], time)
             jacobians = rows[bears, : 2 * n].reshape(-1, 2, n)
+            acts = partial(_spare_rows, modes[k, bears], jacobians, joints[:, :n])
             smooth, self._loads[key] = self._cones[bears] * (1.0, 0.0), ""
-
-            def spare(cones: Array, left_out: int = -1) -> int:
-                columns, _ = mode_columns(modes[k, bears], cones, jacobians, left_out)
-                rows = np.vstack([columns, joints[:, :n]])
-                return len(rows) - independent(rows)[0]
-
-            if spare(smooth) > spare(self._cones[bears]):
+            spare = acts(smooth)
+            if spare > acts(self._cones[bears]):
                 names = np.array(source.names)[bears]
-                shared = [i for i in range(len(names)) if spare(smooth, i) < spare(smooth)]
+                shared = [i for i in range(len(names)) if acts(smooth, i) < spare]
                 self._loads[key] = (
                     f"from t = {time:.6g} how {', '.join(names[shared])} share the load changes "
                     "the motion, and nothing determines it: another engine or step may differ"
@@ -446,6 +443,14 @@ class SteppedScene(SteppedSystem):
             borne = (codes != FREE) & (codes != OFF_CODE) & ~np.isnan(values)
             seen = np.where(borne, values, np.inf).min(axis=0)
             memory.least[:, k] = np.minimum(memory.least[:, k], seen)
+
+
+def _spare_rows(
+    codes: Ints, jacobians: Array, joints: Array, cones: Array, left_out: int = -1
+) -> int:
+    """Return how many columns of contacts and joints depend on the others."""
+    rows = np.vstack([mode_columns(codes, cones, jacobians, left_out)[0], joints])
+    return len(rows) - int(independent(rows)[0])
 
 
 def _failure(status: int) -> SingularMode | NonFinite:
