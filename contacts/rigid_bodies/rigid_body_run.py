@@ -271,7 +271,7 @@ class RigidBodyRun(SteppedSystem):
 
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
-    ) -> tuple[Ints, bool]:
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
         self._around.switch(states)
         on = self.numbers.joints.on
@@ -280,7 +280,7 @@ class RigidBodyRun(SteppedSystem):
                 if states[joint] == CLOSED and not on[j]:
                     self._close(j, joint, at[1], at[2])
                 on[j] = states[joint] == CLOSED
-        return np.zeros(0, np.int64), False
+        return {}, False
 
     def _close(self, j: int, joint: str, state: Array, time: float) -> None:
         """Let a joint hold the pose that it has captured.

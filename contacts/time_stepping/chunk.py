@@ -139,11 +139,10 @@ class SteppedSystem(ABC):
     @abstractmethod
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
-    ) -> tuple[Ints, bool]:
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; `at`: from a state, to another, at a time.
 
-        Return which regions are free from then on, as what they touched was moved, and whether
-        one of them is struck at once.
+        Return the modes of regions whose surface was moved, and whether one is struck at once.
         """
 
     @abstractmethod

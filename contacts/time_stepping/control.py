@@ -133,10 +133,10 @@ class StepControl:
             )
             if name in self._joints and taken.target == CLOSED:
                 after = self._closed(name, after, recorder, h)
-            opened, strikes = self._scene.switch(
+            moved, strikes = self._scene.switch(
                 self._states.named(self.states), (state, after, recorder.clock.high)
             )
-            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, opened)
+            jump = recorder.turn(name, taken.name, self.states, (state, after), fired, moved)
             pending, state = self._listening.pending_after(firing.pending, jump), after
             if strikes:
                 self._pending, self._strikes = pending, True

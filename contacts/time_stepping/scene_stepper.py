@@ -35,6 +35,7 @@ from contacts.states import (
     OFF_CODE,
     OPEN_CODE,
     PIN,
+    SLIDE,
     SLIDE_MINUS,
     SLIDE_PLUS,
     STATES,
@@ -141,13 +142,13 @@ class SteppedScene(SteppedSystem):
 
     def switch(
         self, states: Mapping[str, str], at: tuple[Array, Array, float]
-    ) -> tuple[Ints, bool]:
+    ) -> tuple[dict[int, int], bool]:
         """Go on with controllers in other states; see `SteppedSystem`."""
         was, (before, after, time) = self._source, at
         contacts = self._numbers.contacts(self._values, states)
         self._use(self._tapes.at(tuple(states.values())), contacts)
         if not was.scene.leading:
-            return np.zeros(0, np.int64), False
+            return {}, False
         memory, now = self._step_state.contacts, self._source.contacts(self._values, after, time)
         old = was.contacts(self._values, before, time)
         near, deep = self._near, np.minimum(old[:, 0], 0.0) - now[:, 0]
@@ -163,11 +164,18 @@ class SteppedScene(SteppedSystem):
         # What a surface strikes, or leaves, does not last.
         parts = rigid & (np.abs(now - old)[:, :2] > [near, self._still]).any(axis=1)
         memory.closed[parts] = False
-        opened = parts & (self._step_state.codes != FREE) & ~memory.off
-        for i in np.flatnonzero(opened & self._undeclared[:, FREE]).tolist():
-            raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[FREE])
-        self._step_state.codes[opened] = memory.shown[opened] = FREE
-        return np.flatnonzero(opened), bool((opened & (now[:, 1] < -self._still)).any())
+        codes, slips = self._step_state.codes, np.abs(now[:, 2]) > self._still
+        touched = (codes != FREE) & ~memory.off
+        touched[len(rigid) - was.couplings :] = False
+        slips &= touched & (codes != SLIDE) & (np.abs(now - old)[:, 2] > self._still)
+        after = np.where(slips, np.where(now[:, 2] > 0.0, SLIDE_PLUS, SLIDE_MINUS), codes)
+        after[touched & parts] = FREE
+        moved = {i: int(after[i]) for i in np.flatnonzero(after != codes).tolist()}
+        for i, code in moved.items():
+            if self._undeclared[i, code]:
+                raise torn(was.scene.contacts[was.names[i]].surface, was.names[i], STATES[code])
+            codes[i] = memory.shown[i] = code
+        return moved, bool((touched & parts & (now[:, 1] < -self._still)).any())
 
     def _use(self, source: SteppedTape, contacts: Sequence[ContactLaw]) -> None:
         """Use these equations and coefficients."""
