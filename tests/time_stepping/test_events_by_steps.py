@@ -387,3 +387,36 @@ def test_a_surface_that_stops_strikes_before_guards_are_asked(h: float) -> None:
         assert run.outputs["n"] == 1.0
         fallen = -0.05 - 9.81 * 0.05**2 / 2
         assert run.trace.final[1] == pytest.approx(fallen, abs=1e-9 + 0.5 * late)
+
+
+BRAKED_PLATE = """
+kind: scene
+name: braked_plate
+gravity: 10
+stop: {time: 0.5}
+controls: {u: 0}
+regions:
+  plate:
+    initial: goes
+    variables: {p: 0}
+    states: {stands: {sets: {u: 0}}, goes: {sets: {u: 1}, flows: {p: 1}}}
+    transitions: [{name: stop, from: goes, to: stands, after: 0.1}]
+bodies: {b: {mass: 1, start: {y: %s, dx: 1}}}
+surfaces: {plate: {line: [[0, 0], [1, 0]], displacement: [p, 0]}}
+contacts: {c: {point: {body: b}, surface: plate, friction: 0.5, %s}}
+outputs: {slips: {count: c.slip}}
+"""
+
+
+@pytest.mark.parametrize(
+    "law", [("0", "restitution: 0"), ("-0.005", "stiffness: 2000, damping: 20")]
+)
+def test_a_surface_that_stops_under_what_it_carries_lets_it_slide_in_the_same_jump(law) -> None:
+    model = interpret(read_text(BRAKED_PLATE % law, "f.yaml"))
+    for run, late in (by_events(model), 0.0), (by_steps(model, H), 2 * H):
+        stop, stick = run.trace.jumps
+        assert (stop.cause, stop.source[0], stop.target[0]) == ("stop", "pin", "slide+")
+        assert (stick.cause, stick.target[0]) == ("stick", "pin")
+        assert stick.t == pytest.approx(0.1 + 1 / 5, abs=1e-8 + late)
+        assert run.trace.final[0] == pytest.approx(0.1 + 1 / 10, abs=1e-8 + late)
+        assert run.outputs["slips"] == 1
