@@ -248,11 +248,15 @@ class ControlledLaws:
             guarded.watch.single or not watched.all()
         ):
             return None, rows
-        rows = guarded.rows(setup, clock.high, state, self._solved(setup, clock, flow, state))
+        solved = self._solved(setup, clock, flow, state)
+        rows = guarded.rows(setup, clock.high, state, solved)
         relative = setup.precision
 
         assert setup.sizes is not None
         sizes = setup.sizes
+
+        def rates(k: int) -> Array:
+            return guarded.rates_of(k, setup, clock.high, state, solved)
 
         def later(margin: str) -> float:
             return self._derivatives.sign(
@@ -260,7 +264,9 @@ class ControlledLaws:
             )
 
         active = active_in(self._regions, flow.mode)
-        judged = Judgement(guarded.watch, rows, flow.tolerances, fired, relative, later, active)
+        judged = Judgement(
+            guarded.watch, rows, rates, flow.tolerances, fired, relative, later, active
+        )
         return judged, rows
 
     def _holding(
