@@ -31,7 +31,7 @@ import numpy as np
 import sympy as sp
 
 from statechart.arrays import EPS, Array, Bools
-from statechart.automaton.laws import Setup
+from statechart.automaton.laws import UNBOUNDED, Setup
 from statechart.automaton.margin_derivatives import UNDERFLOW, rounding_scale, time_derivative
 from statechart.automaton.regions import Claim, Edge, Margin, Raised, Region, margins_of, raised
 from statechart.automaton.trace import Jump, Key
@@ -266,6 +266,13 @@ class Judgement:
             return 0.0 if watch.atoms[k].rests else later(watch.margins[k])
 
         self._fell = [k for k, margin in enumerate(watch.margins) if margin in fired]
+        if UNBOUNDED in fired:
+            # The flow ends on their boundary: no rate says which way they go.
+            final, move = frozenset(self._fell), way
+
+            def way(k: int) -> float:
+                return 0.0 if k in final else move(k)
+
         self._atoms = AtomsAt(
             rows[:, 0].tolist(), own, watch.closed.tolist(), way,
             fell=self._fell, alone=watch.singles, still=lambda k: watch.atoms[k].rests,
