@@ -15,7 +15,7 @@ import numpy as np
 
 from contacts.dynamics.scales import Scales
 from contacts.solvers.impulse_coupling import coupled_contacts
-from contacts.solvers.step_impulses import ContactProblem, solve_impacts
+from contacts.solvers.step_impulses import coordinate_impulses, coordinate_rows, new_island
 from contacts.states import PIN, SLIDE_MINUS, SLIDE_PLUS
 from contacts.time_stepping.chunk import Chunk
 from contacts.time_stepping.scene_tape import SteppedTape
@@ -47,21 +47,24 @@ def velocity_change(
     system[:n, :n], system[n:, :n], system[:n, n:] = mass, held, held.T
     right = np.vstack([rows.T, np.zeros((r, 2 * m))])
     moved = np.linalg.lstsq(system, right, rcond=DEPENDENT)[0][:n]
-    delassus = np.ascontiguousarray(rows @ moved)
-    wanted = np.zeros((m, 2))
-    wanted[:, 0] = restitution * np.minimum(velocities[:, 0], 0.0)
     groups = coupled_contacts(
         mass, held, pushes.reshape(m, 2 * n), np.arange(m), np.zeros(m, dtype=np.int64)
     )
-    problem = ContactProblem(
-        np.arange(m), pushes, np.ascontiguousarray(moved.T), delassus, groups,
-        np.zeros(m, dtype=np.int64), cones, velocities,
-        velocities.copy(), wanted, restitution > 0.0, np.ones(m, dtype=np.bool_),
-        np.zeros(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_),
-    )  # fmt: skip
-    missed, _, impulses, _ = solve_impacts(problem, np.zeros((m, 2)), DEFAULT_IMPULSES.tolerance)
+    columns, allowed = moved.T.reshape(m, 2, n), DEFAULT_IMPULSES.tolerance
+    missed, impulses = 0.0, np.zeros((m, 2))
+    for label in np.unique(groups):
+        which = np.flatnonzero(groups == label)
+        before, wanted = velocities[which], np.zeros((len(which), 2))
+        wanted[:, 0] = restitution[which] * np.minimum(before[:, 0], 0.0)
+        island = new_island(which, before, before, wanted)
+        island.rebounds[:] = restitution[which] > 0.0
+        contacts = coordinate_rows(
+            pushes[which], columns[which].reshape(-1, n), np.zeros(len(which)), cones[which]
+        )
+        missed = max(missed, coordinate_impulses(contacts, island, allowed)[0])
+        impulses[which] = island.chosen
     change: Array = moved @ impulses.reshape(2 * m)
-    return change if missed <= DEFAULT_IMPULSES.tolerance and np.isfinite(change).all() else None
+    return change if missed <= allowed and np.isfinite(change).all() else None
 
 
 class Equations(NamedTuple):
