@@ -698,14 +698,12 @@ def solve_islands(
                 # Kinetic friction has ended slips of which nothing is left.
                 active.ways[i] = together.ways[a] if together.after[a, 1] != 0.0 else 0
                 active.materials[i, 0], active.materials[i, 1] = contacts.cones[a]
-            for d in range(2):
-                together.least[a, d] = active.free[i, d] + active.wanted[i, d]
             # The last impulse of a lasting contact is a better guess than one beside impacts.
             if quiet or hit[a]:
                 put(chosen[a], active.pushes[i])
         if forces and not quiet:
-            pushes = active.pushes[members]
-            pushes = forces_beside_impacts(contacts, hit, together.least, pushes, allowed, fast)
+            least, pushes = active.free[members] + active.wanted[members], active.pushes[members]
+            pushes = forces_beside_impacts(contacts, hit, least, pushes, allowed, fast)
             for a in range(size):
                 put(pushes[a], space.steady[members[a]])
         effort[RESIDUAL] = max(effort[RESIDUAL], missed)

@@ -570,7 +570,8 @@ def step_scene(
         which, blurred = indices(met.active), False
         chunk.stats[k, CONTACTS] = len(which)
         clear_contacts(scene, memory.off, forces, k, chunk)
-        label_groups(scene, tape, met)
+        if len(which) > 0:
+            label_groups(scene, tape, met)
         for label in which:
             members = members_of(met, label)
             if len(members) > 0:

@@ -418,13 +418,11 @@ def group_island(
                 jacobians[a, d, j] = tape.numbers[row + d * n + j]
         if abs(slip) > scene.rounding and (memory.slid[i] or not memory.closed[i]):
             island.ways[a] = 1 if slip > 0.0 else -1
-        for way in range(-1, 2):
-            write_cone(scene, tape, i, way, island.frictions[a, way])
-        put(island.frictions[a, island.ways[a]], cones[a])
-        if is_coupling(scene, i):
-            island.kinds[a] = LIMIT
-        elif scene.used[i] >= 0:
-            island.kinds[a] = TWO
+        write_cone(scene, tape, i, island.ways[a], cones[a])
+        if scene.used[i] >= 0 or is_coupling(scene, i):
+            island.kinds[a] = TWO if scene.used[i] >= 0 else LIMIT
+            for way in range(-1, 2):
+                write_cone(scene, tape, i, way, island.frictions[a, way])
         island.rebounds[a] = met.hit[i] and scene.restitution[i] > 0.0
         if scene.plastic and island.rebounds[a] and together > 1:
             island.rebounds[a], met.wanted[i, 0] = False, 0.0
@@ -453,7 +451,7 @@ def split_forces(
     than what that bears.
     """
     pushes, least, after, hit = island.chosen, island.least, island.after, island.hit
-    m, cones, slid = len(least), contacts.cones, np.empty((len(least), 2))
+    m, cones, under, slides = len(least), contacts.cones, after, np.zeros(len(least), np.bool_)
     modes = np.full(m, FREE)
     for a in range(m):
         i = island.members[a]
@@ -470,22 +468,23 @@ def split_forces(
     if struck:
         fast = scale(contacts, least)
         steady = forces_beside_impacts(contacts, hit, least, pushes, scene.allowed, fast)
-    write_velocities(contacts, least, steady, slid)
+        under = np.empty_like(after)
+        write_velocities(contacts, least, steady, under)
     for a in range(m):
-        slid[a, 0] = 1.0 if not hit[a] and is_sliding(cones[a], steady[a], slid[a, 1]) else 0.0
+        slides[a] = not hit[a] and is_sliding(cones[a], steady[a], under[a, 1])
         left = part_left(pushes[a], steady[a], cones[a]) if struck else 1.0
         steady[a, 0] *= left
         steady[a, 1] *= left
-    slides = slid[:, 0] > 0.0
-    write_velocities(contacts, least, steady, slid)
+    if struck:
+        write_velocities(contacts, least, steady, under)
     for a in range(m):
-        i, directed = island.members[a], scene.slips[island.members[a]] == 2
+        i, slip = island.members[a], under[a, 1]
+        directed = scene.slips[i] == 2
         if is_coupling(scene, i):
             modes[a] = FREE if after[a, 1] != 0.0 else LOCKED
         elif steady[a, 0] > 0.0:
             modes[a] = mode_of_impulse(steady[a], after[a, 1], slides[a], cones[a], directed)
-        elif pushes[a, 0] <= 0.0 and slid[a, 0] == 0.0:
-            slip = slid[a, 1]
+        elif pushes[a, 0] <= 0.0 and under[a, 0] == 0.0:
             modes[a] = mode_of_impulse(steady[a], slip, slip != 0.0, cones[a], directed)
     return steady, modes
 
