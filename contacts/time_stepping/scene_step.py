@@ -307,7 +307,7 @@ def _step_group(
     """Let a group of contacts act in step k; return whether forces are mixed with impacts."""
     n, h, rounds, loaded, changes = tape.size, chunk.h, 0, 0.0, True
     island, contacts, columns, pads = group_island(scene, memory, tape, equations, members, met, h)
-    struck, missed, softened = island.hit.any(), 0.0, False
+    struck, missed, softened = bool(island.hit.any()), 0.0, False
     while changes:
         missed, softened = coordinate_impulses(contacts, island, scene.allowed)
         rounds += 1
