@@ -69,8 +69,8 @@ def corrected(
         accelerations = _chosen(setup, plastic, _lying(setup, plastic, closed))
     except SimulationError:
         return dict(rests)
-    if plastic.held is not None:
-        accelerations = plastic.held.basis @ accelerations + plastic.held.drift
+    if plastic.reduction is not None:
+        accelerations = plastic.reduction.basis @ accelerations + plastic.reduction.drift
     n = len(state) // 2
     # Pads of compliant contacts are no coordinates of the scene.
     accelerations = accelerations[:n]

@@ -269,7 +269,7 @@ def impact(
             "an impulse along the friction cone changes no velocity of the contact"
         )
     if status == UNTRUSTED:
-        raise SingularMode(numbers.UNTRUSTED)
+        raise SingularMode(numbers.INEXACT_SYSTEM)
     return Impact(velocity, normal, tangential, path)
 
 

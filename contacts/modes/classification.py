@@ -931,10 +931,10 @@ def _carried(
     states: tuple[str, ...],
 ) -> tuple[str, ...]:
     """Tell of contacts that joints hold closed: no motion opens them, and any force would do."""
-    if snapshot.held is None:
+    if snapshot.reduction is None:
         return ()
     left = np.abs(snapshot.jacobians[:, 0]).max(axis=1, initial=0.0)
-    whole = np.abs(snapshot.whole.jacobians[:, 0]).max(axis=1, initial=0.0)
+    whole = np.abs(snapshot.unreduced.jacobians[:, 0]).max(axis=1, initial=0.0)
     names = [
         law.name
         for law, shut, state, here, all_of_it in zip(laws, closed, states, left, whole, strict=True)

@@ -357,8 +357,8 @@ def _remarks(setup: SceneSetup, snapshot: Snapshot, failing: Sequence[str]) -> t
             found.append(f"{law.name} does not touch (gap {contact.gap:.6g}): judged as if it did")
         elif contact.gap < -near:
             found.append(f"{law.name} is {-contact.gap:.6g} inside its surface")
-    if snapshot.held is not None:
-        joints = snapshot.held.joints
+    if snapshot.reduction is not None:
+        joints = snapshot.reduction.joints
         apart = float(np.abs(joints.gaps[joints.on]).max(initial=0.0))
         if apart > near:
             found.append(f"joints are apart by up to {apart:.6g}")

@@ -143,10 +143,12 @@ def share(
         for k in range(len(code))
     )
     rows, joints = _row_names(code, jacobians), np.zeros(0, dtype=np.int64)
-    if snapshot.held is not None:
-        joints = np.nonzero(~snapshot.held.joints.redundant)[0]
-        seen, _ = mode_columns(code[shared], cones[shared], snapshot.whole.jacobians[shared], -1)
-        together = np.vstack([seen, snapshot.held.joints.jacobian[joints]])
+    if snapshot.reduction is not None:
+        joints = np.nonzero(~snapshot.reduction.joints.redundant)[0]
+        seen, _ = mode_columns(
+            code[shared], cones[shared], snapshot.unreduced.jacobians[shared], -1
+        )
+        together = np.vstack([seen, snapshot.reduction.joints.jacobian[joints]])
         _, order, _ = independent(np.ascontiguousarray(together.T))
         # What joints allow has the rank `reach`: the sum is no matter of rounding.
         coordinates = np.sort(order[: reach + len(joints)])

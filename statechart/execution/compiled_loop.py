@@ -37,7 +37,7 @@ flow from here has to be made step by step; the pad is full; to be looked at; th
 counted; they accumulate."""
 
 T_HIGH, T_LOW, T_END, T_HORIZON, T_SINCE, T_REST = range(6)
-"""Columns of `BatchResult.now`: the clock, the end of the run, the horizon, the time of the last
+"""Columns of `BatchResult.clock`: the clock, the end of the run, the horizon, the time of the last
 jump, and the time to an accumulation as the loop ends."""
 N_MODE, N_JUMPS, N_MOST, N_STEPS, N_BOXES, N_RETRY = range(6)
 """Columns of `BatchResult.place`: the row of its mode, the number of jumps, the most of them, steps
@@ -72,7 +72,7 @@ class BatchInputs(NamedTuple):
     floor: float  # Smaller magnitudes count as so large.
     single: bool  # The one run is handed over as far as it has come.
     resumed: bool  # The one run goes on from where it is.
-    known: bool  # The numbers of the one run are known.
+    has_numbers: bool  # The setup of the single run is already in the buffers.
 
 
 class BatchResult(NamedTuple):
@@ -83,7 +83,7 @@ class BatchResult(NamedTuple):
     ends: Ints
     spans: Ints  # (m, 4): where its arcs and its events begin and end.
     # (m, 6): where it has come, see `T_HIGH` and `N_MODE`.
-    now: Array
+    clock: Array
     place: Ints
     # Its parameters, first and last state.
     values: Array  # shape (m, p)
@@ -253,7 +253,7 @@ class LoopModes:
         call = self._calls()
         kinds = call.loop.kinds
         found = BatchResult.empty(1, len(setup.values), len(state), len(kinds))
-        found.now[0], found.final[0] = now, state
+        found.clock[0], found.final[0] = now, state
         found.values[0] = setup.values if flow.values is None else flow.values
         found.place[0, :N_STEPS] = kinds.index(kind), *counts
         call.resume(setup, floor, buffer, found, series)

@@ -215,7 +215,7 @@ class Execution:
             if reason == runs.ACCUMULATES:
                 # The loop has seen that jumps accumulate, see `Accumulation.found`.
                 self._skip_by(
-                    self.accumulation.sum_from(margin, made.result.now.item(0, runs.T_REST))
+                    self.accumulation.sum_from(margin, made.result.clock.item(0, runs.T_REST))
                 )
             if reason in (runs.ACCUMULATES, runs.COUNTED) and self.counted():
                 return ()
@@ -225,7 +225,7 @@ class Execution:
     def _reached(self, loop: LoopModes, made: Batch, jumps: int, arcs: int) -> None:
         """Go to where the loop has come, from where there were so many jumps and arcs."""
         record, flow = self.record, self.flow
-        now, place, ends = made.result.now[0], made.result.place[0], made.result.ends[0]
+        now, place, ends = made.result.clock[0], made.result.place[0], made.result.ends[0]
         for (_, roles), compiled in made.entered():
             self.entered.setdefault(roles, compiled)
         if ends[runs.REASON] == runs.FULL:

@@ -134,7 +134,7 @@ class Simulator:
         """
         automaton, engine, found = self.automaton, self.engine, batch.result
         modes, kinds = batch.modes, batch.kinds
-        place, t_end, final = found.place[0].tolist(), found.now.item(runs.T_HIGH), found.final[0]
+        place, t_end, final = found.place[0].tolist(), found.clock.item(runs.T_HIGH), found.final[0]
         first, last = kinds[found.ends.item(runs.FIRST_MODE)][0], kinds[place[runs.N_MODE]]
         outcome, stop = batch.outcome(0), None
         if outcome is Outcome.STOPPED:
@@ -406,7 +406,7 @@ class BatchRunner:
         arc = int(found.spans[row, ARCS_END]) - 1
         if arc >= found.spans[row, ARCS] and block.arcs[arc, 1] == found.place[row, runs.N_JUMPS]:
             terms = summands(*arc_polynomials(block, arc, size))
-        final, time = found.final[row], float(found.now[row, runs.T_HIGH])
+        final, time = found.final[row], float(found.clock[row, runs.T_HIGH])
         flow = batch.modes.flow(setup, kind, final, time, terms)
         compiled = batch.modes.compiled(kind)
         happens, _ = closing(simulator.engine, compiled, flow, setup, final, time)
