@@ -111,7 +111,7 @@ def _list_values(
                 if marks[first + k, wait] == 0:
                     continue
                 event, kind = begin + k, found.place[row, N_MODE]
-                state, time = found.final[row], found.now[row, T_HIGH]
+                state, time = found.final[row], found.clock[row, T_HIGH]
                 if event < end:
                     kind = np.int64(block.events[event, SOURCE + side])
                     state, time = block.states[event, side], block.numbers[event, TIME]
@@ -198,7 +198,7 @@ def _extremes(
     kinds, first = tapes.extremes[formula], 0
     for row in range(found.spans.shape[0]):
         parameters, begun = found.values[row], found.ends[row, FIRST_MODE]
-        last, time = found.place[row, N_MODE], found.now[row, T_HIGH]
+        last, time = found.place[row, N_MODE], found.clock[row, T_HIGH]
         _include(result[row], _value(tapes, kinds[begun], found.initial[row], parameters, 0.0))
         _widen_by_arcs(tapes, formula, block, resolved, found, row, result[row])
         begin = found.spans[row, EVENTS]
@@ -229,7 +229,7 @@ def compute_outputs(
     _list_values(tapes, block, found, marks, values)
     for row in range(found.ends.shape[0]):
         parameters, last = found.values[row], found.place[row, N_MODE]
-        begun, time = found.ends[row, FIRST_MODE], found.now[row, T_HIGH]
+        begun, time = found.ends[row, FIRST_MODE], found.clock[row, T_HIGH]
         for i in range(tapes.start.shape[0]):
             values.start[row, i] = _value(
                 tapes, tapes.start[i, begun], found.initial[row], parameters, 0.0

@@ -540,7 +540,7 @@ class OutputAccumulator:
         block.numbers[:, TIME] = points.times[1:-1:2]
         found = BatchResult.empty(1, len(trace.parameters), states.shape[1], 0)
         found.values[0], found.initial[0], found.final[0] = trace.values, states[0], states[-1]
-        found.now[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
+        found.clock[0, loop.T_HIGH], found.spans[0] = trace.t_end, (0, len(arcs), 0, count)
         tapes = outputs.tapes_of(zeros, self._mode_of(trace), solved=solved)
         # The last kind has no formulas: what was taken before, or is to come, adds nothing.
         found.ends[0, loop.FIRST_MODE] = len(numbers) if self.started else kinds[0]
