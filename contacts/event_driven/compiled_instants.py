@@ -74,8 +74,8 @@ class SceneWatch(NamedTuple):
     restitution: Array  # shape (c,)
     meanings: Ints  # (c,): kind of restitution; -1 for impacts that are not computed along a path.
     offsets: Ints  # (c,): indices of the gaps' offsets among the parameters.
-    near: float
-    creep: float
+    gap_drift: float
+    speed_drift: float
     gap: float
     speed: float
     tie: float
@@ -100,8 +100,8 @@ class RunState(NamedTuple):
 def rules_of(scene: SceneWatch) -> ModeRules:
     """Return the constants of the classification of modes."""
     return ModeRules(
-        scene.allowed, scene.cones, scene.near, scene.creep, scene.gap, scene.speed, scene.tie,
-        scene.force_uncertainty, scene.force, scene.acceleration,
+        scene.allowed, scene.cones, scene.gap_drift, scene.speed_drift, scene.gap, scene.speed,
+        scene.tie, scene.force_uncertainty, scene.force, scene.acceleration,
     )  # fmt: skip
 
 
@@ -119,8 +119,8 @@ def _closed(
             continue
         place = scalars + SCALARS * c
         gap, rate, slip = numbers[place], numbers[place + 1], numbers[place + 2]
-        violated = abs(gap) > scene.near or abs(rate) > scene.creep
-        if states[c] != FREE and (violated or (states[c] == PIN and abs(slip) > scene.creep)):
+        violated = abs(gap) > scene.gap_drift or abs(rate) > scene.speed_drift
+        if states[c] != FREE and (violated or (states[c] == PIN and abs(slip) > scene.speed_drift)):
             return count, -1
         if not gap >= -scene.gap or not scene.allowed[c, FREE]:
             return count, -1
@@ -409,7 +409,7 @@ def instant(
     if not unambiguous:
         for c in range(contacts):
             lasting = source[c] != FREE and source[c] != OFF_CODE
-            lowest[c] = -scene.near if lasting else 0.0
+            lowest[c] = -scene.gap_drift if lasting else 0.0
         unambiguous = classify(rules_of(scene), numbers, n, True, source, lowest, target)
     if not unambiguous:
         if margin >= 0 and program.ints[program.modes[mode, MARGINS_AT] + 2 * margin] == SPEED:

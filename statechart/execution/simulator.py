@@ -379,7 +379,7 @@ class BatchRunner:
         code, constants, outputs, inputs = call.inputs(self._names, table)
         asked = BatchInputs(
             code, constants, outputs, inputs, until, gone, max_jumps, engine.floor, alone,
-            resumed=False, known=False,
+            resumed=False, has_numbers=False,
         )  # fmt: skip
         block = simulator.buffer
         block.used[:] = 0
