@@ -779,7 +779,8 @@ def _check_path(scene: SceneFields, name: str) -> None:
             used = sorted({n for t in scene.controlled.texts(control) for n in parse(t).names})
             if dependent := [n for n in used if n in moving]:
                 raise DeclarationProblem(
-                    f"the path uses {control!r}, which depends on {dependent[0]!r}, on how bodies move",
+                    f"the path uses {control!r}, which depends on {dependent[0]!r}, "
+                    "on how bodies move",
                     advice="let it depend on time, controls and variables; a force follows bodies",
                     loc=("bodies", name, "angle" if key == "angle" else "position"),
                 )

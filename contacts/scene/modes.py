@@ -176,7 +176,7 @@ def share_of(
     pinned: bool,
     limit: sp.Expr | None = None,
 ) -> State:
-    """Return the state `state` of a contact, or of a coupling with a limit, that shares its load."""
+    """Return a state of a contact, or of a coupling with a limit, with a shared load."""
     import sympy as sp
 
     zone, places = bearing.zone, bearing.coordinates
