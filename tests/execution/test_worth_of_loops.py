@@ -3,7 +3,7 @@
 from statechart.execution.compiled_loop import _WORTH, _CompilationPolicy
 
 
-def test_the_disk_is_looked_at_when_twice_as_much_was_asked_for() -> None:
+def test_the_cache_is_checked_when_the_requests_have_doubled() -> None:
     looked: list[bool] = []
 
     def look() -> bool:

@@ -150,7 +150,7 @@ def pair_of(tension: str, scene: str = PAIR) -> Film:
         ("k*sin(time)", {"reaction"}),
     ],
 )
-def test_reactions_along_a_line_are_drawn_as_what_they_are(tension, kinds):
+def test_reactions_along_a_line_are_drawn_along_it(tension, kinds):
     links = ("link", "spring", "damper", "reaction")
     assert {shape.kind for shape in pair_of(tension).shapes if shape.kind in links} == kinds
 
@@ -393,7 +393,7 @@ stop: {time: 1}
 """
 
 
-def test_bodies_without_a_shape_are_drawn_beside_those_that_declare_one():
+def test_bodies_without_a_shape_are_drawn_together_with_shapes():
     film = film_of(read_text(GRIPPER), [0.0])
     # The pin is part of the crank: it moves with it; the bob has its coordinate.
     assert {shape.name for shape in shapes(film, "mass")} == {"finger"}

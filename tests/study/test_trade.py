@@ -130,7 +130,7 @@ stop: {time: 4}
     assert distance(first, first) == 0.0
 
 
-def test_the_pareto_front_has_what_nothing_beats() -> None:
+def test_the_pareto_front_has_the_undominated_points() -> None:
     slow, good, bad = point(1e-6, 1e-6, 2.0), point(1e-5, 1e-7, 1.0), point(1e-3, 1e-3, 0.5)
     other = point(1e-4, 1e-12, 0.1, same_modes=False, diverged=0.5)
     assert study(slow, good, bad, other).front() == (bad, good)
@@ -286,7 +286,7 @@ def test_keys_without_effect_on_motion_keep_the_fingerprint() -> None:
     assert fingerprint(one) == fingerprint(same) != fingerprint(other)
 
 
-def test_a_model_that_no_engine_takes_to_its_end_has_no_reference() -> None:
+def test_a_model_that_no_engine_completes_has_no_reference() -> None:
     blows_up = OSCILLATOR.replace("v: -x,", "v: x**3,")
     with pytest.raises(StatechartError, match="no reference"):
         trade(Runner(read_text(blows_up)), settings=scipy("RK45", 3))

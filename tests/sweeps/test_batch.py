@@ -119,7 +119,7 @@ def test_shipped_models(
     assert compared(model, cells(model, 24), monkeypatch, until) >= least
 
 
-def test_a_velocity_that_is_rounding_is_nothing_to_bring_back(
+def test_a_velocity_of_round_off_is_not_projected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # As the slide turns, the rate of the gap is 3e-16 to 7e-16, beside speeds of 1.2 to 1.6.
@@ -194,13 +194,13 @@ def test_the_call_is_compiled_once_so_many_cells_are_worth_it(
     assert structure.through > 50
 
 
-def test_runs_that_look_for_an_accuracy_are_made_alone() -> None:
+def test_runs_with_a_required_accuracy_are_not_batched() -> None:
     assert Runner("toppling_stick", accuracy=1e-9).batch(("mu",)) is None
     assert Runner("toppling_stick", engine="impulse", step=1e-2).batch(("mu",)) is None
     assert Runner("toppling_stick").batch(("mu",)) is not None
 
 
-def test_sweeps_by_scipy_give_what_its_runs_give() -> None:
+def test_sweeps_by_scipy_equal_its_single_runs() -> None:
     plan = Plan(load("bouncing_ball"), Setting("scipy"), {"k": np.linspace(0.1, 0.5, 5)})
     found = run_block(plan.task, np.linspace(0.1, 0.5, 5)[:, None])
     runner = Runner("bouncing_ball", engine="scipy")
